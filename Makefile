@@ -1,0 +1,40 @@
+# One environment, pinned by constraints.txt; every target sets it up first.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.complete
+
+.PHONY: setup demo test lint types study bench readme clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[agents,dev]'
+	touch $(STAMP)
+
+demo: setup
+	$(BIN)/probe-env study --subset --members 1 --duration 4 --output output/demo
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+
+types: setup
+	$(BIN)/mypy
+
+test: lint types
+	$(BIN)/pytest --numprocesses 2
+
+study: setup
+	$(BIN)/probe-env study --members 6 --output results/study
+
+bench: setup
+	$(BIN)/probe-env bench --output results/bench
+
+readme: setup
+	$(BIN)/probe-env readme
+
+clean:
+	rm -rf $(VENV) output

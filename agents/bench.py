@@ -1,0 +1,125 @@
+"""Speeds as ratios within one run: the machines are shared, so only ratios carry over.
+
+Every kernel is compiled and warmed up before its clock starts; the best of several repeats counts, taken in
+turns so that a slow moment of the machine hits all alike.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.linalg import solve_banded
+from tqdm import tqdm
+
+from agents.provenance import provenance, write_json
+from probe_env import Scene, Simulator, ticm
+from probe_env.chain import build_chain
+
+SCALING_NODES = (500, 1000, 2000, 5000, 10000, 20000)
+
+
+def run_bench(output: Path, repeats: int) -> dict[str, Any]:
+    """Time the solvers, the scaling with length and the first result; store bench.json and print it."""
+    results: dict[str, Any] = {
+        "solvers": _solvers(repeats),
+        "scaling": _scaling(repeats),
+        "first_result_s": _first_result(),
+        "repeats": repeats,
+        **provenance(),
+    }
+    write_json(output / "bench.json", results)
+    _print(results)
+    print(f"written: {output}/bench.json")
+    return results
+
+
+def best_times(jobs: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Best wall time [s] of each job, warmed up once, in turns."""
+    for job in jobs.values():
+        job()
+    best = dict.fromkeys(jobs, float("inf"))
+    for _ in tqdm(range(repeats), desc=", ".join(jobs)[:40], unit="round"):
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            best[name] = min(best[name], time.perf_counter() - start)
+    return best
+
+
+def _solvers(repeats: int) -> dict[str, dict[str, float]]:
+    """Cost of a node-step at l = 50 m: the study's scheme by each linear solver, and LAPACK's solve alone."""
+    steps = {"ticm": 1000, "banded": 40, "transfer-matrix": 40}
+    simulators = {name: Simulator(Scene(), solver=name) for name in steps}
+    nodes = simulators["ticm"].chain.node_count
+    band = np.random.default_rng(0).normal(size=(11, 3 * (nodes - 1)))
+    band[5] += 20.0
+    right = np.ones(3 * (nodes - 1))
+    jobs: dict[str, Callable[[], object]] = {
+        name: lambda s=simulator, n=steps[name]: s.run(n * 1e-4, sample_period=n * 1e-4)  # type: ignore[misc]
+        for name, simulator in simulators.items()
+        if name != "transfer-matrix"  # its solution is lost within a few steps at this length: no speed to quote
+    }
+    jobs["solve_banded alone"] = lambda: [solve_banded((5, 5), band, right) for _ in range(40)]
+    best = best_times(jobs, repeats)
+    count = {**steps, "solve_banded alone": 40}
+    per_node = {name: best[name] / count[name] / nodes for name in jobs}
+    return {
+        name: {"ns_per_node_step": seconds * 1e9, "times_ticm": seconds / per_node["ticm"]}
+        for name, seconds in per_node.items()
+    }
+
+
+def _scaling(repeats: int) -> dict[str, Any]:
+    """Exponent of the cost of a step against the number of nodes."""
+    jobs = {str(nodes): _steps_of(nodes, 2_000_000 // nodes) for nodes in SCALING_NODES}
+    best = best_times(jobs, repeats)
+    per_step = [best[str(nodes)] / (2_000_000 // nodes) for nodes in SCALING_NODES]
+    exponent = float(np.polyfit(np.log(SCALING_NODES), np.log(per_step), 1)[0])
+    return {
+        "nodes": list(SCALING_NODES),
+        "ns_per_node_step": [t / n * 1e9 for t, n in zip(per_step, SCALING_NODES, strict=True)],
+        "exponent": exponent,
+    }
+
+
+def _steps_of(nodes: int, steps: int) -> Callable[[], object]:
+    length = (nodes - 1) * 0.025
+    scene = Scene.model_validate({"tube": {"helix_length": 1000.0}, "carrier_length": round(length - 2.5, 1)})
+    chain = build_chain(scene)
+    state, work, scheme = ticm.at_rest(chain.node_count), ticm.workspace(chain.node_count), ticm.newmark(1e-4)
+    points, samples = np.zeros(1, dtype=np.int64), np.zeros((1, 1, 4))
+    tension = np.zeros(chain.node_count)
+    return lambda: ticm.advance(chain, scheme, state, work, steps, steps, steps, points, samples, tension)
+
+
+def _first_result() -> float:
+    """Wall time [s] of a new Python process from start to a first result, kernels cached."""
+    code = "from probe_env import Scene, Simulator; Simulator(Scene(carrier_length=10.0)).run(0.01)"
+    start = 0.0
+    for _ in range(2):  # the first fills the cache
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code], check=True)
+    return time.perf_counter() - start
+
+
+def _print(results: dict[str, Any]) -> None:
+    table = Table(title="Cost of a step of the study's scheme, l = 50 m")
+    for column in ("solver", "ns a node-step", "times the TICM's"):
+        table.add_column(column, justify="right")
+    for name, row in results["solvers"].items():
+        table.add_row(name, f"{row['ns_per_node_step']:.0f}", f"{row['times_ticm']:.1f}")
+    Console().print(table)
+    scaling = results["scaling"]
+    costs = ", ".join(f"{cost:.0f}" for cost in scaling["ns_per_node_step"])
+    print(
+        f"cost of a step against nodes ({SCALING_NODES[0]} to {SCALING_NODES[-1]}): exponent {scaling['exponent']:.3f} ({costs} ns)"
+    )
+    print(f"new process to first result, kernels cached: {results['first_result_s']:.1f} s")

@@ -1,0 +1,89 @@
+"""The README's tables and figures, made from stored results, so that neither can drift from the other.
+
+A block of the README between ``<!-- NAME -->`` and ``<!-- /NAME -->`` belongs to the maker of that name.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from agents.claims import Ensemble, markdown
+from agents.provenance import write_atomically
+from agents.study import load_rows
+
+README = Path("README.md")
+RESULTS = Path("results")
+
+
+def rewrite_readme() -> None:
+    """Rewrite every block and figure."""
+    write_atomically(README, _rewritten(README.read_text()))
+    _growth_figure(RESULTS / "study" / "growth.png")
+    print("README.md rewritten from results/")
+
+
+def check_readme() -> None:
+    """Raise ValueError if a block differs from what the stored results give."""
+    text = README.read_text()
+    if _rewritten(text) != text:
+        raise ValueError("README.md differs from the stored results: run `make readme`")
+    print("README.md agrees with results/")
+
+
+def _rewritten(text: str) -> str:
+    for name, make in BLOCKS.items():
+        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
+        if len(pattern.findall(text)) != 1:
+            raise ValueError(f"README.md must hold the block <!-- {name} --> ... <!-- /{name} --> exactly once")
+        content = make()
+        text = pattern.sub(lambda match, content=content: f"{match[1]}{content}\n{match[2]}", text)  # type: ignore[misc]
+    return text
+
+
+def _source(path: Path) -> str:
+    made: dict[str, Any] = json.loads(path.read_text())
+    machine = made["machine"]
+    return (
+        f"Made by `{made['command']}` at commit {made['commit']}, {machine['cores']} cores"
+        f" ({machine['processor']}), numba {made['packages']['numba']}; stored in `{path.parent}/`."
+    )
+
+
+def _study() -> str:
+    folder = RESULTS / "study"
+    table = load_rows(folder)
+    members = int(table.groupby("case").size().max())
+    note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {_source(folder / 'provenance.json')}"
+    return f"{markdown(table)}\n\n{note}"
+
+
+def _bench() -> str:
+    path = RESULTS / "bench" / "bench.json"
+    results = json.loads(path.read_text())
+    lines = ["| solver, l = 50 m | ns a node-step | times the TICM's |", "|---|---|---|"]
+    for name, row in results["solvers"].items():
+        lines.append(f"| {name} | {row['ns_per_node_step']:.0f} | {row['times_ticm']:.1f} |")
+    scaling = results["scaling"]
+    note = (
+        f"Cost of a step grows with the number of nodes to the power {scaling['exponent']:.3f}"
+        f" ({scaling['nodes'][0]} to {scaling['nodes'][-1]} nodes). A new process has its first result after"
+        f" {results['first_result_s']:.1f} s with cached kernels. {_source(path)}"
+    )
+    return "\n".join(lines) + f"\n\n{note}"
+
+
+def _growth_figure(path: Path) -> None:
+    from agents.figures import length_against_vibration
+
+    ensemble = Ensemble(load_rows(RESULTS / "study"))
+    lengths = (10, 20, 30, 40, 50, 55)
+    values = [ensemble.values(f"l{length}", "radial_rms_m") for length in lengths]
+    low, middle, high = ([f(v) for v in values] for f in (min, lambda v: sum(v) / len(v), max))
+    length_against_vibration(list(lengths), low, middle, high, path)
+
+
+BLOCKS: dict[str, Callable[[], str]] = {"study": _study, "bench": _bench}

@@ -1,0 +1,118 @@
+"""The study's scenes as an ensemble: perturbed members of every case, run two at a time, resumable.
+
+Beyond about 30 m the motion is chaotic, so a claim is judged on the statistics of several members that
+differ by a start perturbation of 0.1 micrometre, never on one trajectory. Member 0 is the study's start.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from probe_env import Scene, SimulationError, Simulator, StabilityWarning
+from probe_env.signals import point_statistics
+
+PERTURBATION = 1e-7  # [m]; a float rests a few micrometres deep in its contact spring
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scene file with the method that runs it; statistics are taken from ``statistics_from`` [s] on."""
+
+    name: str
+    scene: str
+    method: str = "newmark"
+    time_step: float = 1e-4
+    walls: str = "both"
+    settles: bool = False  # statistics of the last third only
+
+
+CASES = (
+    *(Case(f"l{length}", f"fig11_l{length}") for length in (10, 20, 30, 40, 50)),
+    Case("l55", "fig12_l55"),
+    Case("u0", "fig15_u0", settles=True),
+    Case("u100", "fig16_u100"),
+    Case("u400", "fig16_u400"),
+    Case("dh2500", "fig17_dh2500"),
+    Case("q40", "fig18_q40"),
+    Case("improved", "fig20_improved"),
+    Case("l10-wilson", "fig11_l10", method="wilson"),
+    Case("l50-wilson", "fig11_l50", method="wilson"),
+    Case("l50-inner", "fig11_l50", walls="inner"),
+    Case("l50-dt2e-4", "fig11_l50", time_step=2e-4),
+    Case("l50-dt5e-4", "fig11_l50", time_step=5e-4),
+)
+SUBSET = ("l10", "l30", "l50", "u0", "improved")
+
+
+def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str, object]:
+    """One member of a case as a row: statistics of the sensor, tip and root, or the time it diverged."""
+    scene = Scene.from_toml(scenes / f"{case.scene}.toml").model_copy(update={"contact": {"walls": case.walls}})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StabilityWarning)  # cases beyond the limit are there on purpose
+        simulator = Simulator(
+            scene, case.method, case.time_step, perturbation=PERTURBATION if member else 0.0, seed=member
+        )
+    row: dict[str, object] = {
+        "case": case.name,
+        "member": member,
+        "duration_s": duration,
+        "diverged_at_s": float("nan"),
+    }
+    try:
+        run = simulator.run(duration, points=("sensor", "tip", "root"))
+    except SimulationError as error:
+        return row | {"diverged_at_s": error.time}
+    start = duration * (2.0 / 3.0 if case.settles else 0.25)
+    row |= point_statistics(run, "sensor", start)
+    row["tip_radial_max_m"] = point_statistics(run, "tip", start)["radial_max_m"]
+    row["root_tension_mean_n"] = point_statistics(run, "root", start)["tension_mean_n"]
+    return row
+
+
+def run_study(
+    scenes: Path, output: Path, members: int, duration: float, names: tuple[str, ...] = (), jobs: int = 2
+) -> pd.DataFrame:
+    """All members of the named cases (default: all), stored in ``output``/ensemble.csv as they finish.
+
+    Rows that are stored already, for the same duration and kernels, are not run again.
+    """
+    chosen = [case for case in CASES if not names or case.name in names]
+    stored = load_rows(output, duration)
+    done = set(zip(stored["case"], stored["member"], strict=True)) if len(stored) else set()
+    missing = [(case, member) for member in range(members) for case in chosen if (case.name, member) not in done]
+    rows = stored.to_dict("records")
+    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
+    work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
+    for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
+        rows.append(row)
+        _store(rows, output)
+    table = pd.DataFrame(rows)
+    wanted = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
+    return table[wanted].sort_values(["case", "member"]).reset_index(drop=True)
+
+
+def load_rows(output: Path, duration: float | None = None) -> pd.DataFrame:
+    """Stored rows; with a duration, only those that the present kernels made for it."""
+    path = output / "ensemble.csv"
+    if not path.exists():
+        return pd.DataFrame()
+    table = pd.read_csv(path)
+    if duration is None:
+        return table
+    return table[(table["kernel_hash"] == kernel_hash()) & (table["duration_s"] == duration)]
+
+
+def _store(rows: list[dict[object, object]] | list[dict[str, object]], output: Path) -> None:
+    table = pd.DataFrame(rows).assign(kernel_hash=kernel_hash()).sort_values(["case", "member"])
+    buffer = io.StringIO()
+    table.to_csv(buffer, index=False, float_format="%.6g")
+    write_atomically(output / "ensemble.csv", buffer.getvalue())
+    write_json(output / "provenance.json", provenance())

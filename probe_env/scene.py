@@ -1,0 +1,199 @@
+"""What is simulated: tube, probe, contact, air and feed as frozen, validated models in SI units.
+
+Defaults are the study's table 2 with a carrier cable of 50 m. A scene is read from and written to TOML;
+unknown keys, NaN, values out of range and impossible geometry raise a ``ValueError`` that names the
+field, the value and the accepted range.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+LENGTH_TOLERANCE = 1e-6
+"""How far, in metres, a cable length may be from a whole multiple of the float pitch."""
+
+
+def quantity(low: float, high: float, unit: str) -> AfterValidator:
+    """Validator of a physical quantity: finite and within [low, high] ``unit``."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:  # also catches NaN
+            raise PydanticCustomError(
+                "out_of_range",
+                "{value}{unit} is outside the accepted range {low} to {high}{unit}",
+                {"value": repr(value), "low": f"{low:g}", "high": f"{high:g}", "unit": unit and f" {unit}"},
+            )
+        return value
+
+    return AfterValidator(check)
+
+
+def _not_returning(value: float) -> float:
+    if value < 0.0:
+        raise PydanticCustomError(
+            "return_process",
+            "{value} m/s is negative: the return process is not modelled; the accepted range is 0 to 2 m/s",
+            {"value": repr(value)},
+        )
+    return value
+
+
+class Model(BaseModel):
+    """Base of all scene models: frozen, strict about types, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, validate_default=True)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Copy with changed fields, validated (pydantic's own copy is not); mappings update sub-models."""
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        for name, value in (update or {}).items():
+            inner = fields.get(name)
+            if isinstance(inner, Model) and isinstance(value, Mapping):
+                value = inner.model_copy(update=value)
+            fields[name] = value
+        return type(self).model_validate(fields)
+
+
+class Tube(Model):
+    """Helical tube, modelled as a circle in a plane."""
+
+    helix_diameter: Annotated[float, quantity(0.3, 1e4, "m")] = 1.2
+    inner_diameter: Annotated[float, quantity(5e-3, 0.1, "m")] = 24.2e-3
+    helix_length: Annotated[float, quantity(0.1, 1e3, "m")] = 60.0
+
+
+class Probe(Model):
+    """Cable with equally spaced floats: carrier behind the sensor, guide ahead of it."""
+
+    cable_diameter: Annotated[float, quantity(1e-3, 0.05, "m")] = 8.35e-3
+    line_density: Annotated[float, quantity(0.01, 10.0, "kg/m")] = 0.111
+    tensile_rigidity: Annotated[float, quantity(1e2, 1e8, "N")] = 1.1e5
+    flexural_rigidity: Annotated[float, quantity(1e-5, 1e2, "N m2")] = 4.8e-2
+    damping_time: Annotated[float, quantity(0.0, 1e-2, "s")] = 5.0e-5
+    float_pitch: Annotated[float, quantity(0.01, 1.0, "m")] = 0.1
+    carrier_float_diameter: Annotated[float, quantity(2e-3, 0.1, "m")] = 19e-3
+    guide_float_diameter: Annotated[float, quantity(2e-3, 0.1, "m")] = 19e-3
+    guide_length: Annotated[float, quantity(0.0, 1e3, "m")] = 2.5
+
+
+class Contact(Model):
+    """Unilateral contact spring and Coulomb friction at every float.
+
+    ``walls="inner"`` is the study's model; ``"both"`` adds the outer wall that keeps the tip in the tube.
+    """
+
+    stiffness: Annotated[float, quantity(1e2, 1e8, "N/m")] = 1e5
+    friction: Annotated[float, quantity(0.0, 1.0, "")] = 0.15
+    walls: Literal["both", "inner"] = "both"
+
+
+class Air(Model):
+    """Air that drags the floats along."""
+
+    density: Annotated[float, quantity(0.01, 100.0, "kg/m3")] = 1.023
+    drag_coefficient: Annotated[float, quantity(0.0, 10.0, "")] = 0.44
+
+
+class Scene(Model):
+    """One probe in one tube at one feed speed [m/s], air supply rate [m3/s] and carrier length [m]."""
+
+    tube: Tube = Tube()
+    probe: Probe = Probe()
+    contact: Contact = Contact()
+    air: Air = Air()
+    feed_speed: Annotated[float, AfterValidator(_not_returning), quantity(0.0, 2.0, "m/s")] = 0.2
+    air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 63.0 / 3600.0
+    carrier_length: Annotated[float, quantity(0.0, 1e3, "m")] = 50.0
+
+    @property
+    def inserted_length(self) -> float:
+        """Cable inside the helix, carrier + guide [m]."""
+        return self.carrier_length + self.probe.guide_length
+
+    @model_validator(mode="after")
+    def _geometry_is_possible(self) -> Self:
+        tube, probe = self.tube, self.probe
+        for name in ("carrier_float_diameter", "guide_float_diameter"):
+            diameter = getattr(probe, name)
+            if diameter >= tube.inner_diameter:
+                raise _impossible(
+                    f"probe.{name} = {diameter:g} m must be less than tube.inner_diameter = {tube.inner_diameter:g} m"
+                )
+            if diameter <= probe.cable_diameter:
+                raise _impossible(
+                    f"probe.{name} = {diameter:g} m must be greater than probe.cable_diameter ="
+                    f" {probe.cable_diameter:g} m"
+                )
+        for name, length in (
+            ("carrier_length", self.carrier_length),
+            ("probe.guide_length", probe.guide_length),
+        ):
+            pitches = round(length / probe.float_pitch)
+            if abs(length - pitches * probe.float_pitch) > LENGTH_TOLERANCE:
+                raise _impossible(
+                    f"{name} = {length:g} m must be a whole multiple of probe.float_pitch ="
+                    f" {probe.float_pitch:g} m (nearest: {pitches * probe.float_pitch:g} m)"
+                )
+        if self.carrier_length < probe.float_pitch - LENGTH_TOLERANCE:
+            raise _impossible(
+                f"carrier_length = {self.carrier_length:g} m must be at least one probe.float_pitch ="
+                f" {probe.float_pitch:g} m, else the sensor sits at the held root"
+            )
+        if self.inserted_length > tube.helix_length + LENGTH_TOLERANCE:
+            raise _impossible(
+                f"carrier_length + probe.guide_length = {self.carrier_length:g} + {probe.guide_length:g} m"
+                f" must not exceed tube.helix_length = {tube.helix_length:g} m"
+            )
+        if probe.float_pitch > 0.5 * tube.helix_diameter:
+            raise _impossible(
+                f"probe.float_pitch = {probe.float_pitch:g} m must not exceed half of tube.helix_diameter ="
+                f" {tube.helix_diameter:g} m: the cable between two floats would cut the helix"
+            )
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a scene file.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: not TOML, or not a valid scene; names the file and every offending field.
+        """
+        path = Path(path)
+        with path.open("rb") as file:
+            try:
+                data = tomllib.load(file)
+            except tomllib.TOMLDecodeError as error:
+                raise ValueError(f"{path}: not a TOML file: {error}") from error
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise ValueError(f"{path}: {explain(error)}") from error
+
+    def to_toml(self, path: str | Path | None = None) -> str:
+        """The scene as TOML text, with every field; written to ``path`` if given."""
+        text = tomli_w.dumps(self.model_dump())
+        if path is not None:
+            Path(path).write_text(text)
+        return text
+
+
+def _impossible(message: str) -> PydanticCustomError:
+    return PydanticCustomError("impossible_geometry", "{message}", {"message": message})
+
+
+def explain(error: ValidationError) -> str:
+    """Pydantic's errors as plain lines: field, what is wrong, the value given."""
+    lines = []
+    for item in error.errors(include_url=False):
+        field = ".".join(str(part) for part in item["loc"])
+        value = "" if isinstance(item["input"], dict | Model) else f" (given: {item['input']!r})"
+        lines.append(f"{field}: {item['msg']}{value}" if field else item["msg"])
+    return "; ".join(lines)
