@@ -22,6 +22,7 @@ from tqdm import tqdm
 from agents.provenance import provenance, write_json
 from probe_env import Scene, Simulator, ticm
 from probe_env.chain import build_chain
+from probe_env.drive import Drive
 
 SCALING_NODES = (500, 1000, 2000, 5000, 10000, 20000)
 
@@ -95,9 +96,10 @@ def _steps_of(nodes: int, steps: int) -> Callable[[], object]:
     scene = Scene.model_validate({"tube": {"helix_length": 1000.0}, "carrier_length": round(length - 2.5, 1)})
     chain = build_chain(scene)
     state, work, scheme = ticm.at_rest(chain.node_count), ticm.workspace(chain.node_count), ticm.newmark(1e-4)
+    inputs = Drive(0.2, 60.0).inputs_of_steps(steps, 1e-4, chain.element_length, 0)
     points, samples = np.zeros(1, dtype=np.int64), np.zeros((1, 1, 4))
-    tension = np.zeros(chain.node_count)
-    return lambda: ticm.advance(chain, scheme, state, work, steps, steps, steps, points, samples, tension)
+    tension, root = np.zeros(chain.node_count), chain.node_count - 1
+    return lambda: ticm.advance(chain, scheme, inputs, root, state, work, steps, steps, points, samples, tension)
 
 
 def _first_result() -> float:
@@ -119,7 +121,6 @@ def _print(results: dict[str, Any]) -> None:
     Console().print(table)
     scaling = results["scaling"]
     costs = ", ".join(f"{cost:.0f}" for cost in scaling["ns_per_node_step"])
-    print(
-        f"cost of a step against nodes ({SCALING_NODES[0]} to {SCALING_NODES[-1]}): exponent {scaling['exponent']:.3f} ({costs} ns)"
-    )
+    span = f"{SCALING_NODES[0]} to {SCALING_NODES[-1]} nodes"
+    print(f"cost of a step against nodes, {span}: exponent {scaling['exponent']:.3f} ({costs} ns a node)")
     print(f"new process to first result, kernels cached: {results['first_result_s']:.1f} s")

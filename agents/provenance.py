@@ -39,7 +39,7 @@ def kernel_hash() -> str:
     """Short hash of every source file of the simulator, so that stored results show when they are old."""
     digest = hashlib.sha256()
     folder = Path(probe_env.__file__).parent
-    for name in ("chain.py", "ticm.py"):
+    for name in ("chain.py", "drive.py", "ticm.py"):
         digest.update((folder / name).read_bytes())
     return digest.hexdigest()[:16]
 

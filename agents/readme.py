@@ -57,7 +57,8 @@ def _study() -> str:
     folder = RESULTS / "study"
     table = load_rows(folder)
     members = int(table.groupby("case").size().max())
-    note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {_source(folder / 'provenance.json')}"
+    source = _source(folder / "provenance.json")
+    note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {source}"
     return f"{markdown(table)}\n\n{note}"
 
 

@@ -6,9 +6,10 @@
 (501, 2)
 """
 
+from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.run import Run
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
-from probe_env.simulator import SimulationError, Simulator, StabilityWarning
+from probe_env.simulator import Simulator
 
 __all__ = [
     "Air",

@@ -16,28 +16,32 @@ from probe_env.chain import Chain, FloatArray, element_blocks, element_stiffness
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
 
 
-def stepper(chain: Chain, scheme: ticm.Scheme) -> Callable[[ticm.State, ticm.Work], int]:
-    """A step function (state, work) -> first diverged node or -1, with the constant matrices prepared."""
+Step = Callable[[FloatArray, int, ticm.State, ticm.Work], int]
+
+
+def stepper(chain: Chain, scheme: ticm.Scheme) -> Step:
+    """A step function (inputs, root, state, work) -> first diverged node or -1, constant matrices prepared."""
     head, tail = element_blocks(chain)
     stiffness = element_stiffness(chain)
     damped = (1.0 + chain.damping_time * scheme.B_v) * stiffness
-    elastic = _elastic_band(head, tail, damped, chain.node_count - 1)
+    elastic = _elastic_band(head, tail, damped, chain.node_count - 1)  # of the longest probe
 
-    def step(state: ticm.State, work: ticm.Work) -> int:
-        ticm.node_equations(chain, scheme, state, work)
-        h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.a  # zero at the root
+    def step(inputs: FloatArray, root: int, state: ticm.State, work: ticm.Work) -> int:
+        ticm.node_equations(chain, scheme, inputs, root, state, work)
+        d, v, a = state.d[: root + 1], state.v[: root + 1], state.a[: root + 1]
+        h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a  # zero at the root
         history = chain.damping_time * (h_v[:-1] @ head.T + h_v[1:] @ tail.T) @ stiffness.T
-        right = work.q[:-1] - history @ head
+        right = work.q[:root] - history @ head
         right[1:] -= history[:-1] @ tail
-        band = elastic.copy()
-        _add_node_matrices(band, work.P[:-1])
-        solution = np.zeros_like(state.d)
+        band = elastic[:, : 3 * root].copy()
+        _add_node_matrices(band, work.P[:root])
+        solution = np.zeros((root + 1, 3))
         solution[:-1] = solve_banded(
             (HALF_BANDWIDTH, HALF_BANDWIDTH), band, right.ravel(), overwrite_ab=True, check_finite=False
         ).reshape(-1, 3)
         deformation = solution[:-1] @ head.T + solution[1:] @ tail.T
         axial = deformation @ damped[0] + history[:, 0]
-        return int(ticm.apply_solution(scheme, state, solution, np.append(axial, 0.0)))
+        return int(ticm.apply_solution(scheme, state, solution, axial))
 
     return step
 

@@ -38,8 +38,6 @@ class Chain(NamedTuple):
     couple_length: float  # l in V l theta of (9); 0 switches the couple off
     frame_inertia: float  # J / r of (15)
     friction: float
-    feed_speed: float
-    air_speed: float  # Q / (a - A_c) of (10)
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
@@ -53,11 +51,11 @@ class Chain(NamedTuple):
         return len(self.drag)
 
 
-def build_chain(scene: Scene, nodes_per_pitch: int = 4) -> Chain:
-    """Lumped-mass chain of a scene after (1), (2) and (5)-(11)."""
+def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = None) -> Chain:
+    """Lumped-mass chain of a scene after (1), (2) and (5)-(11); ``length`` [m] if not the inserted one."""
     tube, probe, contact, air = scene.tube, scene.probe, scene.contact, scene.air
     h = probe.float_pitch / nodes_per_pitch
-    nodes = round(scene.inserted_length / h) + 1
+    nodes = round((scene.inserted_length if length is None else length) / h) + 1
     sensor = sensor_node(scene, nodes_per_pitch)
     index = np.arange(nodes)
     is_float = index % nodes_per_pitch == 0
@@ -68,7 +66,6 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4) -> Chain:
     sin_phi = h / tube.helix_diameter  # (2)
     curvature = 2.0 / tube.helix_diameter
     cable_area = math.pi * probe.cable_diameter**2 / 4.0
-    tube_area = math.pi * tube.inner_diameter**2 / 4.0
     frontal_area = math.pi * diameter**2 / 4.0 - cable_area
     gap = tube.inner_diameter - diameter if contact.walls == "both" else np.full(nodes, np.inf)
     return Chain(
@@ -86,8 +83,6 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4) -> Chain:
         couple_length=h,
         frame_inertia=inertia * curvature,
         friction=contact.friction,
-        feed_speed=scene.feed_speed,
-        air_speed=scene.air_supply_rate / (tube_area - cable_area),
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,
         lever=diameter / 2.0,
@@ -95,6 +90,12 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4) -> Chain:
         support_stiffness=np.zeros((nodes, 3)),
         load=np.zeros((nodes, 3)),
     )
+
+
+def air_speed(scene: Scene, air_supply_rate: float) -> float:
+    """Speed of the air between cable and tube, Q / (a - A_c) of (10) [m/s]."""
+    area = math.pi * (scene.tube.inner_diameter**2 - scene.probe.cable_diameter**2) / 4.0
+    return air_supply_rate / area
 
 
 def sensor_node(scene: Scene, nodes_per_pitch: int) -> int:

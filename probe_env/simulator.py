@@ -1,75 +1,43 @@
-"""A probe of constant length: state, stepping, sampling, and an error when the state diverges."""
+"""One probe: state, driving, stepping, sampling, and an error when the state diverges."""
 
 from __future__ import annotations
 
+import copy
 import itertools
+import math
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from probe_env import banded, ticm, transfer_matrix
-from probe_env.chain import Chain, FloatArray, build_chain, sensor_node
+from probe_env import ticm
+from probe_env.chain import FloatArray, air_speed, build_chain, sensor_node
+from probe_env.drive import Drive
+from probe_env.errors import SimulationError, StabilityWarning
+from probe_env.methods import build_method
 from probe_env.run import Run, Shapes, point_name
 from probe_env.scene import Scene
 from probe_env.stability import stable_time_step
 
-METHODS: Final[dict[str, Callable[[float], ticm.Scheme]]] = {"newmark": ticm.newmark, "wilson": ticm.wilson}
-SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
 
 
-class StabilityWarning(UserWarning):
-    """The time step is beyond the method's known stable limit."""
-
-
-class SimulationError(RuntimeError):
-    """The simulated state diverged.
-
-    Attributes:
-        method, time_step: what was used.
-        time: time reached [s].
-        node: the worst node, counted from the tip.
-        stable_time_step: the step that is known to hold [s]; 0 if none is.
-    """
-
-    def __init__(self, method: str, time_step: float, time: float, node: int, distance: float, stable: float) -> None:
-        self.method, self.time_step, self.time, self.node = method, time_step, time, node
-        self.stable_time_step = stable
-        if stable == 0.0:
-            hint = "no time step is known to hold for this scene: raise probe.damping_time or nodes_per_pitch"
-        elif time_step > stable:
-            hint = f"a time step of {stable:.2g} s or less is known to hold for this scene"
-        else:
-            hint = f"the step is within the known limit of {stable:.2g} s: halve it, and check the scene"
-        super().__init__(
-            f"{method} with time_step {time_step:g} s diverged at t = {time:.6g} s;"
-            f" worst at node {node}, {distance:g} m from the tip; {hint}"
-        )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Keep the error picklable, so that it can leave a worker process."""
-        return _rebuild_error, (type(self), self.args, dict(self.__dict__))
-
-
-def _rebuild_error(kind: type[SimulationError], args: tuple[str], attributes: dict[str, object]) -> SimulationError:
-    error = kind.__new__(kind, *args)
-    error.__dict__.update(attributes)
-    return error
-
-
 class Simulator:
-    """Advances one probe of constant length with constant feed speed and air supply.
+    """Advances one probe, of constant length or growing as it is fed in.
 
     Args:
-        scene: what to simulate.
+        scene: what to simulate; its carrier length is the one at the start.
         method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1.
         time_step: [s], > 0. Beyond ``stable_time_step`` a ``StabilityWarning`` is given, nothing refused.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         solver: of the linear system of a step: "ticm", "banded" (LAPACK) or "transfer-matrix".
+        growing: feed the probe in: nodes are appended at the root as cable enters, up to the helix's end.
+        time_lapse: length fed in per length travelled, >= 1: the length grows faster than the clock while the
+            dynamics keep the true speed; 1 is the truth.
+        ramp: greatest change of the feed speed [m/s2].
+        air_lag: time constant with which the air supply follows its target [s].
         perturbation: standard deviation of a random radial start displacement of all nodes [m], to get
             independent members of an ensemble; 0 is the study's start.
         seed: of the perturbation.
@@ -86,27 +54,34 @@ class Simulator:
         nodes_per_pitch: int = 4,
         *,
         solver: str = "ticm",
+        growing: bool = False,
+        time_lapse: float = 1.0,
+        ramp: float = math.inf,
+        air_lag: float = 0.0,
         perturbation: float = 0.0,
         seed: int = 0,
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
-        if solver not in SOLVERS:
-            raise ValueError(f"solver = {solver!r} is not one of {', '.join(SOLVERS)}")
-        if not 0.0 < time_step <= 1.0:
-            raise ValueError(f"time_step = {time_step!r} s is outside the accepted range 0 (excluded) to 1 s")
+        _within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+        _within("time_lapse", time_lapse, 1.0, 1000.0, "")
+        _within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
+        _within("air_lag", air_lag, 0.0, 1e3, "s")
+        _within("perturbation", perturbation, 0.0, 1e-3, "m")
         if (
             isinstance(nodes_per_pitch, bool)
             or nodes_per_pitch != int(nodes_per_pitch)
             or not 1 <= nodes_per_pitch <= 64
         ):
             raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
-        if not 0.0 <= perturbation <= 1e-3:
-            raise ValueError(f"perturbation = {perturbation!r} m is outside the accepted range 0 to 1e-3 m")
         self.scene, self.method, self.solver = scene, method, solver
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
+        self.growing, self.time_lapse, self.ramp, self.air_lag = growing, time_lapse, ramp, air_lag
         self.perturbation, self.seed = perturbation, seed
-        self._prepare(build_chain(scene, self.nodes_per_pitch))
+        h = scene.probe.float_pitch / self.nodes_per_pitch
+        longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if growing else scene.inserted_length
+        self.chain = build_chain(scene, self.nodes_per_pitch, longest)
+        self._start_root = round(scene.inserted_length / h)
+        self._advance = build_method(method, solver, self.chain, self.time_step)
+        self.stable_time_step = stable_time_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             warnings.warn(
                 f"time_step = {time_step:g} s is beyond the known stable limit {self.stable_time_step:.2g} s of"
@@ -114,37 +89,39 @@ class Simulator:
                 StabilityWarning,
                 stacklevel=2,
             )
-
-    def _prepare(self, chain: Chain) -> None:
-        self.chain = chain
-        self.scheme = METHODS[self.method](self.time_step)
-        self.stable_time_step = stable_time_step(self.scene, self.nodes_per_pitch)
-        self._work = ticm.workspace(chain.node_count)
-        self._step: Callable[[ticm.State, ticm.Work], int] | None = None  # None: the fused kernel
-        if self.solver == "banded":
-            self._step = banded.stepper(chain, self.scheme)
-        elif self.solver == "transfer-matrix":
-            self._step = partial(transfer_matrix.step, chain, self.scheme)
         self.reset()
 
     def reset(self) -> None:
-        """Back to rest at t = 0."""
+        """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
         self.state = ticm.at_rest(self.chain.node_count)
-        self.steps_done = 0
+        self.steps_done, self.root = 0, self._start_root
+        self.drive = Drive(
+            speed=self.scene.feed_speed,
+            air=air_speed(self.scene, self.scene.air_supply_rate),
+            ramp=self.ramp,
+            air_lag=self.air_lag,
+            growth=self.time_lapse if self.growing else 0.0,
+        )
         self._error: SimulationError | None = None
         if self.perturbation > 0.0:
-            noise = np.random.default_rng(self.seed).normal(size=self.chain.node_count - 1)
-            self.state.d[:-1, 1] = self.perturbation * noise
+            noise = np.random.default_rng(self.seed).normal(size=self.root)
+            self.state.d[: self.root, 1] = self.perturbation * noise
 
-    def __getstate__(self) -> dict[str, object]:
-        """Everything but the solver's closures and scratch, which are rebuilt."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("_step", "_work")}
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that changes with time, as a copy for ``restore``."""
+        return copy.deepcopy({key: self.__dict__[key] for key in _CHANGING})
 
-    def __setstate__(self, saved: dict[str, object]) -> None:
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Back to a snapshot of this simulator (or of one built alike); goes on bit for bit as it did."""
+        self.__dict__.update(copy.deepcopy(snapshot))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the method's closure and scratch, which are rebuilt."""
+        return {key: value for key, value in self.__dict__.items() if key != "_advance"}
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
-        state, steps_done, error = self.state, self.steps_done, self._error
-        self._prepare(self.chain)
-        self.state, self.steps_done, self._error = state, steps_done, error
+        self._advance = build_method(self.method, self.solver, self.chain, self.time_step)
 
     @property
     def time(self) -> float:
@@ -152,9 +129,24 @@ class Simulator:
         return self.steps_done * self.time_step
 
     @property
+    def inserted_length(self) -> float:
+        """Cable inside the helix, the part of an element that has not got its node yet included [m]."""
+        return self.root * self.chain.element_length + self.drive.travel
+
+    @property
+    def feed_speed(self) -> float:
+        """Feed speed now [m/s]."""
+        return self.drive.speed
+
+    @property
+    def air_supply_rate(self) -> float:
+        """Air supply rate now [m3/s]."""
+        return self.drive.air / air_speed(self.scene, 1.0)
+
+    @property
     def tension(self) -> FloatArray:
         """(n,) axial force of every element now [N], entrance first."""
-        return self.state.axial_force[-2::-1].copy()
+        return self.state.axial_force[self.root - 1 :: -1].copy()
 
     def run(
         self,
@@ -164,25 +156,30 @@ class Simulator:
         snapshots: Sequence[float] = (),
         progress: Callable[[float], None] | None = None,
     ) -> Run:
-        """Simulate from rest at t = 0; see ``advance`` for the arguments."""
+        """Simulate from rest at t = 0 with the scene's constant inputs; see ``advance`` for the arguments."""
         self.reset()
-        return self.advance(duration, sample_period, points, snapshots, progress)
+        return self.advance(None, None, duration, sample_period, points, snapshots, progress)
 
     def advance(
         self,
-        duration: float,
+        feed_speed: float | None = None,
+        air_supply_rate: float | None = None,
+        duration: float | None = None,
         sample_period: float = 1e-3,
         points: Sequence[str | float] = ("sensor", "tip"),
         snapshots: Sequence[float] = (),
         progress: Callable[[float], None] | None = None,
     ) -> Run:
-        """Continue for ``duration``.
+        """Continue for ``duration`` towards new targets of feed speed and air supply.
 
         Args:
-            duration: [s], a whole number of time steps.
+            feed_speed: target [m/s], 0 to 2; approached within the ramp limit. None: as before.
+            air_supply_rate: target [m3/s], 0 to 0.2; approached with the air's lag. None: as before.
+            duration: [s], a whole number of time steps; must be given.
             sample_period: [s], a whole number of time steps.
             points: "sensor", "tip", "root" or distances from the tip [m] (the nearest node is taken).
-            snapshots: times of whole-probe snapshots [s], ascending, within this run, on a time step.
+            snapshots: times of whole-probe snapshots [s], ascending, within this run, on a time step;
+                constant length only.
             progress: called now and then with the simulated time [s].
 
         Raises:
@@ -193,13 +190,22 @@ class Simulator:
         every = self._whole_steps("sample_period", sample_period)
         nodes = np.array([self._node(point) for point in points], dtype=np.int64)
         stops = self._snapshot_steps(snapshots, steps)
+        if feed_speed is not None:
+            _within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
+        if air_supply_rate is not None:
+            _within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
         if self._error is not None:
             raise self._error
+        if feed_speed is not None:
+            self.drive.speed_target = float(feed_speed)
+        if air_supply_rate is not None:
+            self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
+
         samples = np.zeros((steps // every + 1, len(nodes), 4))
-        discard = np.zeros(self.chain.node_count)
         tension_sum = np.zeros(self.chain.node_count)
-        ticm.record(self.state, nodes, samples, 0, discard)
-        start, done, shapes = self.steps_done, 0, []
+        ticm.record(self.state, self.root, nodes, samples, 0, np.zeros(self.chain.node_count))
+        start, start_root, done = self.steps_done, self.root, 0
+        shapes: list[tuple[float, FloatArray, FloatArray]] = []
         while True:
             if done in stops:
                 shapes.append((self.time, self.state.d.copy(), self.state.axial_force.copy()))
@@ -210,7 +216,7 @@ class Simulator:
             done += stretch
             if progress is not None:
                 progress(self.time)
-        h, n = self.chain.element_length, self.chain.node_count - 1
+        h = self.chain.element_length
         return Run(
             time=(start + every * np.arange(len(samples))) * self.time_step,
             axial=samples[:, :, 0].copy(),
@@ -218,9 +224,9 @@ class Simulator:
             rotation=samples[:, :, 2].copy(),
             tension=samples[:, :, 3].copy(),
             points=tuple(point_name(point) for point in points),
-            distance_from_tip=nodes * h,
-            mean_tension=tension_sum[-2::-1] / max(len(samples) - 1, 1),
-            position=(np.arange(n) + 0.5) * h,
+            distance_from_tip=np.where(nodes < 0, start_root, nodes) * h,
+            mean_tension=tension_sum[start_root - 1 :: -1] / max(len(samples) - 1, 1),
+            position=(np.arange(start_root) + 0.5) * h,
             shapes=_shapes(shapes, h) if shapes else None,
         )
 
@@ -234,58 +240,34 @@ class Simulator:
         tension_sum: FloatArray,
     ) -> None:
         """Steps in one go; counts them, and turns a diverged state into an error."""
-        if self._step is None:
-            status, done, node = ticm.advance(
-                self.chain,
-                self.scheme,
-                self.state,
-                self._work,
-                steps,
-                first,
-                every,
-                nodes,
-                samples,
-                tension_sum,
-            )
-        else:
-            status, done, node, row = ticm.OK, 0, -1, 0
-            while done < steps and status == ticm.OK:
-                node = self._step(self.state, self._work)
-                done += 1
-                status = ticm.DIVERGED if node >= 0 else ticm.OK
-                if status == ticm.OK and (done - first) % every == 0 and done >= first:
-                    ticm.record(self.state, nodes, samples, row, tension_sum)
-                    row += 1
+        room = self.chain.node_count - 1 - self.root
+        inputs = self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room)
+        status, done, _, self.root = self._advance(
+            inputs, self.root, self.state, first, every, nodes, samples, tension_sum
+        )
         self.steps_done += int(done)
         if status != ticm.OK:
-            size = np.abs(self.state.d[:-1]).max(axis=1)
+            size = np.abs(self.state.d[: self.root]).max(axis=1)
             worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
+            distance = worst * self.chain.element_length
             self._error = SimulationError(
-                self.method,
-                self.time_step,
-                self.time,
-                worst,
-                worst * self.chain.element_length,
-                self.stable_time_step,
+                self.method, self.time_step, self.time, worst, distance, self.stable_time_step
             )
             raise self._error
 
-    def _whole_steps(self, name: str, value: float) -> int:
-        ratio = value / self.time_step
-        if not (np.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
+    def _whole_steps(self, name: str, value: float | None) -> int:
+        ratio = math.nan if value is None else value / self.time_step
+        if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
             raise ValueError(
                 f"{name} = {value!r} s is not a whole number (1 or more) of time steps of {self.time_step:g} s"
             )
         return round(ratio)
 
     def _node(self, point: str | float) -> int:
-        length = self.scene.inserted_length
+        """Node of a point; -1 for the root, which moves as the probe grows."""
+        length = self.root * self.chain.element_length
         if isinstance(point, str):
-            named = {
-                "sensor": sensor_node(self.scene, self.nodes_per_pitch),
-                "tip": 0,
-                "root": self.chain.node_count - 1,
-            }
+            named = {"sensor": sensor_node(self.scene, self.nodes_per_pitch), "tip": 0, "root": -1}
             if point not in named:
                 raise ValueError(
                     f"points: {point!r} is not sensor, tip, root or a distance from the tip of 0 to {length:g} m"
@@ -296,6 +278,8 @@ class Simulator:
         return round(point / self.chain.element_length)
 
     def _snapshot_steps(self, snapshots: Sequence[float], steps: int) -> list[int]:
+        if self.growing and len(snapshots) > 0:
+            raise ValueError(f"snapshots = {list(snapshots)!r} s need a constant length, and this probe is growing")
         ratios = [time / self.time_step - self.steps_done for time in snapshots]
         for time, ratio in zip(snapshots, ratios, strict=True):
             if not (-1e-6 <= ratio <= steps + 1e-6 and abs(ratio - round(ratio)) <= 1e-6):
@@ -307,6 +291,16 @@ class Simulator:
         if any(later <= earlier for earlier, later in itertools.pairwise(whole)):
             raise ValueError(f"snapshots = {list(snapshots)!r} s must ascend")
         return whole
+
+
+_CHANGING: Final = ("state", "steps_done", "root", "drive", "_error")
+
+
+def _within(name: str, value: float, low: float, high: float, unit: str, exclude_low: bool = False) -> None:
+    if not low <= value <= high or (exclude_low and value == low):  # also catches NaN
+        excluded = " (excluded)" if exclude_low else ""
+        text = f"{name} = {value!r} {unit} is outside the accepted range {low:g}{excluded} to {high:g} {unit}"
+        raise ValueError(text)
 
 
 def _shapes(stored: list[tuple[float, FloatArray, FloatArray]], h: float) -> Shapes:

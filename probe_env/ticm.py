@@ -1,8 +1,8 @@
 """The study's scheme: Newmark-beta or Wilson-theta, each step solved by the TICM recursion (16)-(29).
 
 All kernels that call each other live in this file, because numba's cache does not see edits elsewhere.
-A kernel returns a status and never raises. Of fastmath only what keeps NaN checks alive; reassociation is
-left out because it made the sweep 15 % slower (LLVM spills more).
+A kernel returns a status and never raises. Of fastmath only contraction (fused multiply-add): it keeps NaN
+checks alive, and reassociation made the sweep 15 % slower (LLVM spills more).
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 
 from probe_env.chain import FloatArray
+from probe_env.drive import AIR, APPEND, SLOPE, SPEED
 
-FASTMATH = {"contract", "arcp", "nsz"}
+FASTMATH = {"contract"}
 DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
 OVERFLOW = 1e100  # beyond it the next product may be infinite
 
@@ -90,11 +91,11 @@ def workspace(nodes: int) -> Work:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
-def node_equation(chain, scheme, state, i, P, q):
+def node_equation(chain, scheme, inputs, state, i, P, q):
     """P_j and q_j of (17) from the state of the step before; P as (xx, xy, yy, tx, ty, tt)."""
     d, v, a = state.d, state.v, state.a
     y = d[i, 1]
-    speed = chain.feed_speed + v[i, 0]
+    speed = inputs[SPEED] + v[i, 0]
     inertial = chain.mass * chain.curvature * speed  # m omega_j, (13)
     ha_x = scheme.a_d * d[i, 0] + scheme.a_v * v[i, 0] + scheme.a_a * a[i, 0]
     ha_y = scheme.a_d * y + scheme.a_v * v[i, 1] + scheme.a_a * a[i, 1]
@@ -110,12 +111,14 @@ def node_equation(chain, scheme, state, i, P, q):
     P[i, 5] = (
         scheme.B_a * chain.inertia + chain.support_stiffness[i, 2] + state.axial_force[i] * chain.couple_length  # (9)
     )
-    q_x = chain.load[i, 0] - chain.mass * ha_x - 2.0 * inertial * hv_y
+    # the frame's own acceleration adds -M (du/dt, 0, 0)
+    slope = inputs[SLOPE]
+    q_x = chain.load[i, 0] - chain.mass * (ha_x + slope) - 2.0 * inertial * hv_y
     q_y = chain.load[i, 1] - chain.mass * ha_y + inertial * speed
-    q_t = chain.load[i, 2] - chain.inertia * ha_t + chain.frame_inertia * ha_x
+    q_t = chain.load[i, 2] - chain.inertia * ha_t + chain.frame_inertia * (ha_x + slope)
 
     if chain.drag[i] > 0.0:  # (10)
-        relative = chain.air_speed - speed
+        relative = inputs[AIR] - speed
         q_x += chain.drag[i] * relative * abs(relative)
     k = chain.contact_stiffness[i]
     if k > 0.0:
@@ -142,10 +145,10 @@ def node_equation(chain, scheme, state, i, P, q):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def node_equations(chain, scheme, state, work):
+def node_equations(chain, scheme, inputs, root, state, work):
     """All P_j and q_j of one step, for the solvers that are not fused with them."""
-    for i in range(len(chain.drag)):
-        node_equation(chain, scheme, state, i, work.P, work.q)
+    for i in range(root):
+        node_equation(chain, scheme, inputs, state, i, work.P, work.q)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
@@ -169,8 +172,8 @@ def update_node(scheme, state, i, x, y, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def ticm_step(chain, scheme, state, work):
-    """One step by the TICM; returns the first diverged node counted from the tip, or -1."""
+def ticm_step(chain, scheme, inputs, root, state, work):
+    """One step by the TICM with node ``root`` held; the first diverged node counted from the tip, or -1."""
     P, q, T, s = work.P, work.q, work.T, work.s
     c, sn, h = chain.cos_phi, chain.sin_phi, chain.element_length
     cc, ss, cs = c * c, sn * sn, c * sn
@@ -180,7 +183,6 @@ def ticm_step(chain, scheme, state, work):
     F_yy = chain.shear_compliance / damped
     F_tt = chain.bending_compliance / damped
     F_yt = chain.coupling_compliance / damped
-    root = len(chain.drag) - 1
 
     # T and s of the node on the root side, already turned into the frame of the element ahead, (25)
     txx = txy = txt = tyx = tyy = tyt = ttx = tty = ttt = 0.0
@@ -190,7 +192,7 @@ def ticm_step(chain, scheme, state, work):
     T[root, :] = 0.0
     s[root, :] = 0.0
     for i in range(root - 1, -1, -1):
-        node_equation(chain, scheme, state, i, P, q)
+        node_equation(chain, scheme, inputs, state, i, P, q)
         vx = scheme.v_d * state.d[i, 0] + scheme.v_v * state.v[i, 0] + scheme.v_a * state.a[i, 0]
         vy = scheme.v_d * state.d[i, 1] + scheme.v_v * state.v[i, 1] + scheme.v_a * state.a[i, 1]
         vt = scheme.v_d * state.d[i, 2] + scheme.v_v * state.v[i, 2] + scheme.v_a * state.a[i, 2]
@@ -323,35 +325,35 @@ def ticm_step(chain, scheme, state, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def advance(chain, scheme, state, work, steps, first_sample, sample_every, points, samples, tension_sum):
-    """``steps`` steps; records (x, y, theta, V) of ``points`` whenever a sample falls due.
+def advance(chain, scheme, inputs, root, state, work, first_sample, sample_every, points, samples, tension_sum):
+    """A step for every row of ``inputs`` (see drive.py), and a record of ``points`` whenever a sample falls due.
 
-    ``first_sample`` is the number of steps until the next sample. ``samples`` is (k, p, 4);
+    ``first_sample`` is the number of steps until the next sample. ``samples`` is (k, p, 4): x, y, theta, V;
     ``tension_sum`` (n + 1,) gains the axial force at every sample.
 
     Returns:
-        status, steps done, diverged node or -1.
+        status, steps done, diverged node or -1, node that is held now.
     """
     row = 0
     due = first_sample
-    for step in range(steps):
-        node = ticm_step(chain, scheme, state, work)
+    for step in range(len(inputs)):
+        node = ticm_step(chain, scheme, inputs[step], root, state, work)
         if node >= 0:
-            return DIVERGED, step + 1, node
+            return DIVERGED, step + 1, node, root
+        root += int(inputs[step, APPEND])
         due -= 1
         if due == 0:
             due = sample_every
-            record(state, points, samples, row, tension_sum)
+            record(state, root, points, samples, row, tension_sum)
             row += 1
-    return OK, steps, -1
+    return OK, len(inputs), -1, root
 
 
 @njit(cache=True, nogil=True)
-def record(state, points, samples, row, tension_sum):
-    """Write one sample of all points and add up the axial forces."""
-    root = len(state.axial_force) - 1
+def record(state, root, points, samples, row, tension_sum):
+    """Write one sample of all points (the held root: point < 0) and add up the axial forces."""
     for p in range(len(points)):
-        i = points[p]
+        i = points[p] if points[p] >= 0 else root
         samples[row, p, 0] = state.d[i, 0]
         samples[row, p, 1] = state.d[i, 1]
         samples[row, p, 2] = state.d[i, 2]
@@ -362,9 +364,9 @@ def record(state, points, samples, row, tension_sum):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def apply_solution(scheme, state, solution, axial_force):
-    """New state from a solution (n + 1, 3) of (17)-(18) found by another solver; diverged node or -1."""
+    """New state from a solution (n, 3) of (17)-(18) found by another solver; diverged node or -1."""
     diverged = -1
-    for i in range(len(axial_force) - 1):
+    for i in range(len(axial_force)):
         x, y, t = solution[i, 0], solution[i, 1], solution[i, 2]
         if not update_node(scheme, state, i, x, y, t) and diverged < 0:
             diverged = i

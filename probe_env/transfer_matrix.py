@@ -13,12 +13,12 @@ from probe_env import ticm
 from probe_env.chain import Chain, FloatArray
 
 
-def step(chain: Chain, scheme: ticm.Scheme, state: ticm.State, work: ticm.Work) -> int:
+def step(chain: Chain, scheme: ticm.Scheme, inputs: FloatArray, root: int, state: ticm.State, work: ticm.Work) -> int:
     """One step; returns the first diverged node or -1 (a lost solution counts as diverged: node 0)."""
-    ticm.node_equations(chain, scheme, state, work)
+    ticm.node_equations(chain, scheme, inputs, root, state, work)
     h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.a
-    columns = np.empty((chain.node_count, 3, 4))
-    axial = np.empty((chain.node_count, 4))
+    columns = np.empty((root + 1, 3, 4))
+    axial = np.empty((root + 1, 4))
     tip_force = _sweep(chain, scheme.B_v, h_v, work.P, work.q, columns, axial)
     if not np.isfinite(tip_force).all():
         return 0
@@ -27,7 +27,7 @@ def step(chain: Chain, scheme: ticm.Scheme, state: ticm.State, work: ticm.Work) 
     except np.linalg.LinAlgError:
         return 0
     weights: FloatArray = np.append(root_force, 1.0)
-    return int(ticm.apply_solution(scheme, state, columns @ weights, axial @ weights))
+    return int(ticm.apply_solution(scheme, state, columns @ weights, (axial @ weights)[:root]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,9 +7,10 @@ Written from the equations and not from the kernels: node 0 is the root, n the t
 import numpy as np
 
 
-def dense_step(chain, B_a, B_v, h_a, h_v, d, v, axial_force):
+def dense_step(chain, B_a, B_v, inputs, h_a, h_v, d, v, axial_force):
     """Displacements (n + 1, 3) and axial forces of (17)-(18) at the new time, tip first like the kernels."""
     n = chain.node_count - 1
+    u, du_dt, air, _ = inputs
     flip = slice(None, None, -1)
     h_a, h_v, d, v = h_a[flip], h_v[flip], d[flip], v[flip]
     V_bar = axial_force[flip]
@@ -40,14 +41,14 @@ def dense_step(chain, B_a, B_v, h_a, h_v, d, v, axial_force):
         return slice(3 * n + 3 * (j - 1), 3 * n + 3 * j)
 
     for j in range(1, n + 1):
-        omega_r = chain.feed_speed + v[j, 0]
+        omega_r = u + v[j, 0]
         C = np.zeros((3, 3))
         C[0, 1] = 2 * chain.mass * omega_r * chain.curvature
         K = np.diag(support[j]).astype(float)
         K[2, 2] += V_bar[j] * chain.couple_length
         q = load[j].astype(float).copy()
         q[1] += chain.mass * chain.curvature * omega_r**2
-        rel = chain.air_speed - omega_r
+        rel = air - omega_r
         q[0] += drag[j] * rel * abs(rel)
         y = d[j, 1]
         if k_c[j] > 0 and y < 0:
@@ -60,7 +61,7 @@ def dense_step(chain, B_a, B_v, h_a, h_v, d, v, axial_force):
             K[:, 1] += column
             q += column * gap[j]
         P = B_a * M + B_v * C + K
-        q = q - M @ h_a[j] - C @ h_v[j]
+        q = q - M @ (h_a[j] + [du_dt, 0.0, 0.0]) - C @ h_v[j]  # the frame's acceleration
         # (17): P d_j = q + f_j - fbar_j, all in node j's frame
         row = slice(6 * (j - 1), 6 * (j - 1) + 3)
         A[row, D(j)] += P

@@ -1,0 +1,84 @@
+"""The methods by name, each as one function that advances a probe by the rows of an input table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from probe_env import banded, ticm, transfer_matrix
+from probe_env.chain import Chain, FloatArray
+
+SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
+SCHEMES: Final[dict[str, Callable[[float], ticm.Scheme]]] = {"newmark": ticm.newmark, "wilson": ticm.wilson}
+METHODS: Final = tuple(SCHEMES)
+
+Advance = Callable[
+    [FloatArray, int, ticm.State, int, int, np.ndarray, FloatArray, FloatArray], tuple[int, int, int, int]
+]
+"""(inputs, root, state, first_sample, sample_every, points, samples, tension_sum) -> (status, steps done,
+diverged node or -1, root); see ``ticm.advance``."""
+
+
+def build_method(method: str, solver: str, chain: Chain, time_step: float) -> Advance:
+    """The advance function of a method, with its constant matrices and scratch prepared.
+
+    Raises:
+        ValueError: no such method or solver.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
+    if solver not in SOLVERS:
+        raise ValueError(f"solver = {solver!r} is not one of {', '.join(SOLVERS)}")
+    scheme = SCHEMES[method](time_step)
+    work = ticm.workspace(chain.node_count)
+    if solver == "banded":
+        return partial(_step_by_step, banded.stepper(chain, scheme), work)
+    if solver == "transfer-matrix":
+        return partial(_step_by_step, partial(transfer_matrix.step, chain, scheme), work)
+
+    def advance(
+        inputs: FloatArray,
+        root: int,
+        state: ticm.State,
+        first_sample: int,
+        sample_every: int,
+        points: np.ndarray,
+        samples: FloatArray,
+        tension_sum: FloatArray,
+    ) -> tuple[int, int, int, int]:
+        result: tuple[int, int, int, int] = ticm.advance(
+            chain, scheme, inputs, root, state, work, first_sample, sample_every, points, samples, tension_sum
+        )
+        return result
+
+    return advance
+
+
+def _step_by_step(
+    step: banded.Step,
+    work: ticm.Work,
+    inputs: FloatArray,
+    root: int,
+    state: ticm.State,
+    first_sample: int,
+    sample_every: int,
+    points: np.ndarray,
+    samples: FloatArray,
+    tension_sum: FloatArray,
+) -> tuple[int, int, int, int]:
+    """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
+    row, due = 0, first_sample
+    for k, step_inputs in enumerate(inputs):
+        node = step(step_inputs, root, state, work)
+        if node >= 0:
+            return ticm.DIVERGED, k + 1, node, root
+        root += int(step_inputs[3])
+        due -= 1
+        if due == 0:
+            due = sample_every
+            ticm.record(state, root, points, samples, row, tension_sum)
+            row += 1
+    return ticm.OK, len(inputs), -1, root

@@ -1,0 +1,80 @@
+"""Chains with a closed form, run on the simulator's own kernels: switches that no scene has."""
+
+import numpy as np
+
+from probe_env import Scene, ticm
+from probe_env.chain import build_chain, element_blocks, element_stiffness
+from probe_env.drive import Drive
+
+
+def plain_chain(elements, **changes):
+    """A straight, frictionless, undamped chain of table 2's cable with no contact, drag or inertia terms."""
+    scene = Scene.model_validate({"tube": {"helix_length": 1000.0}, "carrier_length": 0.1})
+    nodes = elements + 1
+    base = build_chain(scene)._replace(
+        cos_phi=1.0,
+        sin_phi=0.0,
+        damping_time=0.0,
+        curvature=0.0,
+        couple_length=0.0,
+        frame_inertia=0.0,
+        friction=0.0,
+        contact_stiffness=np.zeros(nodes),
+        outer_gap=np.full(nodes, np.inf),
+        lever=np.zeros(nodes),
+        drag=np.zeros(nodes),
+        support_stiffness=np.zeros((nodes, 3)),
+        load=np.zeros((nodes, 3)),
+    )
+    return base._replace(**changes)
+
+
+def bent(chain, helix_diameter=1.2):
+    """The same chain with the frame angle of a helix, but without its inertia terms."""
+    sin_phi = chain.element_length / helix_diameter
+    return chain._replace(sin_phi=sin_phi, cos_phi=np.sqrt(1.0 - sin_phi**2))
+
+
+def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, work=None):
+    """Kernel call with constant inputs and samples (k, p, 4); returns status and samples."""
+    nodes = chain.node_count
+    inputs = Drive(feed, air).inputs_of_steps(steps, scheme.time_step, chain.element_length, 0)
+    samples = np.zeros((steps // every, len(points), 4))
+    points = np.array(points, dtype=np.int64)
+    work = ticm.workspace(nodes) if work is None else work
+    status, *_ = ticm.advance(
+        chain, scheme, inputs, nodes - 1, state, work, every, every, points, samples, np.zeros(nodes)
+    )
+    return status, samples
+
+
+def integrate(chain, scheme, d=None, v=None, a=None, steps=1, every=1, **inputs):
+    """Samples (k, p, 4) of x, y, theta, V after every ``every`` steps, and the final state."""
+    state = ticm.at_rest(chain.node_count)
+    for target, start in zip((state.d, state.v, state.a), (d, v, a), strict=True):
+        if start is not None:
+            target[:] = start
+    status, samples = advance(chain, scheme, state, steps, every, **inputs)
+    assert status == ticm.OK
+    return samples, state
+
+
+def matrices(chain):
+    """Dense mass and stiffness (3 n, 3 n) of the free nodes, tip first, from the element matrices."""
+    n = chain.node_count - 1
+    head, tail = element_blocks(chain)
+    stiffness = element_stiffness(chain)
+    both = np.hstack([head, tail])
+    element = both.T @ stiffness @ both
+    K = np.zeros((3 * n + 3, 3 * n + 3))
+    for i in range(n):
+        K[3 * i : 3 * i + 6, 3 * i : 3 * i + 6] += element
+    K += np.diag(chain.support_stiffness.ravel())
+    M = np.diag(np.tile([chain.mass, chain.mass, chain.inertia], n))
+    return M, K[: 3 * n, : 3 * n]
+
+
+def energy(chain, M, K, state):
+    """Kinetic plus elastic energy [J]."""
+    d, v = state.d[:-1].ravel(), state.v[:-1].ravel()
+    return 0.5 * v @ M @ v + 0.5 * d @ K @ d

@@ -1,0 +1,85 @@
+"""The probe-env command as a user meets it: outputs, overrides, resumption and errors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from probe_env import Scene
+
+ROOT = Path(__file__).parents[1]
+SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
+
+
+def test_simulate_writes_everything(tmp_path, capsys):
+    output = tmp_path / "run"
+    options = ["--duration", "0.6", "--statistics-from", "0.2", "--output", str(output)]
+    assert main(["simulate", SCENE, *options, "--scene.contact.friction", "0.2"]) == 0
+    printed = capsys.readouterr()
+    assert "radial rms" in printed.out
+    assert "root tension" in printed.out
+    assert "known to hold up to 0.0003 s" in printed.out
+    scene = Scene.from_toml(output / "scene.toml")
+    assert (scene.contact.friction, scene.carrier_length) == (0.2, 10.0)  # override and file both count
+    results = json.loads((output / "results.json").read_text())
+    assert results["statistics"]["radial_rms_m"] > 0.0
+    assert {"commit", "packages", "machine", "command", "scene", "time_step_s"} <= set(results)
+    with np.load(output / "signals.npz", allow_pickle=False) as signals:
+        assert signals["time"].shape == (601,)
+        assert signals["radial"].shape == (601, 3)
+        assert list(signals["points"]) == ["sensor", "tip", "root"]
+        assert signals["shapes_radial"].shape == (10, 501)
+        assert signals["radial"][200:, 0].std() == pytest.approx(results["statistics"]["radial_rms_m"])
+    for picture in ("time_histories", "locus", "spectra", "shapes", "tension"):
+        assert (output / f"{picture}.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
+        (["simulate", SCENE, "--duration", "1"], "statistics_from = 2.0"),
+        (["simulate", SCENE, "--duration", "3.00005"], "duration = 3.00005"),
+        (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
+        (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
+        (["study", "--members", "0"], "members = 0"),
+        (["study", "--scenes", "nowhere", "--duration", "1"], "no such file: nowhere"),
+    ],
+)
+def test_errors_are_one_line_and_leave_nothing_behind(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bad_scene_option_names_the_field_and_the_range(capsys):
+    with pytest.raises(SystemExit):
+        main(["simulate", SCENE, "--scene.contact.friction", "1.2"])
+    printed = capsys.readouterr()
+    assert "1.2 is outside the accepted range 0 to 1" in " ".join((printed.out + printed.err).split())
+
+
+def test_study_stores_rows_and_does_not_repeat_them(tmp_path, capsys, monkeypatch):
+    from agents import study
+
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(study, "SUBSET", ("l10", "l10-wilson"))
+    options = ["--subset", "--duration", "0.5", "--output", str(tmp_path)]
+    assert main(["study", *options]) == 0
+    first = pd.read_csv(tmp_path / "ensemble.csv")
+    assert set(first["case"]) == {"l10", "l10-wilson"}
+    ran = []
+    original = study.run_case
+    monkeypatch.setattr(study, "run_case", lambda case, *rest: (ran.append(case.name), original(case, *rest))[1])
+    assert main(["study", *options, "--members", "2"]) == 0
+    assert sorted(ran) == ["l10", "l10-wilson"]  # only the second members
+    second = pd.read_csv(tmp_path / "ensemble.csv")
+    assert len(second) == 4
+    merged = second[second["member"] == 0].reset_index(drop=True)
+    pd.testing.assert_frame_equal(merged[first.columns], first)

@@ -1,0 +1,45 @@
+"""The README says what the stored results say, and its example runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from agents import readme
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_readme_agrees_with_the_stored_results(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    readme.check_readme()
+
+
+def test_a_changed_figure_is_noticed(monkeypatch, tmp_path):
+    monkeypatch.chdir(ROOT)
+    text = (ROOT / "README.md").read_text()
+    changed = tmp_path / "README.md"
+    changed.write_text(re.sub(r"radial rms ([\d.]+),", "radial rms 9.9,", text, count=1))
+    monkeypatch.setattr(readme, "README", changed)
+    with pytest.raises(ValueError, match="differs from the stored results"):
+        readme.check_readme()
+
+
+def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert example is not None
+    exec(compile(example[1], "README.md", "exec"), {})
+    assert "radial rms at the sensor" in capsys.readouterr().out
+    assert (tmp_path / "slower.toml").exists()
+
+
+def test_the_commands_exist(capsys):
+    from agents.cli import main
+
+    commands = set(re.findall(r"^probe-env (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE))
+    assert commands == {"simulate", "study", "bench", "readme"}
+    for command in commands:
+        with pytest.raises(SystemExit) as done:
+            main([command, "--help"])
+        assert done.value.code == 0

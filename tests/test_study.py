@@ -1,0 +1,85 @@
+"""The study's claims on the stored ensembles, which must belong to the present kernels, and live in small."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.claims import Ensemble, findings, steady_root_tension
+from agents.provenance import kernel_hash
+from agents.study import CASES, load_rows, run_case
+from probe_env import Scene
+
+ROOT = Path(__file__).parents[1]
+SCENES = ROOT / "configs" / "scenes"
+TABLE = load_rows(ROOT / "results" / "study")
+ENSEMBLE = Ensemble(TABLE)
+
+
+def test_stored_ensembles_are_complete_and_belong_to_these_kernels():
+    assert set(TABLE["kernel_hash"]) == {kernel_hash()}, "make study"
+    assert (TABLE.groupby("case").size() >= 6).all()
+    assert set(TABLE["case"]) == {case.name for case in CASES}
+
+
+@pytest.mark.parametrize("name", ["l10", "l10-wilson"])
+def test_a_stored_member_is_repeated(name):
+    """l = 10 m is not chaotic: another machine's rounding moves the statistics little."""
+    case = next(case for case in CASES if case.name == name)
+    row = run_case(case, SCENES, 1, 8.0)
+    stored = TABLE[(TABLE["case"] == name) & (TABLE["member"] == 1)].iloc[0]
+    assert row["axial_mean_m"] == pytest.approx(stored["axial_mean_m"], rel=0.01)
+    assert row["root_tension_mean_n"] == pytest.approx(stored["root_tension_mean_n"], rel=0.01)
+    assert row["radial_rms_m"] == pytest.approx(stored["radial_rms_m"], rel=0.3)
+
+
+def test_vibration_grows_with_length():
+    lengths = [10, 20, 30, 40, 50, 55]
+    means = [ENSEMBLE.mean(f"l{length}") for length in lengths]
+    assert (np.diff(means) > 0.0).all()
+    for short, long in ((10, 30), (20, 40), (30, 50)):
+        assert ENSEMBLE.greater(f"l{long}", f"l{short}")
+    assert means[0] < 5e-6  # silent at 10 m
+    assert means[-1] > 0.2e-3
+
+
+def test_feed_tube_and_probe_change_the_vibration_as_claimed():
+    assert ENSEMBLE.values("u0", "radial_rms_m").max() < 1e-6
+    assert ENSEMBLE.greater("l50", "u100")
+    assert ENSEMBLE.greater("u400", "l50")
+    assert ENSEMBLE.greater("l50", "dh2500")
+    assert ENSEMBLE.mean("improved") <= ENSEMBLE.mean("l50") / 5.0
+
+
+def test_low_air_calms_the_acceleration():
+    """Erratum 6: the displacement does not tell."""
+    assert ENSEMBLE.greater("l50", "q40", "radial_acceleration_rms_m_per_s2")
+    assert 0.4 < ENSEMBLE.mean("q40") / ENSEMBLE.mean("l50") < 2.0
+
+
+def test_one_common_peak_near_14_hz():
+    assert np.median(ENSEMBLE.values("l55", "axial_peak_hz")) == pytest.approx(14.0, abs=2.0)
+    assert np.median(ENSEMBLE.values("l55", "common_peak_hz")) == pytest.approx(14.0, abs=2.0)
+
+
+def test_wilson_and_newmark_agree():
+    assert ENSEMBLE.mean("l10-wilson", "axial_mean_m") == pytest.approx(ENSEMBLE.mean("l10", "axial_mean_m"), rel=0.02)
+    assert not ENSEMBLE.greater("l50-wilson", "l50")
+    assert not ENSEMBLE.greater("l50", "l50-wilson")
+
+
+@pytest.mark.parametrize("length", [30, 50])
+def test_mean_root_tension_is_the_closed_form(length):
+    expected = steady_root_tension(Scene.from_toml(SCENES / f"fig11_l{length}.toml"))
+    assert ENSEMBLE.mean(f"l{length}", "root_tension_mean_n") == pytest.approx(expected, rel=0.01)
+
+
+def test_steps_of_2e_4_hold_and_5e_4_do_not():
+    assert np.isnan(ENSEMBLE.values("l50-dt2e-4", "diverged_at_s")).all()
+    assert np.isfinite(ENSEMBLE.values("l50-dt5e-4", "diverged_at_s")).all()
+
+
+def test_every_claim_gets_a_line():
+    lines = findings(TABLE, SCENES)
+    assert len(lines) == 14
+    assert {line.figure for line in lines} == {"5", "11", "14", "15", "16", "17", "18", "20", "-"}
