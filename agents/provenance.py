@@ -16,6 +16,7 @@ from typing import Any
 
 import probe_env
 
+KERNEL_SOURCES = ("chain.py", "drive.py", "ticm.py")
 PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
 
@@ -39,7 +40,7 @@ def kernel_hash() -> str:
     """Short hash of every source file of the simulator, so that stored results show when they are old."""
     digest = hashlib.sha256()
     folder = Path(probe_env.__file__).parent
-    for name in ("chain.py", "drive.py", "ticm.py"):
+    for name in KERNEL_SOURCES:
         digest.update((folder / name).read_bytes())
     return digest.hexdigest()[:16]
 

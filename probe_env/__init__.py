@@ -6,6 +6,7 @@
 (501, 2)
 """
 
+from probe_env.batch import SimulatorBatch, Window
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.run import Run
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
@@ -19,6 +20,8 @@ __all__ = [
     "Scene",
     "SimulationError",
     "Simulator",
+    "SimulatorBatch",
     "StabilityWarning",
     "Tube",
+    "Window",
 ]

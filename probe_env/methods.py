@@ -10,10 +10,11 @@ import numpy as np
 
 from probe_env import banded, ticm, transfer_matrix
 from probe_env.chain import Chain, FloatArray
+from probe_env.lane_group import KERNELS, Lane, advance_group, lane_constants
 
 SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
 SCHEMES: Final[dict[str, Callable[[float], ticm.Scheme]]] = {"newmark": ticm.newmark, "wilson": ticm.wilson}
-METHODS: Final = tuple(SCHEMES)
+METHODS: Final = (*SCHEMES, *KERNELS)
 
 Advance = Callable[
     [FloatArray, int, ticm.State, int, int, np.ndarray, FloatArray, FloatArray], tuple[int, int, int, int]
@@ -22,8 +23,12 @@ Advance = Callable[
 diverged node or -1, root); see ``ticm.advance``."""
 
 
-def build_method(method: str, solver: str, chain: Chain, time_step: float) -> Advance:
+def build_method(
+    method: str, solver: str, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int
+) -> Advance:
     """The advance function of a method, with its constant matrices and scratch prepared.
+
+    ``sensor`` is the sensor's node; guide floats reach from the tip up to it.
 
     Raises:
         ValueError: no such method or solver.
@@ -32,6 +37,13 @@ def build_method(method: str, solver: str, chain: Chain, time_step: float) -> Ad
         raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
     if solver not in SOLVERS:
         raise ValueError(f"solver = {solver!r} is not one of {', '.join(SOLVERS)}")
+    if method in KERNELS:
+        if solver != "ticm":
+            raise ValueError(f"solver = {solver!r} is for newmark and wilson; {method} has its own")
+        return partial(
+            _single_lane, method, time_step, nodes_per_pitch,
+            *lane_constants(method, chain, sensor, nodes_per_pitch, time_step),
+        )  # fmt: skip
     scheme = SCHEMES[method](time_step)
     work = ticm.workspace(chain.node_count)
     if solver == "banded":
@@ -82,3 +94,28 @@ def _step_by_step(
             ticm.record(state, root, points, samples, row, tension_sum)
             row += 1
     return ticm.OK, len(inputs), -1, root
+
+
+def _single_lane(
+    method: str,
+    time_step: float,
+    nodes_per_pitch: int,
+    parameters: FloatArray,
+    factors: FloatArray,
+    inputs: FloatArray,
+    root: int,
+    state: ticm.State,
+    first_sample: int,
+    sample_every: int,
+    points: np.ndarray,
+    samples: FloatArray,
+    tension_sum: FloatArray,
+) -> tuple[int, int, int, int]:
+    """One probe by the kernels of the batch: a batch of one."""
+    lane = Lane(parameters, factors, state, root)
+    rows = samples[: max(0, (len(inputs) - first_sample) // sample_every + 1)]
+    (failed,) = advance_group(
+        method, [lane], [inputs], time_step, nodes_per_pitch, first_sample, sample_every, [points], [rows], tension_sum
+    )
+    status = ticm.DIVERGED if failed else ticm.OK
+    return status, failed or len(inputs), -1, lane.root

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from probe_env.chain import FloatArray
 
 
@@ -71,10 +69,6 @@ class Run:
     def sample_period(self) -> float:
         """Time between samples [s]."""
         return float(self.time[1] - self.time[0]) if len(self.time) > 1 else float("nan")
-
-    def acceleration(self, displacement: FloatArray) -> FloatArray:
-        """Second difference of displacement samples (k, ...) [m/s2], the two end samples left out."""
-        return np.diff(displacement, n=2, axis=0) / self.sample_period**2
 
 
 def point_name(point: str | float) -> str:

@@ -15,7 +15,8 @@ from probe_env import ticm
 from probe_env.chain import FloatArray, air_speed, build_chain, sensor_node
 from probe_env.drive import Drive
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.methods import build_method
+from probe_env.lane_group import lane_constants
+from probe_env.methods import Advance, build_method
 from probe_env.run import Run, Shapes, point_name
 from probe_env.scene import Scene
 from probe_env.stability import stable_time_step
@@ -29,7 +30,8 @@ class Simulator:
 
     Args:
         scene: what to simulate; its carrier length is the one at the start.
-        method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1.
+        method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1; "imex", the fast
+            scheme; "explicit", central differences.
         time_step: [s], > 0. Beyond ``stable_time_step`` a ``StabilityWarning`` is given, nothing refused.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         solver: of the linear system of a step: "ticm", "banded" (LAPACK) or "transfer-matrix".
@@ -80,8 +82,9 @@ class Simulator:
         longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if growing else scene.inserted_length
         self.chain = build_chain(scene, self.nodes_per_pitch, longest)
         self._start_root = round(scene.inserted_length / h)
-        self._advance = build_method(method, solver, self.chain, self.time_step)
-        self.stable_time_step = stable_time_step(scene, self.nodes_per_pitch)
+        self.sensor = sensor_node(scene, self.nodes_per_pitch)
+        self._advance = self._build()
+        self.stable_time_step = stable_time_step(scene, self.nodes_per_pitch, method)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             warnings.warn(
                 f"time_step = {time_step:g} s is beyond the known stable limit {self.stable_time_step:.2g} s of"
@@ -121,7 +124,10 @@ class Simulator:
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         self.__dict__.update(saved)
-        self._advance = build_method(self.method, self.solver, self.chain, self.time_step)
+        self._advance = self._build()
+
+    def _build(self) -> Advance:
+        return build_method(self.method, self.solver, self.chain, self.time_step, self.sensor, self.nodes_per_pitch)
 
     @property
     def time(self) -> float:
@@ -186,21 +192,14 @@ class Simulator:
             ValueError: an argument is not valid.
             SimulationError: the state diverged, now or in an earlier call.
         """
-        steps = self._whole_steps("duration", duration)
-        every = self._whole_steps("sample_period", sample_period)
+        steps = self.whole_steps("duration", duration)
+        every = self.whole_steps("sample_period", sample_period)
         nodes = np.array([self._node(point) for point in points], dtype=np.int64)
         stops = self._snapshot_steps(snapshots, steps)
-        if feed_speed is not None:
-            _within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
-        if air_supply_rate is not None:
-            _within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
+        self.check_targets(feed_speed, air_supply_rate)
         if self._error is not None:
             raise self._error
-        if feed_speed is not None:
-            self.drive.speed_target = float(feed_speed)
-        if air_supply_rate is not None:
-            self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
-
+        self.set_targets(feed_speed, air_supply_rate)
         samples = np.zeros((steps // every + 1, len(nodes), 4))
         tension_sum = np.zeros(self.chain.node_count)
         ticm.record(self.state, self.root, nodes, samples, 0, np.zeros(self.chain.node_count))
@@ -240,22 +239,64 @@ class Simulator:
         tension_sum: FloatArray,
     ) -> None:
         """Steps in one go; counts them, and turns a diverged state into an error."""
-        room = self.chain.node_count - 1 - self.root
-        inputs = self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room)
-        status, done, _, self.root = self._advance(
-            inputs, self.root, self.state, first, every, nodes, samples, tension_sum
+        status, done, _, root = self._advance(
+            self.inputs_of_steps(steps), self.root, self.state, first, every, nodes, samples, tension_sum
         )
-        self.steps_done += int(done)
-        if status != ticm.OK:
+        self.note_steps(done, root, diverged=status != ticm.OK)
+        if self._error is not None:
+            raise self._error
+
+    def inputs_of_steps(self, steps: int) -> FloatArray:
+        """Inputs (steps, 4) of the coming steps, see drive.py; the drive moves on to their end."""
+        room = self.chain.node_count - 1 - self.root
+        return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room)
+
+    def note_steps(self, steps: int, root: int, diverged: bool) -> None:
+        """Count steps that a kernel has done on this state, and keep the error if it diverged."""
+        self.steps_done += int(steps)
+        self.root = int(root)
+        if diverged:
             size = np.abs(self.state.d[: self.root]).max(axis=1)
             worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
             distance = worst * self.chain.element_length
             self._error = SimulationError(
                 self.method, self.time_step, self.time, worst, distance, self.stable_time_step
             )
-            raise self._error
 
-    def _whole_steps(self, name: str, value: float | None) -> int:
+    @property
+    def diverged(self) -> bool:
+        """Whether the state has diverged; it is not continued then."""
+        return self._error is not None
+
+    @property
+    def error(self) -> SimulationError | None:
+        """Why the state is not continued, if it has diverged."""
+        return self._error
+
+    def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
+        """Raise ValueError if a target is out of range."""
+        if feed_speed is not None:
+            _within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
+        if air_supply_rate is not None:
+            _within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
+
+    def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
+        """New targets [m/s], [m3/s]; None leaves one as it is."""
+        if feed_speed is not None:
+            self.drive.speed_target = float(feed_speed)
+        if air_supply_rate is not None:
+            self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
+
+    def lane_constants(self) -> tuple[FloatArray, FloatArray]:
+        """Parameters and factors with which this probe runs in a lane."""
+        return lane_constants(self.method, self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
+
+    def whole_steps(self, name: str, value: float | None) -> int:
+        """Number of time steps in a time.
+
+        Raises:
+            ValueError: not a whole number within 1e-9, or less than one; names the argument.
+        """
         ratio = math.nan if value is None else value / self.time_step
         if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
             raise ValueError(
@@ -267,7 +308,7 @@ class Simulator:
         """Node of a point; -1 for the root, which moves as the probe grows."""
         length = self.root * self.chain.element_length
         if isinstance(point, str):
-            named = {"sensor": sensor_node(self.scene, self.nodes_per_pitch), "tip": 0, "root": -1}
+            named = {"sensor": self.sensor, "tip": 0, "root": -1}
             if point not in named:
                 raise ValueError(
                     f"points: {point!r} is not sensor, tip, root or a distance from the tip of 0 to {length:g} m"

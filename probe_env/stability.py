@@ -18,8 +18,8 @@ FULL, REDUCED = 1.8, 0.6  # omega dt
 TABLE_2_DAMPING = 5e-5  # [s]
 
 
-def stable_time_step(scene: Scene, nodes_per_pitch: int) -> float:
-    """Largest time step [s] known to hold for Newmark and Wilson; 0 where none is known."""
+def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark") -> float:
+    """Largest time step [s] known to hold for a method; 0 where none is known."""
     mass = scene.probe.line_density * scene.probe.float_pitch / nodes_per_pitch
     omega = math.sqrt(scene.contact.stiffness / mass)
     delta, friction = scene.probe.damping_time, scene.contact.friction

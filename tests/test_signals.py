@@ -19,6 +19,8 @@ def test_a_sine_has_the_statistics_of_a_sine():
     values = point_statistics(sine_run(), "sensor", 0.0)
     assert values["axial_mean_m"] == pytest.approx(1e-3, rel=1e-3)
     assert values["radial_rms_m"] == pytest.approx(2e-4 / np.sqrt(2), rel=1e-3)
+    velocity = 2e-4 * 2 * np.sin(np.pi * 14.0 * 1e-3) / 1e-3 / np.sqrt(2)
+    assert values["radial_velocity_rms_m_per_s"] == pytest.approx(velocity, rel=1e-3)
     assert values["radial_max_m"] == pytest.approx(2e-4, rel=1e-3)
     assert values["radial_p99_m"] == pytest.approx(2e-4 * np.sin(np.pi * 0.49), rel=1e-3)
     # the second difference of a sine: amplitude (2 sin(omega T / 2) / T)^2

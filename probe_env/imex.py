@@ -1,0 +1,401 @@
+"""The fast scheme, imex: linear part implicit with constant factors, contact, friction and drag explicit.
+
+One step, from displacements d and velocities v at its start:
+
+1. kick: v* = v + dt M^-1 f, f = contact, friction, drag, centrifugal and Coriolis force, the frame's
+   acceleration and the couple of (9), all at the present state; friction is cut where it would stop the slide;
+2. implicit midpoint of M d'' + K (d + delta d') = 0 from (d, v*). With tau = delta + dt / 2,
+   w = d + tau v_mid and c = 2 / (dt tau), it reads [1 + M^-1 K / c] w = d + tau v*; then
+   v_mid = (w - d) / tau, d += dt v_mid, v = 2 v_mid - v*. K w is the elastic and damping force.
+
+The matrix never changes, so it is eliminated once, from the tip to the root: the factors depend on the
+distance from the tip alone, converge after some dozen nodes, and serve probes of any length. First order in
+what is explicit, second in the rest. ``explicit`` takes K (d + delta v) into the kick instead: no system to
+solve, but a step some forty times smaller.
+
+Four probes run side by side in the lanes of vector registers (see lanes.py). A lane has its own parameters,
+factors, length and inputs; lanes share nothing but the step size, the nodes a pitch and the number of steps.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from probe_env.chain import Chain, FloatArray, element_blocks, element_stiffness
+from probe_env.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.lanes import LANES, load, splat, store, where_less
+
+MOST_FACTORS = 4000
+DIVERGED_RADIAL = 1.0  # [m]
+
+# parameters of a lane, as offsets into [parameter, lane]; forces are per mass, moments per inertia
+(
+    ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
+    GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK,
+) = range(0, 18 * LANES, LANES)  # fmt: skip
+PARAMETERS = 18
+# fields of a node, as offsets into [node, field, lane]: displacement, velocity, partial solution, axial force
+X, Y, T, VX, VY, VT, GX, GY, GT, V = range(0, 10 * LANES, LANES)
+FIELDS = 10
+# three matrices of a node as offsets into [node, entry, lane]: E, F, U of imex, own, down, up of explicit
+FACTORS = 27
+_NODE, _FACTOR, _INPUT = FIELDS * LANES, FACTORS * LANES, 4 * LANES
+A, B, C = 0, 9 * LANES, 18 * LANES
+
+
+def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(3, 3) blocks of M^-1 K: of the tip node, of an inner node, to the neighbour behind and ahead."""
+    head, tail = element_blocks(chain)
+    stiffness = element_stiffness(chain)
+    mass = np.array([[chain.mass, 0, 0], [0, chain.mass, 0], [-chain.frame_inertia, 0, chain.inertia]])
+    inverse = np.linalg.inv(mass)
+    tip = inverse @ head.T @ stiffness @ head
+    inner = tip + inverse @ tail.T @ stiffness @ tail
+    return tip, inner, inverse @ head.T @ stiffness @ tail, inverse @ tail.T @ stiffness @ head
+
+
+def imex_factors(chain: Chain, time_step: float) -> FloatArray:
+    """(k, 27) elimination factors E, F, U of the first k nodes from the tip; the last row serves all beyond.
+
+    S_0 = 1 + K_00, S_i = 1 + K_ii - K_i,i-1 U_{i-1}; E = S^-1, F = E K_i,i-1, U = E K_i,i+1 (of M^-1 K / c).
+    Going up to the root g_i = E_i z_i - F_i g_{i-1}, coming back w_i = g_i - U_i w_{i+1}.
+    """
+    return _imex_factors(_linear_part(chain), time_step)
+
+
+def _linear_part(chain: Chain) -> tuple[float, ...]:
+    """The numbers that the linear part depends on, so that probes alike share their factors."""
+    return tuple(chain[:11])
+
+
+@lru_cache(maxsize=256)
+def _imex_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
+    chain = Chain(*linear, *([0.0] * (len(Chain._fields) - len(linear))))  # type: ignore[arg-type]
+    inverse_c = 0.5 * time_step * (chain.damping_time + time_step / 2.0)
+    tip, inner, ahead, behind = (inverse_c * block for block in node_matrices(chain))
+    S, rows = np.eye(3) + tip, []
+    # entries between lengths and angles compare once angles are taken times the element's length
+    lengths = np.array([1.0, 1.0, 1.0 / chain.element_length])
+    scale = lengths[None, :] / lengths[:, None]
+    while len(rows) < MOST_FACTORS:
+        E = np.linalg.inv(S)
+        F, U = E @ behind, E @ ahead
+        rows.append(np.concatenate([E.ravel(), F.ravel(), U.ravel()]))
+        if len(rows) > 1 and _alike(rows[-1], rows[-2], scale):
+            break
+        S = np.eye(3) + inner - behind @ U
+    table = np.array(rows)
+    table.setflags(write=False)
+    return table
+
+
+def _alike(new: FloatArray, old: FloatArray, scale: FloatArray) -> bool:
+    """Whether two rows of factors agree to rounding, each matrix measured by its largest entry."""
+    change, size = (np.abs(rows.reshape(3, 3, 3) / scale) for rows in (new - old, new))
+    return bool((change.max(axis=(1, 2)) <= 8.0 * np.finfo(float).eps * size.max(axis=(1, 2))).all())
+
+
+def explicit_factors(chain: Chain) -> FloatArray:
+    """(2, 27) blocks of M^-1 K of the tip and of every other node: own, to the node behind, to that ahead."""
+    tip, inner, ahead, behind = node_matrices(chain)
+    rest = [behind.ravel(), ahead.ravel()]
+    return np.array([np.concatenate([tip.ravel(), *rest]), np.concatenate([inner.ravel(), *rest])])
+
+
+def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
+    """(18,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
+    carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
+    values = np.zeros(PARAMETERS * LANES)
+    values[SENSOR] = sensor
+    values[CURVATURE] = chain.curvature
+    values[STIFFNESS] = chain.contact_stiffness[0] / chain.mass
+    values[FRICTION] = chain.friction
+    values[[GUIDE_DRAG, CARRIER_DRAG]] = chain.drag[0] / chain.mass, chain.drag[carrier] / chain.mass
+    values[[GUIDE_LEVER, CARRIER_LEVER]] = chain.lever[0], chain.lever[carrier]
+    values[[GUIDE_GAP, CARRIER_GAP]] = chain.outer_gap[0], chain.outer_gap[carrier]
+    values[[COS, SIN]] = chain.cos_phi, chain.sin_phi
+    values[AXIAL] = 1.0 / chain.axial_compliance
+    values[COUPLE] = chain.couple_length / chain.inertia
+    values[MASS_RATIO] = chain.mass / chain.inertia
+    values[DAMPING] = chain.damping_time
+    return values[::LANES].copy()
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _abs(value):
+    return where_less(value, splat(0.0), splat(0.0) - value, value)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _product(factors, f, x, y, t):
+    """(3, 3) matrix at ``f`` times (x, y, t)."""
+    return (
+        load(factors, f) * x + load(factors, f + LANES) * y + load(factors, f + 2 * LANES) * t,
+        load(factors, f + 3 * LANES) * x + load(factors, f + 4 * LANES) * y + load(factors, f + 5 * LANES) * t,
+        load(factors, f + 6 * LANES) * x + load(factors, f + 7 * LANES) * y + load(factors, f + 8 * LANES) * t,
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _inertia(kappa, couple, forward, vy, t, axial_force):
+    """Coriolis and centrifugal acceleration of (13) and the couple of (9) per inertia."""
+    return -2.0 * kappa * forward * vy, kappa * forward * forward, splat(0.0) - couple * axial_force * t
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _float(lever, gap, drag, stiffness, coefficient, ratio, kappa, forward, air, y, vt, dt):
+    """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
+    zero = splat(0.0)
+    relative = air - forward
+    inner = where_less(y, zero, zero - y, zero)  # depth in the inner and in the outer wall
+    beyond = y - gap
+    outer = where_less(zero, beyond, beyond, zero)
+    lever = where_less(y, zero, lever, zero - lever)  # of the contact point
+    # friction mu N against the slide, but never more than stops it within the step
+    most = coefficient * stiffness * (inner + outer)
+    stopping = (forward + vt * lever) / (dt * (1.0 + lever * (lever * ratio + kappa)))
+    friction = where_less(stopping, most, stopping, most)
+    friction = where_less(friction, zero - most, zero - most, friction)
+    return drag * relative * _abs(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def imex_advance(
+    parameters,
+    factors,
+    state,
+    inputs,
+    tops,
+    bottoms,
+    dt,
+    per_pitch,
+    first,
+    every,
+    points,
+    roots,
+    samples,
+    tension,
+    failed,
+):
+    """Steps of four lanes by imex; see ``_after_step`` for sampling and failure. Returns the steps done."""
+    zero = splat(0.0)
+    last = len(factors) // _FACTOR - 1
+    tau = load(parameters, DAMPING) + 0.5 * dt
+    drift, bounce = dt / tau, 2.0 / tau
+    kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
+    stiffness, coefficient, ratio = (
+        load(parameters, STIFFNESS),
+        load(parameters, FRICTION),
+        load(parameters, MASS_RATIO),
+    )
+    guide_lever, carrier_lever = load(parameters, GUIDE_LEVER), load(parameters, CARRIER_LEVER)
+    guide_gap, carrier_gap = load(parameters, GUIDE_GAP), load(parameters, CARRIER_GAP)
+    guide_drag, carrier_drag = load(parameters, GUIDE_DRAG), load(parameters, CARRIER_DRAG)
+    cosine = load(parameters, AXIAL) * load(parameters, COS)
+    sine = load(parameters, AXIAL) * load(parameters, SIN)
+    row, due = 0, first
+    for step in range(len(tops)):
+        k = step * _INPUT
+        speed, slope, air = (
+            load(inputs, k + SPEED * LANES),
+            load(inputs, k + SLOPE * LANES),
+            load(inputs, k + AIR * LANES),
+        )
+        gx, gy, gt = zero, zero, zero
+        top, to_float, peak = tops[step], 0, zero
+        for i in range(top + 1):  # to the root: kick and elimination; the root itself is kicked for its release
+            q, f = i * _NODE, min(i, last) * _FACTOR
+            x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
+            vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
+            forward = speed + vx
+            ax, ay, at = _inertia(kappa, couple, forward, vy, t, load(state, q + V))
+            if to_float == 0:
+                to_float = per_pitch
+                place = splat(float(i) - 0.5)
+                lever = where_less(place, sensor, guide_lever, carrier_lever)
+                gap = where_less(place, sensor, guide_gap, carrier_gap)
+                drag = where_less(place, sensor, guide_drag, carrier_drag)
+                cx, cy, ct = _float(lever, gap, drag, stiffness, coefficient, ratio, kappa, forward, air, y, vt, dt)
+                ax, ay, at = ax + cx, ay + cy, at - ct
+                height = _abs(y)
+                peak = where_less(peak, height, height, peak)
+            to_float -= 1
+            # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
+            ax, at = ax - slope, at + kappa * ax
+            vx, vy, vt = vx + dt * ax, vy + dt * ay, vt + dt * at
+            ex, ey, et = _product(factors, f + A, x + tau * vx, y + tau * vy, t + tau * vt)
+            fx, fy, ft = _product(factors, f + B, gx, gy, gt)
+            gx, gy, gt = ex - fx, ey - fy, et - ft
+            store(state, q + VX, vx)
+            store(state, q + VY, vy)
+            store(state, q + VT, vt)
+            store(state, q + GX, gx)
+            store(state, q + GY, gy)
+            store(state, q + GT, gt)
+        # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
+        wx, wy, wt = zero, zero, zero
+        held = load(parameters, ROOT)
+        for i in range(top, bottoms[step] - 1, -1):
+            q = i * _NODE
+            node = splat(float(i))
+            ux, uy, ut = _product(factors, min(i, last) * _FACTOR + C, wx, wy, wt)
+            ux = where_less(node, held, load(state, q + GX) - ux, zero)
+            uy = where_less(node, held, load(state, q + GY) - uy, zero)
+            ut = where_less(node, held, load(state, q + GT) - ut, zero)
+            store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
+            wx, wy, wt = ux, uy, ut
+            ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
+            store(state, q + X, load(state, q + X) + drift * ux)
+            store(state, q + Y, load(state, q + Y) + drift * uy)
+            store(state, q + T, load(state, q + T) + drift * ut)
+            store(state, q + VX, where_less(node, held, bounce * ux - load(state, q + VX), zero))
+            store(state, q + VY, where_less(node, held, bounce * uy - load(state, q + VY), zero))
+            store(state, q + VT, where_less(node, held, bounce * ut - load(state, q + VT), zero))
+        for i in range(min(top, bottoms[step] - 1), -1, -1):
+            q = i * _NODE
+            ux, uy, ut = _product(factors, min(i, last) * _FACTOR + C, wx, wy, wt)
+            ux, uy, ut = load(state, q + GX) - ux, load(state, q + GY) - uy, load(state, q + GT) - ut
+            store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
+            wx, wy, wt = ux, uy, ut
+            ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
+            store(state, q + X, load(state, q + X) + drift * ux)
+            store(state, q + Y, load(state, q + Y) + drift * uy)
+            store(state, q + T, load(state, q + T) + drift * ut)
+            store(state, q + VX, bounce * ux - load(state, q + VX))
+            store(state, q + VY, bounce * uy - load(state, q + VY))
+            store(state, q + VT, bounce * ut - load(state, q + VT))
+        store(parameters, PEAK, peak)
+        due -= 1
+        if _after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+            return step + 1
+        if due == 0:
+            due = every
+            row += 1
+    return len(tops)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def explicit_advance(
+    parameters,
+    factors,
+    state,
+    inputs,
+    tops,
+    bottoms,
+    dt,
+    per_pitch,
+    first,
+    every,
+    points,
+    roots,
+    samples,
+    tension,
+    failed,
+):
+    """Steps of four lanes by central differences; the arguments are those of ``imex_advance``."""
+    zero = splat(0.0)
+    delta = load(parameters, DAMPING)
+    kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
+    stiffness, coefficient, ratio = (
+        load(parameters, STIFFNESS),
+        load(parameters, FRICTION),
+        load(parameters, MASS_RATIO),
+    )
+    guide_lever, carrier_lever = load(parameters, GUIDE_LEVER), load(parameters, CARRIER_LEVER)
+    guide_gap, carrier_gap = load(parameters, GUIDE_GAP), load(parameters, CARRIER_GAP)
+    guide_drag, carrier_drag = load(parameters, GUIDE_DRAG), load(parameters, CARRIER_DRAG)
+    cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
+    row, due = 0, first
+    for step in range(len(tops)):
+        k = step * _INPUT
+        speed, slope, air = (
+            load(inputs, k + SPEED * LANES),
+            load(inputs, k + SLOPE * LANES),
+            load(inputs, k + AIR * LANES),
+        )
+        held = load(parameters, ROOT)
+        to_float, peak = 0, zero
+        bx, by, bt = zero, zero, zero  # d + delta v of the node on the tip side
+        x, y, t = load(state, X), load(state, Y), load(state, T)
+        vx, vy, vt = load(state, VX), load(state, VY), load(state, VT)
+        ex, ey, et = x + delta * vx, y + delta * vy, t + delta * vt
+        for i in range(tops[step]):
+            q, f = i * _NODE, min(i, 1) * _FACTOR
+            nx, ny, nt = load(state, q + _NODE + X), load(state, q + _NODE + Y), load(state, q + _NODE + T)
+            nvx, nvy, nvt = load(state, q + _NODE + VX), load(state, q + _NODE + VY), load(state, q + _NODE + VT)
+            aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
+            force = axial * (cosine * (ex - aex) + sine * (ey + aey))
+            forward = speed + vx
+            ax, ay, at = _inertia(kappa, couple, forward, vy, t, force)
+            if to_float == 0:
+                to_float = per_pitch
+                place = splat(float(i) - 0.5)
+                lever = where_less(place, sensor, guide_lever, carrier_lever)
+                gap = where_less(place, sensor, guide_gap, carrier_gap)
+                drag = where_less(place, sensor, guide_drag, carrier_drag)
+                cx, cy, ct = _float(lever, gap, drag, stiffness, coefficient, ratio, kappa, forward, air, y, vt, dt)
+                ax, ay, at = ax + cx, ay + cy, at - ct
+                height = _abs(y)
+                peak = where_less(peak, height, height, peak)
+            to_float -= 1
+            # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
+            ax, at = ax - slope, at + kappa * ax
+            ox, oy, ot = _product(factors, f + A, ex, ey, et)
+            px, py, pt = _product(factors, f + B, bx, by, bt)
+            sx, sy, st = _product(factors, f + C, aex, aey, aet)
+            node = splat(float(i))
+            vx = where_less(node, held, vx + dt * (ax - (ox + px + sx)), zero)
+            vy = where_less(node, held, vy + dt * (ay - (oy + py + sy)), zero)
+            vt = where_less(node, held, vt + dt * (at - (ot + pt + st)), zero)
+            store(state, q + VX, vx)
+            store(state, q + VY, vy)
+            store(state, q + VT, vt)
+            store(state, q + X, x + dt * vx)
+            store(state, q + Y, y + dt * vy)
+            store(state, q + T, t + dt * vt)
+            store(state, q + V, force)
+            bx, by, bt = ex, ey, et
+            ex, ey, et = aex, aey, aet
+            x, y, t, vx, vy, vt = nx, ny, nt, nvx, nvy, nvt
+        store(parameters, PEAK, peak)
+        due -= 1
+        if _after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+            return step + 1
+        if due == 0:
+            due = every
+            row += 1
+    return len(tops)
+
+
+@njit(nogil=True, error_model="numpy")
+def _after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+    """Sampling, failure and growth after a step; True if no lane is left.
+
+    ``points`` (p, lanes) are nodes, -1 the root; ``samples`` (rows, p, 4, lanes) get x, y, theta and V when
+    ``due`` is zero, and ``tension`` (n, lanes), unless empty, gains V. ``failed`` (lanes,) is the step at which
+    a lane diverged, counted from 1; 0 while it has not, -1 for an idle lane. ``roots`` (lanes,) grow.
+    """
+    running = 0
+    for lane in range(LANES):
+        if failed[lane] != 0:
+            continue
+        if not (abs(state[Y + lane]) <= DIVERGED_RADIAL and parameters[PEAK + lane] <= DIVERGED_RADIAL):
+            failed[lane] = step + 1
+            continue
+        running += 1
+        if due == 0:
+            for p in range(len(points)):
+                node = points[p, lane] if points[p, lane] >= 0 else roots[lane]
+                q = node * _NODE + lane
+                samples[row, p, 0, lane] = state[q + X]
+                samples[row, p, 1, lane] = state[q + Y]
+                samples[row, p, 2, lane] = state[q + T]
+                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * _NODE + V + lane]
+            for i in range(min(len(tension), roots[lane])):
+                tension[i, lane] += state[i * _NODE + V + lane]
+        roots[lane] += int(inputs[k + APPEND * LANES + lane])
+        parameters[ROOT + lane] = roots[lane]
+    return running == 0

@@ -1,0 +1,136 @@
+"""A batch of N equals N single runs bit for bit, whatever the lane, the company and the threads."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from probe_env import Scene, Simulator, SimulatorBatch
+
+OPTIONS = {"growing": True, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
+
+
+def scene(length, friction, helix, guide=2.5, stiffness=1e5, floats=19e-3):
+    return Scene.model_validate(
+        {
+            "carrier_length": length,
+            "tube": {"helix_diameter": helix},
+            "contact": {"friction": friction, "stiffness": stiffness},
+            "probe": {"guide_length": guide, "guide_float_diameter": floats, "carrier_float_diameter": 17e-3},
+        }
+    )
+
+
+SCENES = [
+    scene(10.0, 0.15, 1.2),
+    scene(5.0, 0.20, 1.0, stiffness=7e4),
+    scene(12.0, 0.10, 2.5, guide=4.0),
+    scene(30.0, 0.25, 1.2, floats=20e-3),
+    scene(3.0, 0.15, 1.7, stiffness=1.4e5),
+    scene(8.0, 0.12, 1.4, guide=1.0),
+]
+
+
+def signals(batch, windows=2):
+    parts = [batch.advance(0.3, 0.02, 0.2, keep_samples=True) for _ in range(windows)]
+    return [np.concatenate([getattr(part, name) for part in parts]) for name in ("axial", "radial", "tension")]
+
+
+@pytest.fixture(scope="module")
+def single():
+    """Samples of every scene run on its own by Simulator."""
+    results = []
+    for seed, member in enumerate(SCENES):
+        simulator = Simulator(member, "imex", 2e-4, seed=seed, **OPTIONS)
+        runs = [simulator.advance(0.3, 0.02, 0.2, points=("sensor", "root")) for _ in range(2)]
+        results.append(
+            [
+                np.concatenate([run.axial[1:, 0] for run in runs]),
+                np.concatenate([run.radial[1:, 0] for run in runs]),
+                np.concatenate([run.tension[1:, 1] for run in runs]),
+            ]
+        )
+    return results
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4), (2, 2, 2, 2, 2), (4,), (3, 0)])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_every_batch_equals_the_single_runs(order, threads, single):
+    batch = SimulatorBatch([SCENES[k] for k in order], seeds=order, threads=threads, **OPTIONS)
+    for values, name in zip(signals(batch), range(3), strict=True):
+        for column, k in enumerate(order):
+            assert (values[:, column] == single[k][name]).all()
+            assert np.abs(values[:, column]).max() > 0.0
+
+
+def test_an_inactive_probe_waits_and_the_others_do_not_notice(single):
+    batch = SimulatorBatch(SCENES, seeds=range(6), **OPTIONS)
+    active = np.array([True, False, True, True, False, True])
+    first = batch.advance(0.3, 0.02, 0.2, active=active, keep_samples=True)
+    assert (first.statistics["radial_rms_m"] > 0.0).tolist() == active.tolist()
+    assert (first.radial[:, 0] == single[0][1][:200]).all()
+    late = batch.advance(0.3, 0.02, 0.2, active=~active, keep_samples=True)
+    assert (late.radial[:, 1] == single[1][1][:200]).all()
+    assert (late.radial[:, 0] == 0.0).all()
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
+def test_a_copy_goes_on_equal(duplicate):
+    batch = SimulatorBatch(SCENES[:3], **OPTIONS)
+    batch.advance(0.3, 0.02, 0.1)
+    other = duplicate(batch)
+    saved = batch.snapshot()
+    expected = batch.advance(0.1, 0.03, 0.1, keep_samples=True)
+    values = other.advance(0.1, 0.03, 0.1, keep_samples=True)
+    batch.restore(saved)
+    again = batch.advance(0.1, 0.03, 0.1, keep_samples=True)
+    for window in (values, again):
+        assert (window.radial == expected.radial).all()
+        assert (window.tension == expected.tension).all()
+        for name, column in window.statistics.items():
+            assert (column == expected.statistics[name]).all()
+
+
+def test_statistics_of_consecutive_windows_join_their_differences():
+    """Acceleration across the seam is that of the joined signal."""
+    batch = SimulatorBatch(SCENES[:1], **OPTIONS)
+    parts = [batch.advance(0.3, 0.02, 0.1, keep_samples=True) for _ in range(3)]
+    joined = np.concatenate([[0.0, 0.0], *(part.radial[:, 0] for part in parts)])
+    acceleration = np.diff(joined, n=2) / 1e-3**2
+    for k, part in enumerate(parts):
+        measured = part.statistics["radial_acceleration_rms_m_per_s2"][0]
+        if k > 0:  # the start perturbation is not in the samples before the first window
+            assert measured == pytest.approx(acceleration[100 * k : 100 * (k + 1)].std(), rel=1e-12)
+
+
+def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
+    broken = SCENES[0].model_copy(update={"contact": {"stiffness": 5e6}})  # far too stiff for 2e-4 s
+    with pytest.warns(UserWarning, match="beyond the known stable limit"):
+        batch = SimulatorBatch([SCENES[3], broken, SCENES[0]], seeds=(3, 9, 0), **OPTIONS)
+    parts = [batch.advance(0.3, 0.02, 0.2, keep_samples=True) for _ in range(2)]
+    assert parts[-1].diverged.tolist() == [False, True, False]
+    for column, k in ((0, 3), (2, 0)):
+        assert (np.concatenate([part.radial[:, column] for part in parts]) == single[k][1]).all()
+    for values in parts[-1].statistics.values():
+        assert np.isfinite(values).all()
+    assert np.isfinite(parts[-1].radial).all()
+    assert "diverged at t" in str(batch.simulators[1].error)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: SimulatorBatch([]), "scenes is empty"),
+        (lambda: SimulatorBatch(SCENES, "newmark"), "method = 'newmark'"),
+        (lambda: SimulatorBatch(SCENES, threads=0), "threads = 0"),
+        (lambda: SimulatorBatch(SCENES).advance(-0.1, 0.02), "feed_speed = -0.1"),
+        (lambda: SimulatorBatch(SCENES).advance(0.1, 63.0), "air_supply_rate = 63.0"),
+        (lambda: SimulatorBatch(SCENES).advance(float("nan"), 0.02), "feed_speed = nan"),
+        (lambda: SimulatorBatch(SCENES).advance(0.1, 0.02, 1e-5), "duration = 1e-05"),
+        (lambda: SimulatorBatch(SCENES).advance(0.1, 0.02, 0.1, 0.003), "duration = 0.1 s is not .* sample periods"),
+    ],
+)
+def test_bad_arguments(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
