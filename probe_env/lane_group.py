@@ -23,7 +23,10 @@ KERNELS: Final[dict[str, Callable[..., Any]]] = {"imex": imex.imex_advance, "exp
 
 @dataclass
 class Lane:
-    """One probe as the lanes need it; ``state`` and ``root`` change in place."""
+    """One probe as the lanes need it; ``state`` and ``root`` change in place.
+
+    ``state.a`` holds no acceleration here but what a kernel keeps of its last step (fields GX, GY, GT).
+    """
 
     parameters: FloatArray
     factors: FloatArray
@@ -92,6 +95,7 @@ def advance_group(
         factors[len(lane.factors) :, :, k] = lane.factors[-1]
         state[: lane.root, 0:3, k] = lane.state.d[: lane.root]
         state[: lane.root, 3:6, k] = lane.state.v[: lane.root]
+        state[: lane.root, 6:9, k] = lane.state.a[: lane.root]
         state[: lane.root, 9, k] = lane.state.axial_force[: lane.root]
     packed_samples = np.zeros((len(samples[0]), len(points[0]), 4, LANES))
     packed_tension = np.zeros((0 if tension_sum is None else nodes, LANES))
@@ -103,6 +107,7 @@ def advance_group(
         lane.root = int(roots[k])
         lane.state.d[: lane.root] = state[: lane.root, 0:3, k]
         lane.state.v[: lane.root] = state[: lane.root, 3:6, k]
+        lane.state.a[: lane.root] = state[: lane.root, 6:9, k]
         lane.state.axial_force[: lane.root] = state[: lane.root, 9, k]
         samples[k][...] = packed_samples[..., k]
     if tension_sum is not None:
