@@ -20,10 +20,12 @@ from scipy.linalg import solve_banded
 from tqdm import tqdm
 
 from agents.provenance import provenance, write_json
-from probe_env import Scene, Simulator, ticm
+from probe_env import Scene, Simulator, SimulatorBatch, ticm
 from probe_env.chain import build_chain
 from probe_env.drive import Drive
+from probe_env.lanes import LANES
 
+NEWMARK_STEP, IMEX_STEP = 1e-4, 2e-4
 SCALING_NODES = (500, 1000, 2000, 5000, 10000, 20000)
 
 
@@ -32,6 +34,8 @@ def run_bench(output: Path, repeats: int) -> dict[str, Any]:
     results: dict[str, Any] = {
         "solvers": _solvers(repeats),
         "scaling": _scaling(repeats),
+        "fast": _fast(repeats),
+        "insertion": _insertion(),
         "first_result_s": _first_result(),
         "repeats": repeats,
         **provenance(),
@@ -78,6 +82,52 @@ def _solvers(repeats: int) -> dict[str, dict[str, float]]:
     }
 
 
+def _fast(repeats: int) -> dict[str, dict[str, float]]:
+    """Cost of the fast scheme at l = 50 m, one thread, against the study's scheme at its step of 1e-4 s."""
+    simulated = 0.04
+    newmark, single = Simulator(Scene(), time_step=NEWMARK_STEP), Simulator(Scene(), "imex", IMEX_STEP)
+    batch = SimulatorBatch([Scene()] * LANES, time_step=IMEX_STEP, threads=1)
+    best = best_times(
+        {
+            "newmark": lambda: newmark.advance(duration=simulated, sample_period=simulated),
+            "imex, one probe": lambda: single.advance(duration=simulated, sample_period=simulated),
+            f"imex, {LANES} lanes": lambda: batch.advance(None, None, simulated, simulated),
+        },
+        repeats,
+    )
+    rows = {}
+    for name, seconds in best.items():
+        probes = LANES if "lanes" in name else 1
+        step = NEWMARK_STEP if name == "newmark" else IMEX_STEP
+        per_second = seconds / simulated / probes
+        rows[name] = {
+            "time_step_s": step,
+            "ns_per_node_step": per_second * step / newmark.root * 1e9,
+            "s_per_simulated_s": per_second,
+            "simulated_second_ratio": best["newmark"] / (seconds / probes),
+        }
+    for row in rows.values():
+        row["node_step_ratio"] = rows["newmark"]["ns_per_node_step"] / row["ns_per_node_step"]
+    return rows
+
+
+def _insertion() -> dict[str, float]:
+    """Wall time [s] of full insertions, 5 to 60 m at 0.2 m/s, per probe: 16 probes, all cores."""
+    times = {}
+    for lapse in (1.0, 4.0):
+        batch = SimulatorBatch(
+            [Scene(carrier_length=2.5)] * 16, time_step=IMEX_STEP, growing=True, time_lapse=lapse, perturbation=1e-7
+        )
+        periods = round(275.0 / lapse)
+        start = time.perf_counter()
+        for _ in tqdm(range(periods), desc=f"insertion, time-lapse {lapse:g}", unit="s"):
+            window = batch.advance(None, None, 1.0)
+        times[f"time_lapse_{lapse:g}"] = (time.perf_counter() - start) / len(batch)
+        if window.diverged.any() or window.inserted_length.min() < 59.7:
+            raise RuntimeError(f"the insertion did not end at 60 m: {window.inserted_length}, {window.diverged}")
+    return times
+
+
 def _scaling(repeats: int) -> dict[str, Any]:
     """Exponent of the cost of a step against the number of nodes."""
     jobs = {str(nodes): _steps_of(nodes, 2_000_000 // nodes) for nodes in SCALING_NODES}
@@ -119,6 +169,15 @@ def _print(results: dict[str, Any]) -> None:
     for name, row in results["solvers"].items():
         table.add_row(name, f"{row['ns_per_node_step']:.0f}", f"{row['times_ticm']:.1f}")
     Console().print(table)
+    table = Table(title="The fast scheme against the study's, l = 50 m, one thread")
+    for column in ("method", "step [s]", "ns a node-step", "node-step ratio", "ratio for a simulated second"):
+        table.add_column(column, justify="right")
+    for name, row in results["fast"].items():
+        cells = (row["ns_per_node_step"], row["node_step_ratio"], row["simulated_second_ratio"])
+        table.add_row(name, f"{row['time_step_s']:g}", *(f"{cell:.1f}" for cell in cells))
+    Console().print(table)
+    for name, seconds in results["insertion"].items():
+        print(f"full insertion at 0.2 m/s, 16 probes, all cores, {name}: {seconds:.2f} s a probe")
     scaling = results["scaling"]
     costs = ", ".join(f"{cost:.0f}" for cost in scaling["ns_per_node_step"])
     span = f"{SCALING_NODES[0]} to {SCALING_NODES[-1]} nodes"

@@ -68,6 +68,20 @@ def _bench() -> str:
     lines = ["| solver, l = 50 m | ns a node-step | times the TICM's |", "|---|---|---|"]
     for name, row in results["solvers"].items():
         lines.append(f"| {name} | {row['ns_per_node_step']:.0f} | {row['times_ticm']:.1f} |")
+    lines += [
+        "",
+        "| method, l = 50 m, one thread | step | ns a node-step | node-step ratio | ratio for a simulated second |",
+        "|---|---|---|---|---|",
+    ]
+    for name, row in results["fast"].items():
+        cells = (row["ns_per_node_step"], row["node_step_ratio"], row["simulated_second_ratio"])
+        lines.append(f"| {name} | {row['time_step_s']:g} s | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |")
+    insertion = results["insertion"]
+    lines += [
+        "",
+        f"A full insertion, 5 to 60 m at 0.2 m/s, takes {insertion['time_lapse_1']:.1f} s a probe (16 probes,"
+        f" {results['machine']['cores']} cores), with time-lapse 4 {insertion['time_lapse_4']:.1f} s.",
+    ]
     scaling = results["scaling"]
     note = (
         f"Cost of a step grows with the number of nodes to the power {scaling['exponent']:.3f}"

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chains import plain_chain
-from scipy.stats import linregress, mannwhitneyu
+from scipy.stats import bootstrap, linregress
 
 from agents.claims import Ensemble
 from agents.study import load_rows
@@ -140,22 +140,33 @@ def ensembles(request):
     return request.param, batch.advance(None, None, 6.0).statistics
 
 
-@pytest.mark.parametrize("statistic", ["radial_rms_m", "radial_p99_m", "axial_rms_m", "lift_off_share"])
-def test_imex_has_newmark_s_statistics_in_chaos(ensembles, statistic):
-    """Two-sample rank test at 1 %, and the means no further apart than 35 %: eight runs resolve 10 to 25 %."""
+@pytest.mark.parametrize(
+    ("statistic", "margin"),
+    [("radial_rms_m", 0.35), ("radial_p99_m", 0.4), ("axial_rms_m", 0.15), ("lift_off_share", 0.05)],
+)
+def test_imex_has_newmark_s_statistics_in_chaos(ensembles, statistic, margin):
+    """Equivalence: the 95 % bootstrap interval of the ratio of means lies within the margin about one.
+
+    The margins are what eight against eight runs can show, twice their scatter (5 % axial, 15 % radial).
+    """
     length, statistics = ensembles
     newmark = STORED.values(f"l{length}", statistic)
     assert len(newmark) >= 8
-    assert mannwhitneyu(statistics[statistic], newmark).pvalue > 0.01
-    assert statistics[statistic].mean() == pytest.approx(newmark.mean(), rel=0.35)
+
+    def ratio(first, second, axis=-1):
+        return first.mean(axis=axis) / second.mean(axis=axis)
+
+    interval = bootstrap((statistics[statistic], newmark), ratio, rng=np.random.default_rng(0)).confidence_interval
+    assert 1.0 - margin < interval.low
+    assert interval.high < 1.0 + margin
 
 
 def test_what_the_step_of_imex_costs(ensembles):
-    """Known bias at 2e-4 s: acceleration (1 kHz) 4 to 11 % low, axial mean 2 to 10 % high; tension within 1 %."""
+    """Known bias at 2e-4 s: acceleration (1 kHz) some 10 % low, axial mean 2 to 12 % high; tension within 1 %."""
     length, statistics = ensembles
     name = "radial_acceleration_rms_m_per_s2"
     assert statistics[name].mean() == pytest.approx(STORED.mean(f"l{length}", name), rel=0.2)
-    assert statistics["axial_mean_m"].mean() == pytest.approx(STORED.mean(f"l{length}", "axial_mean_m"), rel=0.15)
+    assert statistics["axial_mean_m"].mean() == pytest.approx(STORED.mean(f"l{length}", "axial_mean_m"), rel=0.2)
     tension = STORED.mean(f"l{length}", "root_tension_mean_n")
     assert statistics["tension_mean_n"].mean() == pytest.approx(tension, rel=0.01)
 
