@@ -262,7 +262,9 @@ def imex_advance(
         # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
         wx, wy, wt = zero, zero, zero
         held = load(parameters, ROOT)
-        for i in range(top, bottoms[step] - 1, -1):
+        bottom = bottoms[step]
+        for back in range(top - bottom + 1):
+            i = top - back
             q = i * _NODE
             node = splat(float(i))
             ux, uy, ut = _product(factors, min(i, last) * _FACTOR + C, wx, wy, wt)
@@ -280,7 +282,8 @@ def imex_advance(
             store(state, q + VX, where_less(node, held, bounce * ux - reflection * load(state, q + VX), zero))
             store(state, q + VY, where_less(node, held, bounce * uy - reflection * load(state, q + VY), zero))
             store(state, q + VT, where_less(node, held, bounce * ut - reflection * load(state, q + VT), zero))
-        for i in range(min(top, bottoms[step] - 1), -1, -1):
+        for back in range(bottom):
+            i = bottom - 1 - back
             q = i * _NODE
             ux, uy, ut = _product(factors, min(i, last) * _FACTOR + C, wx, wy, wt)
             ux, uy, ut = load(state, q + GX) - ux, load(state, q + GY) - uy, load(state, q + GT) - ut
