@@ -28,7 +28,7 @@ test: lint types
 	$(BIN)/pytest --numprocesses 2
 
 study: setup
-	$(BIN)/probe-env study --members 6 --output results/study
+	$(BIN)/probe-env study --members 8 --output results/study
 
 bench: setup
 	$(BIN)/probe-env bench --output results/bench

@@ -25,12 +25,15 @@ def test_a_changed_figure_is_noticed(monkeypatch, tmp_path):
         readme.check_readme()
 
 
-def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
+def test_the_python_examples_run(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert example is not None
-    exec(compile(example[1], "README.md", "exec"), {})
-    assert "radial rms at the sensor" in capsys.readouterr().out
+    examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert len(examples) == 2
+    for example in examples:
+        exec(compile(example, "README.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert "radial rms at the sensor" in printed
+    assert "False" in printed  # nothing diverged
     assert (tmp_path / "slower.toml").exists()
 
 
