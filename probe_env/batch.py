@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.chain import FloatArray
+from probe_env.checks import whole_steps
 from probe_env.lane_group import KERNELS, Lane, advance_group
 from probe_env.lanes import LANES
 from probe_env.scene import Scene
@@ -128,8 +129,8 @@ class SimulatorBatch:
             ValueError: an argument is not valid.
         """
         count = len(self)
-        steps = self.simulators[0].whole_steps("duration", duration)
-        every = self.simulators[0].whole_steps("sample_period", sample_period)
+        steps = whole_steps("duration", duration, self.time_step)
+        every = whole_steps("sample_period", sample_period, self.time_step)
         if steps % every:
             raise ValueError(
                 f"duration = {duration!r} s is not a whole number of sample periods of {sample_period:g} s"

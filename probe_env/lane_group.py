@@ -16,6 +16,7 @@ import numpy.typing as npt
 from probe_env import imex
 from probe_env.chain import Chain, FloatArray
 from probe_env.lanes import LANES
+from probe_env.linear_part import explicit_factors, imex_factors
 from probe_env.ticm import State
 
 KERNELS: Final[dict[str, Callable[..., Any]]] = {"imex": imex.imex_advance, "explicit": imex.explicit_advance}
@@ -38,7 +39,7 @@ def lane_constants(
     method: str, chain: Chain, sensor: int, per_pitch: int, time_step: float
 ) -> tuple[FloatArray, FloatArray]:
     """Parameters and factors of a probe for a method of ``KERNELS``."""
-    factors = imex.imex_factors(chain, time_step) if method == "imex" else imex.explicit_factors(chain)
+    factors = imex_factors(chain, time_step) if method == "imex" else explicit_factors(chain)
     return imex.lane_parameters(chain, sensor, per_pitch), factors
 
 

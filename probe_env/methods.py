@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from probe_env import banded, ticm, transfer_matrix
 from probe_env.chain import Chain, FloatArray
@@ -16,11 +17,19 @@ SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
 SCHEMES: Final[dict[str, Callable[[float], ticm.Scheme]]] = {"newmark": ticm.newmark, "wilson": ticm.wilson}
 METHODS: Final = (*SCHEMES, *KERNELS)
 
-Advance = Callable[
-    [FloatArray, int, ticm.State, int, int, np.ndarray, FloatArray, FloatArray], tuple[int, int, int, int]
-]
-"""(inputs, root, state, first_sample, sample_every, points, samples, tension_sum) -> (status, steps done,
-diverged node or -1, root); see ``ticm.advance``."""
+
+class Sampling(NamedTuple):
+    """What to record during a call, see ``ticm.advance``: (p,) nodes, -1 for the root; (k, p, 4); (n + 1,)."""
+
+    first: int
+    every: int
+    points: npt.NDArray[np.int64]
+    samples: FloatArray
+    tension_sum: FloatArray
+
+
+Advance = Callable[[FloatArray, int, ticm.State, Sampling], tuple[int, int, int, int]]
+"""(inputs, root, state, sampling) -> (status, steps done, diverged node or -1, root)."""
 
 
 def build_method(
@@ -51,19 +60,8 @@ def build_method(
     if solver == "transfer-matrix":
         return partial(_step_by_step, partial(transfer_matrix.step, chain, scheme), work)
 
-    def advance(
-        inputs: FloatArray,
-        root: int,
-        state: ticm.State,
-        first_sample: int,
-        sample_every: int,
-        points: np.ndarray,
-        samples: FloatArray,
-        tension_sum: FloatArray,
-    ) -> tuple[int, int, int, int]:
-        result: tuple[int, int, int, int] = ticm.advance(
-            chain, scheme, inputs, root, state, work, first_sample, sample_every, points, samples, tension_sum
-        )
+    def advance(inputs: FloatArray, root: int, state: ticm.State, sampling: Sampling) -> tuple[int, int, int, int]:
+        result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling)
         return result
 
     return advance
@@ -75,14 +73,10 @@ def _step_by_step(
     inputs: FloatArray,
     root: int,
     state: ticm.State,
-    first_sample: int,
-    sample_every: int,
-    points: np.ndarray,
-    samples: FloatArray,
-    tension_sum: FloatArray,
+    sampling: Sampling,
 ) -> tuple[int, int, int, int]:
     """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
-    row, due = 0, first_sample
+    row, due = 0, sampling.first
     for k, step_inputs in enumerate(inputs):
         node = step(step_inputs, root, state, work)
         if node >= 0:
@@ -90,8 +84,8 @@ def _step_by_step(
         root += int(step_inputs[3])
         due -= 1
         if due == 0:
-            due = sample_every
-            ticm.record(state, root, points, samples, row, tension_sum)
+            due = sampling.every
+            ticm.record(state, root, sampling.points, sampling.samples, row, sampling.tension_sum)
             row += 1
     return ticm.OK, len(inputs), -1, root
 
@@ -105,17 +99,14 @@ def _single_lane(
     inputs: FloatArray,
     root: int,
     state: ticm.State,
-    first_sample: int,
-    sample_every: int,
-    points: np.ndarray,
-    samples: FloatArray,
-    tension_sum: FloatArray,
+    sampling: Sampling,
 ) -> tuple[int, int, int, int]:
     """One probe by the kernels of the batch: a batch of one."""
     lane = Lane(parameters, factors, state, root)
-    rows = samples[: max(0, (len(inputs) - first_sample) // sample_every + 1)]
+    first, every, points, samples, tension_sum = sampling
+    rows = samples[: max(0, (len(inputs) - first) // every + 1)]
     (failed,) = advance_group(
-        method, [lane], [inputs], time_step, nodes_per_pitch, first_sample, sample_every, [points], [rows], tension_sum
+        method, [lane], [inputs], time_step, nodes_per_pitch, first, every, [points], [rows], tension_sum
     )
     status = ticm.DIVERGED if failed else ticm.OK
     return status, failed or len(inputs), -1, lane.root

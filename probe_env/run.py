@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from probe_env.chain import FloatArray
 
 
@@ -74,3 +76,16 @@ class Run:
 def point_name(point: str | float) -> str:
     """Name of a point given by name or by distance from the tip in metres."""
     return point if isinstance(point, str) else f"{float(point):g} m"
+
+
+def shapes_of(stored: list[tuple[float, FloatArray, FloatArray]], h: float) -> Shapes:
+    """Snapshots from stored (time, d, axial force) of a probe with elements of length ``h`` [m]."""
+    d = np.array([entry[1] for entry in stored])[:, ::-1]
+    return Shapes(
+        time=np.array([entry[0] for entry in stored]),
+        position=np.arange(d.shape[1]) * h,
+        axial=d[:, :, 0].copy(),
+        radial=d[:, :, 1].copy(),
+        rotation=d[:, :, 2].copy(),
+        tension=np.array([entry[2][-2::-1] for entry in stored]),
+    )

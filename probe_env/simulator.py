@@ -13,11 +13,12 @@ import numpy as np
 
 from probe_env import ticm
 from probe_env.chain import FloatArray, air_speed, build_chain, sensor_node
+from probe_env.checks import whole_steps, within
 from probe_env.drive import Drive
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.lane_group import lane_constants
-from probe_env.methods import Advance, build_method
-from probe_env.run import Run, Shapes, point_name
+from probe_env.methods import Advance, Sampling, build_method
+from probe_env.run import Run, point_name, shapes_of
 from probe_env.scene import Scene
 from probe_env.stability import stable_time_step
 
@@ -63,11 +64,11 @@ class Simulator:
         perturbation: float = 0.0,
         seed: int = 0,
     ) -> None:
-        _within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
-        _within("time_lapse", time_lapse, 1.0, 1000.0, "")
-        _within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
-        _within("air_lag", air_lag, 0.0, 1e3, "s")
-        _within("perturbation", perturbation, 0.0, 1e-3, "m")
+        within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+        within("time_lapse", time_lapse, 1.0, 1000.0, "")
+        within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
+        within("air_lag", air_lag, 0.0, 1e3, "s")
+        within("perturbation", perturbation, 0.0, 1e-3, "m")
         if (
             isinstance(nodes_per_pitch, bool)
             or nodes_per_pitch != int(nodes_per_pitch)
@@ -192,8 +193,8 @@ class Simulator:
             ValueError: an argument is not valid.
             SimulationError: the state diverged, now or in an earlier call.
         """
-        steps = self.whole_steps("duration", duration)
-        every = self.whole_steps("sample_period", sample_period)
+        steps = whole_steps("duration", duration, self.time_step)
+        every = whole_steps("sample_period", sample_period, self.time_step)
         nodes = np.array([self._node(point) for point in points], dtype=np.int64)
         stops = self._snapshot_steps(snapshots, steps)
         self.check_targets(feed_speed, air_supply_rate)
@@ -211,7 +212,8 @@ class Simulator:
             if done == steps:
                 break
             stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
-            self._advance_steps(stretch, every - done % every, every, nodes, samples[done // every + 1 :], tension_sum)
+            rows = samples[done // every + 1 :]
+            self._advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum))
             done += stretch
             if progress is not None:
                 progress(self.time)
@@ -226,22 +228,12 @@ class Simulator:
             distance_from_tip=np.where(nodes < 0, start_root, nodes) * h,
             mean_tension=tension_sum[start_root - 1 :: -1] / max(len(samples) - 1, 1),
             position=(np.arange(start_root) + 0.5) * h,
-            shapes=_shapes(shapes, h) if shapes else None,
+            shapes=shapes_of(shapes, h) if shapes else None,
         )
 
-    def _advance_steps(
-        self,
-        steps: int,
-        first: int,
-        every: int,
-        nodes: np.ndarray,
-        samples: FloatArray,
-        tension_sum: FloatArray,
-    ) -> None:
-        """Steps in one go; counts them, and turns a diverged state into an error."""
-        status, done, _, root = self._advance(
-            self.inputs_of_steps(steps), self.root, self.state, first, every, nodes, samples, tension_sum
-        )
+    def _advance_steps(self, steps: int, sampling: Sampling) -> None:
+        """Steps in one go; raises if the state diverges."""
+        status, done, _, root = self._advance(self.inputs_of_steps(steps), self.root, self.state, sampling)
         self.note_steps(done, root, diverged=status != ticm.OK)
         if self._error is not None:
             raise self._error
@@ -276,9 +268,9 @@ class Simulator:
     def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """Raise ValueError if a target is out of range."""
         if feed_speed is not None:
-            _within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
+            within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
         if air_supply_rate is not None:
-            _within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
+            within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
 
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """New targets [m/s], [m3/s]; None leaves one as it is."""
@@ -290,19 +282,6 @@ class Simulator:
     def lane_constants(self) -> tuple[FloatArray, FloatArray]:
         """Parameters and factors with which this probe runs in a lane."""
         return lane_constants(self.method, self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
-
-    def whole_steps(self, name: str, value: float | None) -> int:
-        """Number of time steps in a time.
-
-        Raises:
-            ValueError: not a whole number within 1e-9, or less than one; names the argument.
-        """
-        ratio = math.nan if value is None else value / self.time_step
-        if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
-            raise ValueError(
-                f"{name} = {value!r} s is not a whole number (1 or more) of time steps of {self.time_step:g} s"
-            )
-        return round(ratio)
 
     def _node(self, point: str | float) -> int:
         """Node of a point; -1 for the root, which moves as the probe grows."""
@@ -335,22 +314,3 @@ class Simulator:
 
 
 _CHANGING: Final = ("state", "steps_done", "root", "drive", "_error")
-
-
-def _within(name: str, value: float, low: float, high: float, unit: str, exclude_low: bool = False) -> None:
-    if not low <= value <= high or (exclude_low and value == low):  # also catches NaN
-        excluded = " (excluded)" if exclude_low else ""
-        text = f"{name} = {value!r} {unit} is outside the accepted range {low:g}{excluded} to {high:g} {unit}"
-        raise ValueError(text)
-
-
-def _shapes(stored: list[tuple[float, FloatArray, FloatArray]], h: float) -> Shapes:
-    d = np.array([entry[1] for entry in stored])[:, ::-1]
-    return Shapes(
-        time=np.array([entry[0] for entry in stored]),
-        position=np.arange(d.shape[1]) * h,
-        axial=d[:, :, 0].copy(),
-        radial=d[:, :, 1].copy(),
-        rotation=d[:, :, 2].copy(),
-        tension=np.array([entry[2][-2::-1] for entry in stored]),
-    )

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from probe_env.chain import Chain, build_chain
-from probe_env.imex import node_matrices
+from probe_env.linear_part import node_matrices
 from probe_env.scene import Scene
 
 FULL, REDUCED = 1.8, 0.6  # omega dt

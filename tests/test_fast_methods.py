@@ -12,7 +12,7 @@ from agents.claims import Ensemble
 from agents.study import load_rows
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.chain import build_chain
-from probe_env.imex import imex_factors, linear_weights, node_matrices
+from probe_env.linear_part import imex_factors, linear_weights, node_matrices
 from probe_env.stability import explicit_time_step
 
 SHORT = Scene(carrier_length=10.0)

@@ -1,0 +1,85 @@
+"""The chain's linear part per mass, M^-1 K, and its factors for the kernels of the fast schemes."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from probe_env.chain import Chain, FloatArray, element_blocks, element_stiffness
+
+MOST_FACTORS = 4000
+
+
+def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(3, 3) blocks of M^-1 K: of the tip node, of an inner node, to the neighbour behind and ahead."""
+    head, tail = element_blocks(chain)
+    stiffness = element_stiffness(chain)
+    mass = np.array([[chain.mass, 0, 0], [0, chain.mass, 0], [-chain.frame_inertia, 0, chain.inertia]])
+    inverse = np.linalg.inv(mass)
+    tip = inverse @ head.T @ stiffness @ head
+    inner = tip + inverse @ tail.T @ stiffness @ tail
+    return tip, inner, inverse @ head.T @ stiffness @ tail, inverse @ tail.T @ stiffness @ head
+
+
+def linear_weights(damping_time: float, time_step: float) -> tuple[float, float]:
+    """Theta and tau of the linear part: w = d + tau v_theta, v_theta = (1 - theta) v* + theta v.
+
+    A theta above 1/2 damps what is too fast for the step, whose velocity the midpoint rule flips undamped from
+    step to step, and by (theta - 1/2) omega dt everything else. Taking that share off the cable's own damping,
+    tau = delta + dt (1 - theta), keeps the damping of slow modes at delta omega / 2, and tau >= theta dt keeps
+    the scheme unconditionally stable. theta - 1/2 vanishes with dt, so the linear part stays second order.
+    """
+    delta, dt = damping_time, time_step
+    theta = 0.5 + 0.5 * dt * delta / (delta * delta + dt * dt)
+    return theta, delta + dt * (1.0 - theta)
+
+
+def imex_factors(chain: Chain, time_step: float) -> FloatArray:
+    """(k, 27) elimination factors E, F, U of the first k nodes from the tip; the last row serves all beyond.
+
+    S_0 = 1 + K_00, S_i = 1 + K_ii - K_i,i-1 U_{i-1}; E = S^-1, F = E K_i,i-1, U = E K_i,i+1 (of theta dt tau M^-1 K).
+    Going up to the root g_i = E_i z_i - F_i g_{i-1}, coming back w_i = g_i - U_i w_{i+1}.
+    """
+    return _imex_factors(_linear_part(chain), time_step)
+
+
+def _linear_part(chain: Chain) -> tuple[float, ...]:
+    """The numbers that the linear part depends on, so that probes alike share their factors."""
+    return tuple(float(value) for value in chain[: Chain._fields.index("frame_inertia") + 1])  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=256)
+def _imex_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
+    chain = Chain(*linear, *([0.0] * (len(Chain._fields) - len(linear))))  # type: ignore[arg-type]
+    theta, tau = linear_weights(chain.damping_time, time_step)
+    weight = theta * time_step * tau
+    tip, inner, ahead, behind = (weight * block for block in node_matrices(chain))
+    rows: list[FloatArray] = []
+    S = np.eye(3) + tip
+    # entries between lengths and angles compare once angles are taken times the element's length
+    lengths = np.array([1.0, 1.0, 1.0 / chain.element_length])
+    scale = lengths[None, :] / lengths[:, None]
+    while len(rows) < MOST_FACTORS:
+        E = np.linalg.inv(S)
+        F, U = E @ behind, E @ ahead
+        rows.append(np.concatenate([E.ravel(), F.ravel(), U.ravel()]))
+        if len(rows) > 1 and _alike(rows[-1], rows[-2], scale):
+            break
+        S = np.eye(3) + inner - behind @ U
+    table = np.array(rows)
+    table.setflags(write=False)
+    return table
+
+
+def _alike(new: FloatArray, old: FloatArray, scale: FloatArray) -> bool:
+    """Whether two rows of factors agree to rounding, each matrix measured by its largest entry."""
+    change, size = (np.abs(rows.reshape(3, 3, 3) / scale) for rows in (new - old, new))
+    return bool((change.max(axis=(1, 2)) <= 8.0 * np.finfo(float).eps * size.max(axis=(1, 2))).all())
+
+
+def explicit_factors(chain: Chain) -> FloatArray:
+    """(2, 27) blocks of M^-1 K of the tip and of every other node: own, to the node behind, to that ahead."""
+    tip, inner, ahead, behind = node_matrices(chain)
+    rest = [behind.ravel(), ahead.ravel()]
+    return np.array([np.concatenate([tip.ravel(), *rest]), np.concatenate([inner.ravel(), *rest])])
