@@ -46,7 +46,7 @@ def imex_factors(chain: Chain, time_step: float) -> FloatArray:
 
 def _linear_part(chain: Chain) -> tuple[float, ...]:
     """The numbers that the linear part depends on, so that probes alike share their factors."""
-    return tuple(float(value) for value in chain[: Chain._fields.index("frame_inertia") + 1])  # type: ignore[arg-type]
+    return tuple(float(value) for value in chain[: Chain._fields.index("frame_inertia") + 1])
 
 
 @lru_cache(maxsize=256)

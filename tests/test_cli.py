@@ -32,7 +32,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
         assert signals["radial"].shape == (601, 3)
         assert list(signals["points"]) == ["sensor", "tip", "root"]
         assert signals["shapes_radial"].shape == (10, 501)
-        assert signals["radial"][200:, 0].std() == pytest.approx(results["statistics"]["radial_rms_m"])
+        assert signals["radial"][202:, 0].std() == pytest.approx(results["statistics"]["radial_rms_m"])
     for picture in ("time_histories", "locus", "spectra", "shapes", "tension"):
         assert (output / f"{picture}.png").stat().st_size > 5000
 
