@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench readme clean
+.PHONY: setup demo test lint types study bench timelapse readme clean
 
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
+	@echo "setting up $(VENV): a few minutes the first time"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[agents,dev]'
 	touch $(STAMP)
@@ -32,6 +33,9 @@ study: setup
 
 bench: setup
 	$(BIN)/probe-env bench --output results/bench
+
+timelapse: setup
+	$(BIN)/probe-env timelapse --output results/timelapse
 
 readme: setup
 	$(BIN)/probe-env readme

@@ -18,6 +18,7 @@ from probe_env import Scene
 from probe_env.chain import air_speed, build_chain
 
 SIGNIFICANCE = 0.05
+RMS = ("radial_rms_m", "axial_rms_m")
 
 
 @dataclass(frozen=True)
@@ -163,6 +164,25 @@ def _method(e: Ensemble) -> Iterator[Finding]:
         yield Finding("diverges above a step of 1e-4 s", "-", found, "no, above 4e-4 s" if holds else "yes")
 
 
+def _ours(e: Ensemble) -> Iterator[Finding]:
+    for length in ("l30", "l50"):
+        if e.has(f"{length}-imex", length):
+            name, acceleration = f"{length}-imex", "radial_acceleration_rms_m_per_s2"
+            radial, axial, shake = (e.mean(name, key) / e.mean(length, key) for key in (*RMS, acceleration))
+            found = (
+                f"radial rms {e.mm(name)} against {e.mm(length)} mm; axial rms {axial:.2f},"
+                f" acceleration {shake:.2f} times Newmark's"
+            )
+            agrees = "yes" if abs(radial - 1.0) < 0.2 and abs(axial - 1.0) < 0.1 else "not clearly"
+            claim = f"(ours) imex at 2e-4 s has the statistics of Newmark at 1e-4 s, l = {length[1:]} m"
+            yield Finding(claim, "-", found, agrees)
+    if e.has("l30-offset", "l30", "l30-imex-offset", "l30-imex"):
+        found = f"radial rms {e.mm('l30-offset')} against {e.mm('l30')} mm; imex {e.mm('l30-imex-offset')}"
+        louder = e.greater("l30-offset", "l30") and e.greater("l30-imex-offset", "l30-imex")
+        claim = "(ours) a root half a pitch from a float's place rings more, l = 30 m"
+        yield Finding(claim, "-", found, "yes" if louder else "no")
+
+
 def _walls_and_tension(e: Ensemble, scenes: Path) -> Iterator[Finding]:
     cases = [name for name in ("l30", "l50") if e.has(name)]
     if cases:
@@ -182,7 +202,14 @@ def _walls_and_tension(e: Ensemble, scenes: Path) -> Iterator[Finding]:
 def findings(table: pd.DataFrame, scenes: Path = Path("configs/scenes")) -> list[Finding]:
     """Every claim that the cases in the table can answer; ``scenes`` holds the scene files."""
     e = Ensemble(table)
-    return [*_growth(e), *_feed_and_tube(e), *_spectrum_and_design(e), *_method(e), *_walls_and_tension(e, scenes)]
+    return [
+        *_growth(e),
+        *_feed_and_tube(e),
+        *_spectrum_and_design(e),
+        *_method(e),
+        *_ours(e),
+        *_walls_and_tension(e, scenes),
+    ]
 
 
 def print_findings(table: pd.DataFrame, scenes: Path) -> None:

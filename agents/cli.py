@@ -104,6 +104,20 @@ class Bench:
 
 
 @dataclass(frozen=True)
+class Timelapse:
+    """Measure what time-lapse changes in the vibration profile of a full insertion, with intervals."""
+
+    output: Path = Path("output/timelapse")
+    """Folder of profile.csv, summary.csv and profile.png."""
+
+    def run(self) -> None:
+        """Run, store, print."""
+        from agents.timelapse import run_timelapse
+
+        run_timelapse(self.output)
+
+
+@dataclass(frozen=True)
 class Readme:
     """Rewrite the README's tables and figures from the stored results."""
 
@@ -144,7 +158,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             simulate = tyro.conf.subcommand("simulate", default=Simulate(Path(files[0]), Scene.from_toml(files[0])))
     others = (
         Annotated[kind, tyro.conf.subcommand(name)]
-        for name, kind in (("study", Study), ("bench", Bench), ("readme", Readme))
+        for name, kind in (("study", Study), ("bench", Bench), ("timelapse", Timelapse), ("readme", Readme))
     )
     return Union[Annotated[Simulate, simulate], *others]
 

@@ -122,3 +122,14 @@ def length_against_vibration(
     axis.grid(**GRID)
     axis.legend(frameon=False)
     return _save(figure, path)
+
+
+def profiles(curves: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> Path:
+    """Radial rms [m] over inserted length [m], one curve a name."""
+    figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    for name, (length, rms) in curves.items():
+        axis.plot(length, rms * MM, label=name, linewidth=1.2)
+    axis.set(xlabel="inserted length [m]", ylabel="radial rms at the sensor [mm]")
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    return _save(figure, path)

@@ -11,6 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
+from agents import timelapse
 from agents.claims import Ensemble, markdown
 from agents.provenance import write_atomically
 from agents.study import load_rows
@@ -91,6 +94,11 @@ def _bench() -> str:
     return "\n".join(lines) + f"\n\n{note}"
 
 
+def _timelapse() -> str:
+    folder = RESULTS / "timelapse"
+    return f"{timelapse.markdown(pd.read_csv(folder / 'summary.csv'))}\n\n{_source(folder / 'provenance.json')}"
+
+
 def _growth_figure(path: Path) -> None:
     from agents.figures import length_against_vibration
 
@@ -101,4 +109,4 @@ def _growth_figure(path: Path) -> None:
     length_against_vibration(list(lengths), low, middle, high, path)
 
 
-BLOCKS: dict[str, Callable[[], str]] = {"study": _study, "bench": _bench}
+BLOCKS: dict[str, Callable[[], str]] = {"study": _study, "bench": _bench, "timelapse": _timelapse}

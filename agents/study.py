@@ -32,6 +32,7 @@ class Case:
     time_step: float = 1e-4
     walls: str = "both"
     settles: bool = False  # statistics of the last third only
+    root_offset: int = 0  # nodes between the root and the place of a float
 
 
 CASES = (
@@ -48,6 +49,10 @@ CASES = (
     Case("l50-inner", "fig11_l50", walls="inner"),
     Case("l50-dt2e-4", "fig11_l50", time_step=2e-4),
     Case("l50-dt5e-4", "fig11_l50", time_step=5e-4),
+    Case("l30-imex", "fig11_l30", method="imex", time_step=2e-4),
+    Case("l50-imex", "fig11_l50", method="imex", time_step=2e-4),
+    Case("l30-offset", "fig11_l30", root_offset=2),
+    Case("l30-imex-offset", "fig11_l30", method="imex", time_step=2e-4, root_offset=2),
 )
 SUBSET = ("l10", "l30", "l50", "u0", "improved")
 
@@ -58,8 +63,15 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # cases beyond the limit are there on purpose
         simulator = Simulator(
-            scene, case.method, case.time_step, perturbation=PERTURBATION if member else 0.0, seed=member
+            scene,
+            case.method,
+            case.time_step,
+            growing=case.root_offset > 0,
+            perturbation=PERTURBATION if member else 0.0,
+            seed=member,
         )
+    simulator.root += case.root_offset  # a chain that could grow has the nodes; it keeps its length
+    simulator.drive.growth = 0.0
     row: dict[str, object] = {
         "case": case.name,
         "member": member,
@@ -67,7 +79,7 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
         "diverged_at_s": float("nan"),
     }
     try:
-        run = simulator.run(duration, points=("sensor", "tip", "root"))
+        run = simulator.advance(duration=duration, points=("sensor", "tip", "root"))
     except SimulationError as error:
         return row | {"diverged_at_s": error.time}
     start = duration * (2.0 / 3.0 if case.settles else 0.25)

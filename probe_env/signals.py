@@ -75,8 +75,8 @@ def window_statistics(
 def point_statistics(run: Run, point: str | float = "sensor", start: float = 2.0) -> dict[str, float]:
     """Statistics of one point of a run from time ``start`` [s] on, NaN where there is no spectral peak.
 
-    The first two samples only serve the differences. Those of ``window_statistics``, the drift of the axial mean, and the highest peaks above 2 Hz of the axial
-    and radial spectrum and of their cross-spectrum.
+    Those of ``window_statistics`` (the first two samples only serve its differences), the drift of the axial
+    mean, and the highest peaks above 2 Hz of the axial and radial spectrum and of their cross-spectrum.
 
     Raises:
         ValueError: fewer than 16 samples after ``start``, or the point was not recorded.

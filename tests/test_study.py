@@ -79,7 +79,13 @@ def test_steps_of_2e_4_hold_and_5e_4_do_not():
     assert np.isfinite(ENSEMBLE.values("l50-dt5e-4", "diverged_at_s")).all()
 
 
+def test_a_root_between_floats_rings_more():
+    """In Newmark as in imex, so it belongs to the model and not to a scheme."""
+    assert ENSEMBLE.greater("l30-offset", "l30")
+    assert ENSEMBLE.greater("l30-imex-offset", "l30-imex")
+
+
 def test_every_claim_gets_a_line():
     lines = findings(TABLE, SCENES)
-    assert len(lines) == 14
+    assert len(lines) == 17
     assert {line.figure for line in lines} == {"5", "11", "14", "15", "16", "17", "18", "20", "-"}
