@@ -60,8 +60,12 @@ class Ensemble:
         """Mean with the range of the members, in millimetres."""
         values = self.values(case, statistic) * 1e3
         if len(values) == 1:
-            return f"{values[0]:.2g}"
-        return f"{values.mean():.2g} ({values.min():.2g}-{values.max():.2g})"
+            return _short(values[0])
+        return f"{_short(values.mean())} ({_short(values.min())}-{_short(values.max())})"
+
+
+def _short(value: float) -> str:
+    return f"{value:.2g}" if abs(value) < 10.0 else f"{value:.0f}"
 
 
 def steady_root_tension(scene: Scene) -> float:
