@@ -123,8 +123,12 @@ def scenes():
     ).map(Scene.model_validate)
 
 
-@settings(max_examples=60, deadline=None)
-@given(scene=scenes(), method=st.sampled_from(["newmark", "wilson"]), time_step=st.sampled_from([1e-5, 1e-4, 1e-3]))
+@settings(max_examples=120, deadline=None)
+@given(
+    scene=scenes(),
+    method=st.sampled_from(["newmark", "wilson", "imex", "explicit"]),
+    time_step=st.sampled_from([1e-5, 1e-4, 1e-3]),
+)
 def test_no_valid_scene_gives_nan_without_an_error(scene, method, time_step):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
