@@ -20,7 +20,7 @@ from scipy.linalg import solve_banded
 from tqdm import tqdm
 
 from agents.provenance import provenance, write_json
-from probe_env import Scene, Simulator, SimulatorBatch, ticm
+from probe_env import Scene, Simulator, SimulatorBatch, schemes, ticm
 from probe_env.chain import build_chain
 from probe_env.drive import Drive
 from probe_env.lanes import LANES
@@ -145,7 +145,7 @@ def _steps_of(nodes: int, steps: int) -> Callable[[], object]:
     length = (nodes - 1) * 0.025
     scene = Scene.model_validate({"tube": {"helix_length": 1000.0}, "carrier_length": round(length - 2.5, 1)})
     chain = build_chain(scene)
-    state, work, scheme = ticm.at_rest(chain.node_count), ticm.workspace(chain.node_count), ticm.newmark(1e-4)
+    state, work, scheme = schemes.at_rest(chain.node_count), schemes.workspace(chain.node_count), schemes.newmark(1e-4)
     inputs = Drive(0.2, 60.0).inputs_of_steps(steps, 1e-4, chain.element_length, 0)
     points, samples = np.zeros(1, dtype=np.int64), np.zeros((1, 1, 4))
     tension, root = np.zeros(chain.node_count), chain.node_count - 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
@@ -16,7 +17,10 @@ from typing import Any
 
 import probe_env
 
-KERNEL_SOURCES = ("chain.py", "drive.py", "ticm.py")
+COMMON_SOURCES = ("chain.py", "drive.py")
+STUDY_SOURCES = ("schemes.py", "ticm.py")
+LANE_SOURCES = ("imex.py", "lane_group.py", "lanes.py", "linear_part.py")
+KERNEL_SOURCES = {"newmark": STUDY_SOURCES, "wilson": STUDY_SOURCES, "imex": LANE_SOURCES, "explicit": LANE_SOURCES}
 PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
 
@@ -25,7 +29,6 @@ def provenance(command: str | None = None) -> dict[str, Any]:
     return {
         "command": command or "probe-env " + shlex.join(sys.argv[1:]),
         "commit": commit(),
-        "kernel_hash": kernel_hash(),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
         "machine": {
@@ -36,12 +39,19 @@ def provenance(command: str | None = None) -> dict[str, Any]:
     }
 
 
-def kernel_hash() -> str:
-    """Short hash of every source file of the simulator, so that stored results show when they are old."""
+def kernel_hash(method: str) -> str:
+    """Short hash of the code that a method's results depend on, so that stored results show when they are old.
+
+    Comments, docstrings and layout do not count.
+    """
     digest = hashlib.sha256()
     folder = Path(probe_env.__file__).parent
-    for name in KERNEL_SOURCES:
-        digest.update((folder / name).read_bytes())
+    for name in (*COMMON_SOURCES, *KERNEL_SOURCES[method]):
+        tree = ast.parse((folder / name).read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+                node.body = node.body[1:]
+        digest.update(ast.dump(tree).encode())
     return digest.hexdigest()[:16]
 
 

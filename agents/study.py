@@ -77,6 +77,7 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
         "member": member,
         "duration_s": duration,
         "diverged_at_s": float("nan"),
+        "kernel_hash": kernel_hash(case.method),
     }
     try:
         run = simulator.advance(duration=duration, points=("sensor", "tip", "root"))
@@ -119,11 +120,12 @@ def load_rows(output: Path, duration: float | None = None) -> pd.DataFrame:
     table = pd.read_csv(path)
     if duration is None:
         return table
-    return table[(table["kernel_hash"] == kernel_hash()) & (table["duration_s"] == duration)]
+    present = {case.name: kernel_hash(case.method) for case in CASES}
+    return table[(table["kernel_hash"] == table["case"].map(present)) & (table["duration_s"] == duration)]
 
 
 def _store(rows: list[dict[object, object]] | list[dict[str, object]], output: Path) -> None:
-    table = pd.DataFrame(rows).assign(kernel_hash=kernel_hash()).sort_values(["case", "member"])
+    table = pd.DataFrame(rows).sort_values(["case", "member"])
     buffer = io.StringIO()
     table.to_csv(buffer, index=False, float_format="%.6g")
     write_atomically(output / "ensemble.csv", buffer.getvalue())

@@ -10,23 +10,23 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import solve_banded
 
-from probe_env import ticm
+from probe_env import schemes, ticm
 from probe_env.chain import Chain, FloatArray, element_blocks, element_stiffness
 
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
 
 
-Step = Callable[[FloatArray, int, ticm.State, ticm.Work], int]
+Step = Callable[[FloatArray, int, schemes.State, schemes.Work], int]
 
 
-def stepper(chain: Chain, scheme: ticm.Scheme) -> Step:
+def stepper(chain: Chain, scheme: schemes.Scheme) -> Step:
     """A step function (inputs, root, state, work) -> first diverged node or -1, constant matrices prepared."""
     head, tail = element_blocks(chain)
     stiffness = element_stiffness(chain)
     damped = (1.0 + chain.damping_time * scheme.B_v) * stiffness
     elastic = _elastic_band(head, tail, damped, chain.node_count - 1)  # of the longest probe
 
-    def step(inputs: FloatArray, root: int, state: ticm.State, work: ticm.Work) -> int:
+    def step(inputs: FloatArray, root: int, state: schemes.State, work: schemes.Work) -> int:
         ticm.node_equations(chain, scheme, inputs, root, state, work)
         d, v, a = state.d[: root + 1], state.v[: root + 1], state.a[: root + 1]
         h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a  # zero at the root

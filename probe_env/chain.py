@@ -38,6 +38,7 @@ class Chain(NamedTuple):
     couple_length: float  # l in V l theta of (9); 0 switches the couple off
     frame_inertia: float  # J / r of (15)
     friction: float
+    cable_radius: float  # d_c / 2, where the cable itself would touch the wall
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
@@ -83,6 +84,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         couple_length=h,
         frame_inertia=inertia * curvature,
         friction=contact.friction,
+        cable_radius=probe.cable_diameter / 2.0,
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,
         lever=diameter / 2.0,

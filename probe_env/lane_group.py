@@ -17,7 +17,7 @@ from probe_env import imex
 from probe_env.chain import Chain, FloatArray
 from probe_env.lanes import LANES
 from probe_env.linear_part import explicit_factors, imex_factors
-from probe_env.ticm import State
+from probe_env.schemes import State
 
 KERNELS: Final[dict[str, Callable[..., Any]]] = {"imex": imex.imex_advance, "explicit": imex.explicit_advance}
 

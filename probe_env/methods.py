@@ -9,12 +9,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from probe_env import banded, ticm, transfer_matrix
+from probe_env import banded, schemes, ticm, transfer_matrix
 from probe_env.chain import Chain, FloatArray
 from probe_env.lane_group import KERNELS, Lane, advance_group, lane_constants
 
 SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
-SCHEMES: Final[dict[str, Callable[[float], ticm.Scheme]]] = {"newmark": ticm.newmark, "wilson": ticm.wilson}
+SCHEMES: Final[dict[str, Callable[[float], schemes.Scheme]]] = {"newmark": schemes.newmark, "wilson": schemes.wilson}
 METHODS: Final = (*SCHEMES, *KERNELS)
 
 
@@ -28,7 +28,7 @@ class Sampling(NamedTuple):
     tension_sum: FloatArray
 
 
-Advance = Callable[[FloatArray, int, ticm.State, Sampling], tuple[int, int, int, int]]
+Advance = Callable[[FloatArray, int, schemes.State, Sampling], tuple[int, int, int, int]]
 """(inputs, root, state, sampling) -> (status, steps done, diverged node or -1, root)."""
 
 
@@ -54,13 +54,13 @@ def build_method(
             *lane_constants(method, chain, sensor, nodes_per_pitch, time_step),
         )  # fmt: skip
     scheme = SCHEMES[method](time_step)
-    work = ticm.workspace(chain.node_count)
+    work = schemes.workspace(chain.node_count)
     if solver == "banded":
         return partial(_step_by_step, banded.stepper(chain, scheme), work)
     if solver == "transfer-matrix":
         return partial(_step_by_step, partial(transfer_matrix.step, chain, scheme), work)
 
-    def advance(inputs: FloatArray, root: int, state: ticm.State, sampling: Sampling) -> tuple[int, int, int, int]:
+    def advance(inputs: FloatArray, root: int, state: schemes.State, sampling: Sampling) -> tuple[int, int, int, int]:
         result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling)
         return result
 
@@ -69,10 +69,10 @@ def build_method(
 
 def _step_by_step(
     step: banded.Step,
-    work: ticm.Work,
+    work: schemes.Work,
     inputs: FloatArray,
     root: int,
-    state: ticm.State,
+    state: schemes.State,
     sampling: Sampling,
 ) -> tuple[int, int, int, int]:
     """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
@@ -98,7 +98,7 @@ def _single_lane(
     factors: FloatArray,
     inputs: FloatArray,
     root: int,
-    state: ticm.State,
+    state: schemes.State,
     sampling: Sampling,
 ) -> tuple[int, int, int, int]:
     """One probe by the kernels of the batch: a batch of one."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from probe_env import ticm
+from probe_env import schemes, ticm
 from probe_env.chain import FloatArray, air_speed, build_chain, sensor_node
 from probe_env.checks import whole_steps, within
 from probe_env.drive import Drive
@@ -97,7 +97,7 @@ class Simulator:
 
     def reset(self) -> None:
         """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
-        self.state = ticm.at_rest(self.chain.node_count)
+        self.state = schemes.at_rest(self.chain.node_count)
         self.steps_done, self.root = 0, self._start_root
         self.drive = Drive(
             speed=self.scene.feed_speed,

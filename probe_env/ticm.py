@@ -1,18 +1,15 @@
-"""The study's scheme: Newmark-beta or Wilson-theta, each step solved by the TICM recursion (16)-(29).
+"""The TICM recursion (17)-(29), and the study's scheme stepped with it.
 
-All kernels that call each other live in this file, because numba's cache does not see edits elsewhere.
 A kernel returns a status and never raises. Of fastmath only contraction (fused multiply-add): it keeps NaN
-checks alive, and reassociation made the sweep 15 % slower (LLVM spills more).
+checks alive, and reassociation made the sweep 15 % slower (LLVM spills more). The parts of the recursion are
+forced inline by LLVM; inlined by numba the sweep is a sixth slower. ``implicit`` builds on them too: numba's
+cache does not see edits in another file, so ``make clean`` after changing them.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
 from numba import njit
 
-from probe_env.chain import FloatArray
 from probe_env.drive import AIR, APPEND, SLOPE, SPEED
 
 FASTMATH = {"contract"}
@@ -22,80 +19,12 @@ OVERFLOW = 1e100  # beyond it the next product may be infinite
 OK, DIVERGED = 0, 1
 
 
-class Scheme(NamedTuple):
-    """Coefficients of (16) and table 1, with h_a and h_v as combinations of the last d, v and a."""
-
-    time_step: float
-    theta: float
-    wilson: bool
-    B_a: float
-    B_v: float
-    a_d: float
-    a_v: float
-    a_a: float
-    v_d: float
-    v_v: float
-    v_a: float
-
-
-def newmark(time_step: float, beta: float = 0.25, gamma: float = 0.5) -> Scheme:
-    """Newmark-beta of table 1."""
-    dt = time_step
-    a_d, a_v, a_a = -1.0 / (beta * dt**2), -1.0 / (beta * dt), -(0.5 - beta) / beta
-    return Scheme(
-        dt, 1.0, False, -a_d, gamma / (beta * dt),
-        a_d, a_v, a_a,
-        dt * gamma * a_d, 1.0 + dt * gamma * a_v, dt * (1.0 - gamma + gamma * a_a),
-    )  # fmt: skip
-
-
-def wilson(time_step: float, theta: float = 1.4) -> Scheme:
-    """Wilson-theta of table 1: the system is solved at t + theta dt."""
-    dt = theta * time_step
-    return Scheme(
-        time_step, theta, True, 6.0 / dt**2, 3.0 / dt,
-        -6.0 / dt**2, -6.0 / dt, -2.0,
-        -3.0 / dt, -2.0, -dt / 2.0,
-    )  # fmt: skip
-
-
-class State(NamedTuple):
-    """Displacement, velocity, acceleration (n + 1, 3) and the axial force of each element (n + 1,).
-
-    ``axial_force[i]`` is Vbar of (8) at node i, on its root side; the last entry is unused.
-    """
-
-    d: FloatArray
-    v: FloatArray
-    a: FloatArray
-    axial_force: FloatArray
-
-
-class Work(NamedTuple):
-    """Scratch of one step: node equations P (n + 1, 6), q (n + 1, 3) and T (n + 1, 9), s (n + 1, 3)."""
-
-    P: FloatArray
-    q: FloatArray
-    T: FloatArray
-    s: FloatArray
-
-
-def at_rest(nodes: int) -> State:
-    """All zero, the study's start."""
-    return State(np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros(nodes))
-
-
-def workspace(nodes: int) -> Work:
-    """Scratch arrays for a chain of ``nodes`` nodes."""
-    return Work(np.zeros((nodes, 6)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
-def node_equation(chain, scheme, inputs, state, i, P, q):
+def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
     """P_j and q_j of (17) from the state of the step before; P as (xx, xy, yy, tx, ty, tt)."""
     d, v, a = state.d, state.v, state.a
     y = d[i, 1]
-    speed = inputs[SPEED] + v[i, 0]
+    speed = feed_speed + v[i, 0]
     inertial = chain.mass * chain.curvature * speed  # m omega_j, (13)
     ha_x = scheme.a_d * d[i, 0] + scheme.a_v * v[i, 0] + scheme.a_a * a[i, 0]
     ha_y = scheme.a_d * y + scheme.a_v * v[i, 1] + scheme.a_a * a[i, 1]
@@ -112,13 +41,12 @@ def node_equation(chain, scheme, inputs, state, i, P, q):
         scheme.B_a * chain.inertia + chain.support_stiffness[i, 2] + state.axial_force[i] * chain.couple_length  # (9)
     )
     # the frame's own acceleration adds -M (du/dt, 0, 0)
-    slope = inputs[SLOPE]
     q_x = chain.load[i, 0] - chain.mass * (ha_x + slope) - 2.0 * inertial * hv_y
     q_y = chain.load[i, 1] - chain.mass * ha_y + inertial * speed
     q_t = chain.load[i, 2] - chain.inertia * ha_t + chain.frame_inertia * (ha_x + slope)
 
     if chain.drag[i] > 0.0:  # (10)
-        relative = inputs[AIR] - speed
+        relative = air - speed
         q_x += chain.drag[i] * relative * abs(relative)
     k = chain.contact_stiffness[i]
     if k > 0.0:
@@ -148,10 +76,10 @@ def node_equation(chain, scheme, inputs, state, i, P, q):
 def node_equations(chain, scheme, inputs, root, state, work):
     """All P_j and q_j of one step, for the solvers that are not fused with them."""
     for i in range(root):
-        node_equation(chain, scheme, inputs, state, i, work.P, work.q)
+        node_equation(chain, scheme, inputs[SPEED], inputs[SLOPE], inputs[AIR], state, i, work.P, work.q)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def update_node(scheme, state, i, x, y, t):
     """d, v and a of node i at the new time from the solution of (17)-(18); False if it has diverged."""
     for c in range(3):
@@ -171,12 +99,77 @@ def update_node(scheme, state, i, x, y, t):
     return abs(x) < OVERFLOW and abs(y) <= DIVERGED_RADIAL and abs(t) < OVERFLOW
 
 
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def through_field(T, h, F_xx, F_yy, F_tt, F_yt):
+    """T behind an element, (22a): L^T T L + F."""
+    xx, xy, xt, yx, yy, yt, tx, ty, tt = T
+    xy += h * xt
+    yy += h * (yt + ty + h * tt)
+    ty += h * tt
+    yx += h * tx
+    yt += h * tt
+    return xx + F_xx, xy, xt, yx, yy + F_yy, yt + F_yt, tx, ty + F_yt, tt + F_tt
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def turned(T, c, sn):
+    """T in the next frame, (26): Phi T Phi^T; the same turn leads into the node's frame and out of it."""
+    xx, xy, xt, yx, yy, yt, tx, ty, tt = T
+    cc, ss, cs = c * c, sn * sn, c * sn
+    b = cs * (xy + yx)
+    dif = cs * (xx - yy)
+    return (
+        cc * xx - b + ss * yy, dif + cc * xy - ss * yx, c * xt - sn * yt,
+        dif + cc * yx - ss * xy, ss * xx + b + cc * yy, sn * xt + c * yt,
+        c * tx - sn * ty, sn * tx + c * ty, tt,
+    )  # fmt: skip
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def through_point(T, s, P, q):
+    """S and T behind a node, (24): A = I + T P, then A T' = T and A s' = s + T q; P as in ``Work``, then xt."""
+    xx, xy, xt, yx, yy, yt, tx, ty, tt = T
+    p0, p1, p2, p3, p4, p5, p6 = P
+    axx = 1.0 + xx * p0 + xt * p3
+    ayx = yx * p0 + yt * p3
+    atx = tx * p0 + tt * p3
+    axy = xx * p1 + xy * p2 + xt * p4
+    ayy = 1.0 + yx * p1 + yy * p2 + yt * p4
+    aty = tx * p1 + ty * p2 + tt * p4
+    axt = xx * p6 + xt * p5
+    ayt = yx * p6 + yt * p5
+    att = 1.0 + tx * p6 + tt * p5
+    ixx = ayy * att - ayt * aty
+    ixy = axt * aty - axy * att
+    ixt = axy * ayt - axt * ayy
+    inverse = 1.0 / (axx * ixx + ayx * ixy + atx * ixt)
+    iyx = (ayt * atx - ayx * att) * inverse
+    iyy = (axx * att - axt * atx) * inverse
+    iyt = (axt * ayx - axx * ayt) * inverse
+    itx = (ayx * aty - ayy * atx) * inverse
+    ity = (axy * atx - axx * aty) * inverse
+    itt = (axx * ayy - axy * ayx) * inverse
+    ixx *= inverse
+    ixy *= inverse
+    ixt *= inverse
+    bx = s[0] + xx * q[0] + xy * q[1] + xt * q[2]
+    by = s[1] + yx * q[0] + yy * q[1] + yt * q[2]
+    bt = s[2] + tx * q[0] + ty * q[1] + tt * q[2]
+    new = ixx * bx + ixy * by + ixt * bt, iyx * bx + iyy * by + iyt * bt, itx * bx + ity * by + itt * bt
+    return new, (
+        ixx * xx + ixy * yx + ixt * tx, ixx * xy + ixy * yy + ixt * ty, ixx * xt + ixy * yt + ixt * tt,
+        iyx * xx + iyy * yx + iyt * tx, iyx * xy + iyy * yy + iyt * ty, iyx * xt + iyy * yt + iyt * tt,
+        itx * xx + ity * yx + itt * tx, itx * xy + ity * yy + itt * ty, itx * xt + ity * yt + itt * tt,
+    )  # fmt: skip
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def ticm_step(chain, scheme, inputs, root, state, work):
     """One step by the TICM with node ``root`` held; the first diverged node counted from the tip, or -1."""
     P, q, T, s = work.P, work.q, work.T, work.s
     c, sn, h = chain.cos_phi, chain.sin_phi, chain.element_length
-    cc, ss, cs = c * c, sn * sn, c * sn
+    # scalars before the loop: numba would load the inputs again for every node
+    speed, slope, air = inputs[SPEED], inputs[SLOPE], inputs[AIR]
     damped = 1.0 + chain.damping_time * scheme.B_v
     delta = chain.damping_time / damped
     F_xx = chain.axial_compliance / damped
@@ -185,7 +178,7 @@ def ticm_step(chain, scheme, inputs, root, state, work):
     F_yt = chain.coupling_compliance / damped
 
     # T and s of the node on the root side, already turned into the frame of the element ahead, (25)
-    txx = txy = txt = tyx = tyy = tyt = ttx = tty = ttt = 0.0
+    Tj = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     sx = sy = st = 0.0
     # its h_v, turned likewise; the held root has none
     wx = wy = wt = 0.0
@@ -193,110 +186,26 @@ def ticm_step(chain, scheme, inputs, root, state, work):
     s[root, :] = 0.0
     for back in range(root):  # counting down costs a sixth more: numba checks for negative indices
         i = root - 1 - back
-        node_equation(chain, scheme, inputs, state, i, P, q)
+        node_equation(chain, scheme, speed, slope, air, state, i, P, q)
         vx = scheme.v_d * state.d[i, 0] + scheme.v_v * state.v[i, 0] + scheme.v_a * state.a[i, 0]
         vy = scheme.v_d * state.d[i, 1] + scheme.v_v * state.v[i, 1] + scheme.v_a * state.a[i, 1]
         vt = scheme.v_d * state.d[i, 2] + scheme.v_v * state.v[i, 2] + scheme.v_a * state.a[i, 2]
 
-        # field transmission (22a): L^T T L + F / (1 + delta B_v)
-        txy += h * txt
-        tyy += h * (tyt + tty + h * ttt)
-        tty += h * ttt
-        tyx += h * ttx
-        tyt += h * ttt
-        txx += F_xx
-        tyy += F_yy
-        ttt += F_tt
-        tyt += F_yt
-        tty += F_yt
+        Tj = through_field(Tj, h, F_xx, F_yy, F_tt, F_yt)
         # (22b), mended: L^T s + delta/(1 + delta B_v) [L^T Phi h_v,j-1 - Phi^T h_v,j]
         sx += delta * (wx - (c * vx + sn * vy))
         sy += h * st + delta * (wy + h * wt - (c * vy - sn * vx))
         st += delta * (wt - vt)
-
-        # turn into the node's frame (26a)
-        b = cs * (txy + tyx)
-        dif = cs * (txx - tyy)
-        uxx = cc * txx - b + ss * tyy
-        uyy = ss * txx + b + cc * tyy
-        uxy = dif + cc * txy - ss * tyx
-        uyx = dif + cc * tyx - ss * txy
-        uxt = c * txt - sn * tyt
-        uyt = sn * txt + c * tyt
-        utx = c * ttx - sn * tty
-        uty = sn * ttx + c * tty
-        utt = ttt
-        bx = c * sx - sn * sy
-        by = sn * sx + c * sy
-        bt = st
-
-        # point transmission (24): A = I + T P, then A T' = T and A s' = s + T q
-        p0, p1, p2, p3, p4, p5 = P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5]
-        axx = 1.0 + uxx * p0 + uxt * p3
-        ayx = uyx * p0 + uyt * p3
-        atx = utx * p0 + utt * p3
-        axy = uxx * p1 + uxy * p2 + uxt * p4
-        ayy = 1.0 + uyx * p1 + uyy * p2 + uyt * p4
-        aty = utx * p1 + uty * p2 + utt * p4
-        axt = uxt * p5
-        ayt = uyt * p5
-        att = 1.0 + utt * p5
-        ixx = ayy * att - ayt * aty
-        ixy = axt * aty - axy * att
-        ixt = axy * ayt - axt * ayy
-        inverse = 1.0 / (axx * ixx + ayx * ixy + atx * ixt)
-        iyx = (ayt * atx - ayx * att) * inverse
-        iyy = (axx * att - axt * atx) * inverse
-        iyt = (axt * ayx - axx * ayt) * inverse
-        itx = (ayx * aty - ayy * atx) * inverse
-        ity = (axy * atx - axx * aty) * inverse
-        itt = (axx * ayy - axy * ayx) * inverse
-        ixx *= inverse
-        ixy *= inverse
-        ixt *= inverse
-        q0, q1, q2 = q[i, 0], q[i, 1], q[i, 2]
-        bx += uxx * q0 + uxy * q1 + uxt * q2
-        by += uyx * q0 + uyy * q1 + uyt * q2
-        bt += utx * q0 + uty * q1 + utt * q2
-        sx = ixx * bx + ixy * by + ixt * bt
-        sy = iyx * bx + iyy * by + iyt * bt
-        st = itx * bx + ity * by + itt * bt
+        Tj = turned(Tj, c, sn)
+        sx, sy = c * sx - sn * sy, sn * sx + c * sy
+        p = (P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5], 0.0)
+        (sx, sy, st), Tj = through_point(Tj, (sx, sy, st), p, (q[i, 0], q[i, 1], q[i, 2]))
         if i == 0:
-            break  # the tip: (27) needs no T and no turn
-        txx = ixx * uxx + ixy * uyx + ixt * utx
-        txy = ixx * uxy + ixy * uyy + ixt * uty
-        txt = ixx * uxt + ixy * uyt + ixt * utt
-        tyx = iyx * uxx + iyy * uyx + iyt * utx
-        tyy = iyx * uxy + iyy * uyy + iyt * uty
-        tyt = iyx * uxt + iyy * uyt + iyt * utt
-        ttx = itx * uxx + ity * uyx + itt * utx
-        tty = itx * uxy + ity * uyy + itt * uty
-        ttt = itx * uxt + ity * uyt + itt * utt
-
-        # turn into the frame of the element ahead (26b)
-        b = cs * (txy + tyx)
-        dif = cs * (txx - tyy)
-        uxx = cc * txx - b + ss * tyy
-        tyy = ss * txx + b + cc * tyy
-        txx = uxx
-        uxy = dif + cc * txy - ss * tyx
-        tyx = dif + cc * tyx - ss * txy
-        txy = uxy
-        uxt = c * txt - sn * tyt
-        tyt = sn * txt + c * tyt
-        txt = uxt
-        utx = c * ttx - sn * tty
-        tty = sn * ttx + c * tty
-        ttx = utx
-        bx = c * sx - sn * sy
-        sy = sn * sx + c * sy
-        sx = bx
-        wx = c * vx - sn * vy
-        wy = sn * vx + c * vy
-        wt = vt
-        T[i, 0], T[i, 1], T[i, 2] = txx, txy, txt
-        T[i, 3], T[i, 4], T[i, 5] = tyx, tyy, tyt
-        T[i, 6], T[i, 7], T[i, 8] = ttx, tty, ttt
+            break  # the tip: (27) needs no turn
+        Tj = turned(Tj, c, sn)
+        sx, sy = c * sx - sn * sy, sn * sx + c * sy
+        wx, wy, wt = c * vx - sn * vy, sn * vx + c * vy, vt
+        T[i, 0], T[i, 1], T[i, 2], T[i, 3], T[i, 4], T[i, 5], T[i, 6], T[i, 7], T[i, 8] = Tj
         s[i, 0], s[i, 1], s[i, 2] = sx, sy, st
 
     # back from the tip (27) to the root by (28)-(29)
@@ -319,9 +228,7 @@ def ticm_step(chain, scheme, inputs, root, state, work):
         t = T[j, 6] * fx + T[j, 7] * fy + T[j, 8] * ft + s[j, 2]
         x = c * bx + sn * by  # d_{j-1} stands in the element's frame: turn it back too (erratum of (29))
         y = c * by - sn * bx
-        gx = c * fx + sn * fy
-        fy = c * fy - sn * fx
-        fx = gx
+        fx, fy = c * fx + sn * fy, c * fy - sn * fx
     return diverged
 
 

@@ -13,7 +13,7 @@ from probe_env import ticm
 from probe_env.chain import Chain, FloatArray
 
 
-def step(chain: Chain, scheme: ticm.Scheme, inputs: FloatArray, root: int, state: ticm.State, work: ticm.Work) -> int:
+def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Work) -> int:
     """One step; returns the first diverged node or -1 (a lost solution counts as diverged: node 0)."""
     ticm.node_equations(chain, scheme, inputs, root, state, work)
     h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.a

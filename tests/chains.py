@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from probe_env import Scene, ticm
+from probe_env import Scene, schemes, ticm
 from probe_env.chain import build_chain, element_blocks, element_stiffness
 from probe_env.drive import Drive
 
@@ -41,7 +41,7 @@ def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, 
     inputs = Drive(feed, air).inputs_of_steps(steps, scheme.time_step, chain.element_length, 0)
     samples = np.zeros((steps // every, len(points), 4))
     points = np.array(points, dtype=np.int64)
-    work = ticm.workspace(nodes) if work is None else work
+    work = schemes.workspace(nodes) if work is None else work
     status, *_ = ticm.advance(
         chain, scheme, inputs, nodes - 1, state, work, every, every, points, samples, np.zeros(nodes)
     )
@@ -50,7 +50,7 @@ def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, 
 
 def integrate(chain, scheme, d=None, v=None, a=None, steps=1, every=1, **inputs):
     """Samples (k, p, 4) of x, y, theta, V after every ``every`` steps, and the final state."""
-    state = ticm.at_rest(chain.node_count)
+    state = schemes.at_rest(chain.node_count)
     for target, start in zip((state.d, state.v, state.a), (d, v, a), strict=True):
         if start is not None:
             target[:] = start

@@ -8,7 +8,7 @@ from chains import integrate, plain_chain
 from scipy.signal import find_peaks
 
 from agents.claims import steady_root_tension
-from probe_env import Scene, Simulator, ticm
+from probe_env import Scene, Simulator, schemes
 
 
 @pytest.mark.parametrize("mode", [1, 2, 7, 30])
@@ -21,7 +21,7 @@ def test_discrete_axial_frequencies(mode):
     from_root = np.arange(N, -1, -1)
     d = np.zeros((N + 1, 3))
     d[:, 0] = 1e-3 * np.sin(from_root * (2 * mode - 1) * math.pi / (2 * N + 1))
-    samples, _ = integrate(chain, ticm.newmark(dt), d=d, a=-(omega**2) * d, steps=steps)
+    samples, _ = integrate(chain, schemes.newmark(dt), d=d, a=-(omega**2) * d, steps=steps)
     angle = 2.0 * math.atan(omega * dt / 2.0)
     expected = d[0, 0] * np.cos(angle * np.arange(1, steps + 1))
     # each step adds a few eps relative to B_a d, times at most (omega_max dt / 2)^2 + 1 < 2: a random walk
@@ -46,7 +46,7 @@ def test_axial_wave_speed():
     d[-1] = v[-1] = 0.0
     steps = 1000
     dt = distance / speed / steps
-    _, state = integrate(chain, ticm.newmark(dt), d=d, v=v, steps=steps, every=steps)
+    _, state = integrate(chain, schemes.newmark(dt), d=d, v=v, steps=steps, every=steps)
     error = np.abs(state.d[:, 0] - pulse(position - centre - distance)).max() / 1e-4
     # dispersion: wave number k lags by k s (k h)^2 / 24, plus (omega dt)^2 / 12 of the time scheme; the pulse
     # holds wave numbers up to about 2.5 / w
@@ -75,7 +75,7 @@ def test_cantilever_frequencies(mode, beta_L):
     d *= 1e-4
     periods, per_period = 20, 200
     dt = 2.0 * math.pi / omega / per_period
-    samples, _ = integrate(chain, ticm.newmark(dt), d=d, a=-(omega**2) * d, steps=periods * per_period + per_period)
+    samples, _ = integrate(chain, schemes.newmark(dt), d=d, a=-(omega**2) * d, steps=periods * per_period + per_period)
     y = np.concatenate([[d[0, 1]], samples[:, 0, 1]])
     peaks, _ = find_peaks(y, height=0.5 * y.max(), distance=per_period // 2)
     refine = [p + 0.5 * (y[p - 1] - y[p + 1]) / (y[p - 1] - 2 * y[p] + y[p + 1]) for p in peaks]
@@ -111,7 +111,7 @@ def test_bar_on_a_penalty_wall():
     v[:-1, 0] = v0
     steps = 2400
     dt = 0.98 * N * h / speed / steps
-    samples, _ = integrate(chain, ticm.newmark(dt), v=v, steps=steps)
+    samples, _ = integrate(chain, schemes.newmark(dt), v=v, steps=steps)
     force = k * samples[:, 0, 0]
     time = dt * np.arange(1, steps + 1)
     exact = impedance * v0 * (1.0 - np.exp(-k * time / impedance))
@@ -130,7 +130,7 @@ def test_point_mass_on_the_contact_spring(wall):
     d[0, 1], v[0, 1] = (0.0, -v0) if wall == "inner" else (gap, v0)
     errors = []
     for dt in (2e-6, 1e-6):
-        samples, state = integrate(chain, ticm.newmark(dt), d=d, v=v, steps=round(1.2 * math.pi / omega / dt))
+        samples, state = integrate(chain, schemes.newmark(dt), d=d, v=v, steps=round(1.2 * math.pi / omega / dt))
         y = samples[:, 0, 1]
         depth = -y if wall == "inner" else y - gap
         peak, duration = k * depth.max(), (depth > 0).sum() * dt
@@ -154,7 +154,7 @@ def test_coulomb_oscillator_loses_a_fixed_amplitude_each_half_cycle():
     d = np.zeros((2, 3))
     d[0] = start, -normal / 1e5, 0.0
     omega, dt = math.sqrt(k_x / chain.mass), 1e-5
-    samples, _ = integrate(chain, ticm.newmark(dt), d=d, steps=round(2.6 * 2 * math.pi / omega / dt))
+    samples, _ = integrate(chain, schemes.newmark(dt), d=d, steps=round(2.6 * 2 * math.pi / omega / dt))
     x = samples[:, 0, 0]
     turns = np.flatnonzero(np.diff(np.sign(np.diff(x)))) + 1
     amplitudes = np.abs(np.concatenate([[start], x[turns]]))[:5]

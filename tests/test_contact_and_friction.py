@@ -5,7 +5,7 @@ from chains import plain_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from probe_env import Scene, Simulator, ticm
+from probe_env import Scene, Simulator, schemes, ticm
 
 K, MU, GAP, LEVER, FEED = 1e5, 0.15, 5.2e-3, 9.5e-3, 0.2
 CHAIN = plain_chain(1, contact_stiffness=np.array([K, 0.0]), outer_gap=np.full(2, GAP), lever=np.full(2, LEVER))
@@ -15,12 +15,12 @@ INPUTS = np.array([FEED, 0.0, 0.0, 0.0])
 
 def contact_force(chain, y, v_x, v_t, y_new):
     """(x, y, moment) that contact adds to the float's equation, for a new radial displacement."""
-    state = ticm.at_rest(2)
+    state = schemes.at_rest(2)
     state.d[0, 1], state.v[0, 0], state.v[0, 2] = y, v_x, v_t
     forces = []
     for stiffness in (chain.contact_stiffness, np.zeros(2)):
-        work = ticm.workspace(2)
-        ticm.node_equations(chain._replace(contact_stiffness=stiffness), ticm.newmark(1e-4), INPUTS, 1, state, work)
+        work = schemes.workspace(2)
+        ticm.node_equations(chain._replace(contact_stiffness=stiffness), schemes.newmark(1e-4), INPUTS, 1, state, work)
         P, q = work.P[0], work.q[0]
         forces.append(np.array([q[0] - P[1] * y_new, q[1] - P[2] * y_new, q[2] - P[4] * y_new]))
     return forces[0] - forces[1]
@@ -59,7 +59,7 @@ def lagging_shares(time_step, duration=0.3):
     simulator = Simulator(Scene(carrier_length=10.0), time_step=time_step)
     state, chain = simulator.state, simulator.chain
     floats = chain.contact_stiffness[:-1] > 0.0
-    work, scheme, root = ticm.workspace(chain.node_count), ticm.newmark(time_step), simulator.root
+    work, scheme, root = schemes.workspace(chain.node_count), schemes.newmark(time_step), simulator.root
     inputs = np.array([FEED, 0.0, simulator.drive.air, 0.0])
     touching = adhesive = driving = 0
 

@@ -6,10 +6,10 @@ from chains import bent, integrate, matrices, plain_chain
 from scipy.linalg import eigh, expm
 from scipy.stats import linregress
 
-from probe_env import Scene, Simulator, ticm
+from probe_env import Scene, Simulator, schemes
 from probe_env.chain import air_speed, build_chain
 
-SCHEMES = pytest.mark.parametrize("scheme", [ticm.newmark, ticm.wilson])
+SCHEMES = pytest.mark.parametrize("scheme", [schemes.newmark, schemes.wilson])
 
 
 def order(time_steps, errors):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chains import advance, bent, energy, matrices, plain_chain
 
-from probe_env import ticm
+from probe_env import schemes, ticm
 
 N, STEPS, CHUNKS, TIME_STEP = 100, 20_000, 20, 1e-4
 PASSIVE = bent(plain_chain(N))
@@ -16,11 +16,11 @@ WITH_COUPLE = PASSIVE._replace(
 def energies(chain):
     """Energy of a chain shaken at the start, over 20,000 Newmark steps; infinite once it has diverged."""
     M, K = matrices(PASSIVE)
-    state, work = ticm.at_rest(N + 1), ticm.workspace(N + 1)
+    state, work = schemes.at_rest(N + 1), schemes.workspace(N + 1)
     state.v[:-1] = np.random.default_rng(0).normal(size=(N, 3)) * [0.1, 0.1, 1.0]
     values = [energy(chain, M, K, state)]
     for _ in range(CHUNKS):
-        status, _ = advance(chain, ticm.newmark(TIME_STEP), state, STEPS // CHUNKS, STEPS, work=work)
+        status, _ = advance(chain, schemes.newmark(TIME_STEP), state, STEPS // CHUNKS, STEPS, work=work)
         if status == ticm.DIVERGED:
             return np.append(values, np.inf)
         values.append(energy(chain, M, K, state))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from chains import plain_chain
 
-from probe_env import Scene, Simulator, ticm
+from probe_env import Scene, Simulator, schemes, ticm
 from probe_env.chain import build_chain
 from probe_env.drive import Drive
 
@@ -139,10 +139,10 @@ def test_growing_takes_no_snapshots_of_shapes():
 
 
 def test_a_plain_chain_is_at_rest_without_loads():
-    state = ticm.at_rest(11)
+    state = schemes.at_rest(11)
     chain = plain_chain(10)
     inputs = Drive(0.0, 0.0).inputs_of_steps(10, 1e-4, chain.element_length, 0)
     samples = np.zeros((1, 1, 4))
     arguments = (10, 10, np.zeros(1, dtype=np.int64), samples, np.zeros(11))
-    ticm.advance(chain, ticm.newmark(1e-4), inputs, 10, state, ticm.workspace(11), *arguments)
+    ticm.advance(chain, schemes.newmark(1e-4), inputs, 10, state, schemes.workspace(11), *arguments)
     assert (state.d == 0.0).all()

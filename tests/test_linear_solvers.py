@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from dense import dense_step
 
-from probe_env import Scene, Simulator, banded, ticm, transfer_matrix
+from probe_env import Scene, Simulator, banded, schemes, ticm, transfer_matrix
 from probe_env.chain import build_chain
 
 INPUTS = np.array([0.2, 0.3, 60.0, 0.0])  # u, du/dt, air speed
@@ -32,18 +32,18 @@ def random_state(rng, nodes):
     a = rng.normal(size=(nodes, 3)) * 10.0
     for array in (d, v, a):
         array[-1] = 0.0
-    return ticm.State(d, v, a, rng.normal(size=nodes) * 4.0)
+    return schemes.State(d, v, a, rng.normal(size=nodes) * 4.0)
 
 
 def copy(state):
-    return ticm.State(*(array.copy() for array in state))
+    return schemes.State(*(array.copy() for array in state))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 50, 200, 500])
 @pytest.mark.parametrize("time_step", [1e-5, 1e-4, 1e-3])
-@pytest.mark.parametrize("scheme", [ticm.newmark, ticm.wilson])
+@pytest.mark.parametrize("scheme", [schemes.newmark, schemes.wilson])
 def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme):
-    rng = np.random.default_rng([n, round(1e5 * time_step), scheme is ticm.wilson])
+    rng = np.random.default_rng([n, round(1e5 * time_step), scheme is schemes.wilson])
     chain = random_chain(rng, n, 10 ** rng.uniform(3.0, 7.0))
     start = random_state(rng, n + 1)
     coefficients = scheme(time_step)._replace(wilson=False)  # the solution of (17)-(18) itself
@@ -52,7 +52,7 @@ def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme):
     d, axial = dense_step(
         chain, coefficients.B_a, coefficients.B_v, INPUTS, h_a, h_v, start.d, start.v, start.axial_force
     )
-    work = ticm.workspace(n + 1)
+    work = schemes.workspace(n + 1)
     for step in (
         lambda s: ticm.ticm_step(chain, coefficients, INPUTS, n, s, work),
         lambda s: banded.stepper(chain, coefficients)(INPUTS, n, s, work),
@@ -78,8 +78,8 @@ def loss_of_digits(n, time_step, stiffness):
     chain = random_chain(rng, n, stiffness)
     start = random_state(rng, n + 1)
     start.d[:-1, 1] = -np.abs(start.d[:-1, 1])
-    scheme = ticm.newmark(time_step)
-    work = ticm.workspace(n + 1)
+    scheme = schemes.newmark(time_step)
+    work = schemes.workspace(n + 1)
     exact = copy(start)
     banded.stepper(chain, scheme)(INPUTS, n, exact, work)
     scale = np.abs(exact.d).max()
