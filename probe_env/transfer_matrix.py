@@ -11,6 +11,7 @@ from numba import njit
 
 from probe_env import ticm
 from probe_env.chain import Chain, FloatArray
+from probe_env.schemes import Scheme, State, Work
 
 
 def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Work) -> int:
