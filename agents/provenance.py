@@ -19,8 +19,15 @@ import probe_env
 
 COMMON_SOURCES = ("chain.py", "drive.py")
 STUDY_SOURCES = ("schemes.py", "ticm.py")
+IMPLICIT_SOURCES = (*STUDY_SOURCES, "implicit.py", "linear_part.py")
 LANE_SOURCES = ("imex.py", "lane_group.py", "lanes.py", "linear_part.py")
-KERNEL_SOURCES = {"newmark": STUDY_SOURCES, "wilson": STUDY_SOURCES, "imex": LANE_SOURCES, "explicit": LANE_SOURCES}
+KERNEL_SOURCES = {
+    "newmark": STUDY_SOURCES,
+    "wilson": STUDY_SOURCES,
+    "implicit": IMPLICIT_SOURCES,
+    "imex": LANE_SOURCES,
+    "explicit": LANE_SOURCES,
+}
 PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import os
 from collections.abc import Sequence
@@ -14,8 +15,10 @@ import numpy.typing as npt
 
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
+from probe_env.errors import SimulationError
 from probe_env.lane_group import KERNELS, Lane, advance_group
 from probe_env.lanes import LANES
+from probe_env.methods import Sampling
 from probe_env.scene import Scene
 from probe_env.signals import window_statistics
 from probe_env.simulator import STEPS_PER_CALL, Simulator
@@ -51,7 +54,7 @@ class SimulatorBatch:
 
     Args:
         scenes: one a probe; they may differ in everything.
-        method: "imex" or "explicit".
+        method: as for ``Simulator``; "imex" and "explicit" run four probes side by side in vector registers.
         time_step: [s].
         nodes_per_pitch: nodes in one float pitch.
         threads: at most so many; default: the cores of this process.
@@ -73,8 +76,6 @@ class SimulatorBatch:
         seeds: Sequence[int] | None = None,
         **options: Any,
     ) -> None:
-        if method not in KERNELS:
-            raise ValueError(f"method = {method!r} is not one of {', '.join(KERNELS)}: only these run in lanes")
         if len(scenes) == 0:
             raise ValueError("scenes is empty: a batch needs at least one")
         if threads is not None and threads < 1:
@@ -144,7 +145,8 @@ class SimulatorBatch:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
         running.sort(key=lambda k: self.simulators[k].root)
-        groups = [running[start : start + LANES] for start in range(0, len(running), LANES)]
+        width = LANES if self.method in KERNELS else 1
+        groups = [running[start : start + width] for start in range(0, len(running), width)]
         with ThreadPoolExecutor(self.threads) as pool:
             list(pool.map(lambda group: self._advance_group(group, steps, every, signals), groups))
         for k in running:
@@ -153,6 +155,9 @@ class SimulatorBatch:
 
     def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> None:
         """Advance up to four probes; sensor x, y and root V go to ``signals`` after the two samples before."""
+        if self.method not in KERNELS:
+            self._advance_one(group[0], steps, every, signals)
+            return
         members = [self.simulators[k] for k in group]
         lanes = [Lane(*s.lane_constants(), s.state, s.root) for s in members]
         points = [np.array([s.sensor, -1], dtype=np.int64) for s in members]
@@ -181,6 +186,17 @@ class SimulatorBatch:
             done += stretch
             if not group:
                 return
+
+    def _advance_one(self, k: int, steps: int, every: int, signals: FloatArray) -> None:
+        """``_advance_group`` for a method that does not run in lanes."""
+        simulator = self.simulators[k]
+        points, samples = np.array([simulator.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, 4))
+        tension_sum, counts = np.zeros(simulator.chain.node_count), np.zeros(2, dtype=np.int64)
+        with contextlib.suppress(SimulationError):  # kept by the simulator, reported in the window
+            simulator.advance_steps(steps, Sampling(every, every, points, samples, tension_sum, counts))
+        signals[k, :2] = self._before[k]
+        signals[k, 2:, 0:2] = samples[:, 0, 0:2]
+        signals[k, 2:, 2] = samples[:, 1, 3]
 
     def _window(self, signals: FloatArray, running: Sequence[int], every: int, keep: bool) -> Window:
         period = every * self.time_step

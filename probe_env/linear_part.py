@@ -9,6 +9,7 @@ import numpy as np
 from probe_env.chain import Chain, FloatArray, element_blocks, element_stiffness
 
 MOST_FACTORS = 4000
+LONG_STEP = 5e-4  # [s]
 
 
 def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -33,6 +34,16 @@ def linear_weights(damping_time: float, time_step: float) -> tuple[float, float]
     delta, dt = damping_time, time_step
     theta = 0.5 + 0.5 * dt * delta / (delta * delta + dt * dt)
     return theta, delta + dt * (1.0 - theta)
+
+
+def implicit_weights(damping_time: float, time_step: float) -> tuple[float, float]:
+    """Theta and tau of ``implicit``: those of ``linear_weights``, but more dissipative the longer the step.
+
+    Theta grows from 1/2 to 1 (backward Euler) around a step of 0.5 ms, damped or not; where the cable's damping
+    cannot pay for it, tau = theta dt adds numerical damping.
+    """
+    theta = max(linear_weights(damping_time, time_step)[0], 0.5 + 0.5 * time_step / (time_step + LONG_STEP))
+    return theta, max(damping_time + time_step * (1.0 - theta), theta * time_step)
 
 
 def imex_factors(chain: Chain, time_step: float) -> FloatArray:

@@ -9,23 +9,28 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from probe_env import banded, schemes, ticm, transfer_matrix
+from probe_env import banded, implicit, schemes, ticm, transfer_matrix
 from probe_env.chain import Chain, FloatArray
 from probe_env.lane_group import KERNELS, Lane, advance_group, lane_constants
+from probe_env.linear_part import implicit_weights
 
 SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
 SCHEMES: Final[dict[str, Callable[[float], schemes.Scheme]]] = {"newmark": schemes.newmark, "wilson": schemes.wilson}
-METHODS: Final = (*SCHEMES, *KERNELS)
+METHODS: Final = (*SCHEMES, "implicit", *KERNELS)
 
 
 class Sampling(NamedTuple):
-    """What to record during a call, see ``ticm.advance``: (p,) nodes, -1 for the root; (k, p, 4); (n + 1,)."""
+    """What to record during a call, see ``ticm.advance``: (p,) nodes, -1 for the root; (k, p, 4); (n + 1,).
+
+    ``counts`` (2,) gains the iterations of ``implicit`` and its steps that did not converge.
+    """
 
     first: int
     every: int
     points: npt.NDArray[np.int64]
     samples: FloatArray
     tension_sum: FloatArray
+    counts: npt.NDArray[np.int64]
 
 
 Advance = Callable[[FloatArray, int, schemes.State, Sampling], tuple[int, int, int, int]]
@@ -53,6 +58,10 @@ def build_method(
             _single_lane, method, time_step, nodes_per_pitch,
             *lane_constants(method, chain, sensor, nodes_per_pitch, time_step),
         )  # fmt: skip
+    if method == "implicit":
+        if solver != "ticm":
+            raise ValueError(f"solver = {solver!r} is for newmark and wilson; implicit is solved by the TICM alone")
+        return _implicit(chain, time_step, nodes_per_pitch)
     scheme = SCHEMES[method](time_step)
     work = schemes.workspace(chain.node_count)
     if solver == "banded":
@@ -61,7 +70,21 @@ def build_method(
         return partial(_step_by_step, partial(transfer_matrix.step, chain, scheme), work)
 
     def advance(inputs: FloatArray, root: int, state: schemes.State, sampling: Sampling) -> tuple[int, int, int, int]:
-        result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling)
+        result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling[:5])
+        return result
+
+    return advance
+
+
+def _implicit(chain: Chain, time_step: float, nodes_per_pitch: int) -> Advance:
+    weights = (time_step, *implicit_weights(chain.damping_time, time_step))
+    limits, places = implicit.couple_limits(chain, nodes_per_pitch), implicit.contact_places(chain)
+    work = implicit.workspace(chain.node_count)
+
+    def advance(inputs: FloatArray, root: int, state: schemes.State, sampling: Sampling) -> tuple[int, int, int, int]:
+        result: tuple[int, int, int, int] = implicit.advance(
+            chain, weights, limits, places, inputs, root, state, work, *sampling
+        )
         return result
 
     return advance
@@ -103,7 +126,7 @@ def _single_lane(
 ) -> tuple[int, int, int, int]:
     """One probe by the kernels of the batch: a batch of one."""
     lane = Lane(parameters, factors, state, root)
-    first, every, points, samples, tension_sum = sampling
+    first, every, points, samples, tension_sum, _ = sampling
     rows = samples[: max(0, (len(inputs) - first) // every + 1)]
     (failed,) = advance_group(
         method, [lane], [inputs], time_step, nodes_per_pitch, first, every, [points], [rows], tension_sum

@@ -29,10 +29,13 @@ STEPS_PER_CALL: Final = 2000
 class Simulator:
     """Advances one probe, of constant length or growing as it is fed in.
 
+    ``iterations`` and ``unconverged_steps`` count, since the start, the iterations of ``implicit`` and its steps
+    in which they did not converge (see implicit.py for what is done then).
+
     Args:
         scene: what to simulate; its carrier length is the one at the start.
         method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1; "imex", the fast
-            scheme; "explicit", central differences.
+            scheme; "implicit", which holds with any step; "explicit", central differences.
         time_step: [s], > 0. Beyond ``stable_time_step`` a ``StabilityWarning`` is given, nothing refused.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         solver: of the linear system of a step: "ticm", "banded" (LAPACK) or "transfer-matrix".
@@ -99,6 +102,7 @@ class Simulator:
         """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
         self.state = schemes.at_rest(self.chain.node_count)
         self.steps_done, self.root = 0, self._start_root
+        self.iterations, self.unconverged_steps = 0, 0
         self.drive = Drive(
             speed=self.scene.feed_speed,
             air=air_speed(self.scene, self.scene.air_supply_rate),
@@ -213,7 +217,8 @@ class Simulator:
                 break
             stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
             rows = samples[done // every + 1 :]
-            self._advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum))
+            counts = np.zeros(2, dtype=np.int64)
+            self.advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum, counts))
             done += stretch
             if progress is not None:
                 progress(self.time)
@@ -231,9 +236,11 @@ class Simulator:
             shapes=shapes_of(shapes, h) if shapes else None,
         )
 
-    def _advance_steps(self, steps: int, sampling: Sampling) -> None:
+    def advance_steps(self, steps: int, sampling: Sampling) -> None:
         """Steps in one go; raises if the state diverges."""
         status, done, _, root = self._advance(self.inputs_of_steps(steps), self.root, self.state, sampling)
+        self.iterations += int(sampling.counts[0])
+        self.unconverged_steps += int(sampling.counts[1])
         self.note_steps(done, root, diverged=status != ticm.OK)
         if self._error is not None:
             raise self._error
@@ -313,4 +320,4 @@ class Simulator:
         return whole
 
 
-_CHANGING: Final = ("state", "steps_done", "root", "drive", "_error")
+_CHANGING: Final = ("state", "steps_done", "root", "drive", "iterations", "unconverged_steps", "_error")

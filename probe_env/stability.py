@@ -27,7 +27,9 @@ TABLE_2_DAMPING = 5e-5  # [s]
 
 
 def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark") -> float:
-    """Largest time step [s] known to hold for a method; 0 where none is known."""
+    """Largest time step [s] known to hold for a method; 0 where none is known, infinite for ``implicit``."""
+    if method == "implicit":
+        return math.inf
     if method == "explicit":
         return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))
     mass = scene.probe.line_density * scene.probe.float_pitch / nodes_per_pitch

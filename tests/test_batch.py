@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from probe_env import Scene, Simulator, SimulatorBatch
+from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
 
 OPTIONS = {"growing": True, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
 
@@ -62,6 +62,24 @@ def test_every_batch_equals_the_single_runs(order, threads, single):
         for column, k in enumerate(order):
             assert (values[:, column] == single[k][name]).all()
             assert np.abs(values[:, column]).max() > 0.0
+
+
+@pytest.mark.parametrize("method", ["newmark", "implicit"])
+def test_methods_without_lanes_run_in_a_batch_too(method):
+    batch = SimulatorBatch(SCENES[:3], method, 1e-4, threads=2, **OPTIONS)
+    window = batch.advance(0.3, 0.02, 0.1, keep_samples=True)
+    for k, member in enumerate(SCENES[:3]):
+        run = Simulator(member, method, 1e-4, seed=k, **OPTIONS).advance(0.3, 0.02, 0.1, points=("sensor", "root"))
+        assert (window.radial[:, k] == run.radial[1:, 0]).all()
+        assert (window.tension[:, k] == run.tension[1:, 1]).all()
+
+
+def test_a_probe_that_diverges_is_reported_and_the_others_go_on():
+    with pytest.warns(StabilityWarning):
+        batch = SimulatorBatch([SCENES[0], SCENES[2], SCENES[0]], "newmark", 5e-4, growing=True, perturbation=1e-3)
+    window = batch.advance(2.0, 0.2, 0.5)
+    assert window.diverged.any()
+    assert all(np.isfinite(values).all() for values in window.statistics.values())
 
 
 def test_an_inactive_probe_waits_and_the_others_do_not_notice(single):
@@ -122,7 +140,7 @@ def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
     ("call", "message"),
     [
         (lambda: SimulatorBatch([]), "scenes is empty"),
-        (lambda: SimulatorBatch(SCENES, "newmark"), "method = 'newmark'"),
+        (lambda: SimulatorBatch(SCENES, "euler"), "method = 'euler'"),
         (lambda: SimulatorBatch(SCENES, threads=0), "threads = 0"),
         (lambda: SimulatorBatch(SCENES).advance(-0.1, 0.02), "feed_speed = -0.1"),
         (lambda: SimulatorBatch(SCENES).advance(0.1, 63.0), "air_supply_rate = 63.0"),

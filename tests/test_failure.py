@@ -126,7 +126,7 @@ def scenes():
 @settings(max_examples=120, deadline=None)
 @given(
     scene=scenes(),
-    method=st.sampled_from(["newmark", "wilson", "imex", "explicit"]),
+    method=st.sampled_from(["newmark", "wilson", "imex", "explicit", "implicit"]),
     time_step=st.sampled_from([1e-5, 1e-4, 1e-3]),
 )
 def test_no_valid_scene_gives_nan_without_an_error(scene, method, time_step):

@@ -11,7 +11,7 @@ from probe_env.chain import build_chain
 from probe_env.drive import Drive
 
 QUIET = Scene(carrier_length=5.0, contact={"friction": 0.05})
-METHODS = pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4)])
+METHODS = pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("implicit", 1e-4)])
 
 
 def test_the_drive_ramps_lags_and_appends():
@@ -121,7 +121,13 @@ def test_air_follows_with_its_lag():
 
 
 def test_snapshot_and_restore_in_every_method():
-    for method, time_step in (("newmark", 1e-4), ("wilson", 1e-4), ("imex", 2e-4), ("explicit", 5e-6)):
+    for method, time_step in (
+        ("newmark", 1e-4),
+        ("wilson", 1e-4),
+        ("imex", 2e-4),
+        ("explicit", 5e-6),
+        ("implicit", 1e-4),
+    ):
         simulator = Simulator(QUIET, method, time_step, growing=True, ramp=0.5)
         simulator.advance(0.4, None, 0.02)
         saved = simulator.snapshot()
