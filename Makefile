@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse readme clean
+.PHONY: setup demo test lint types study bench timelapse stability readme clean
 
 setup: $(STAMP)
 
@@ -36,6 +36,9 @@ bench: setup
 
 timelapse: setup
 	$(BIN)/probe-env timelapse --output results/timelapse
+
+stability: setup
+	$(BIN)/probe-env stability --output results/stability
 
 readme: setup
 	$(BIN)/probe-env readme

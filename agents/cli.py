@@ -118,6 +118,20 @@ class Timelapse:
 
 
 @dataclass(frozen=True)
+class Stability:
+    """Map which time steps hold, over method, contact stiffness and length."""
+
+    output: Path = Path("output/stability")
+    """Folder of map.csv and map.png."""
+
+    def run(self) -> None:
+        """Run, store, print."""
+        from agents.stability_map import run_map
+
+        run_map(self.output)
+
+
+@dataclass(frozen=True)
 class Readme:
     """Rewrite the README's tables and figures from the stored results."""
 
@@ -158,7 +172,13 @@ def _commands(arguments: Sequence[str]) -> Any:
             simulate = tyro.conf.subcommand("simulate", default=Simulate(Path(files[0]), Scene.from_toml(files[0])))
     others = (
         Annotated[kind, tyro.conf.subcommand(name)]
-        for name, kind in (("study", Study), ("bench", Bench), ("timelapse", Timelapse), ("readme", Readme))
+        for name, kind in (
+            ("study", Study),
+            ("bench", Bench),
+            ("timelapse", Timelapse),
+            ("stability", Stability),
+            ("readme", Readme),
+        )
     )
     return Union[Annotated[Simulate, simulate], *others]
 

@@ -12,6 +12,8 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from scipy.signal import welch
 
@@ -132,4 +134,20 @@ def profiles(curves: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> Pa
     axis.set(xlabel="inserted length [m]", ylabel="radial rms at the sensor [mm]")
     axis.grid(**GRID)
     axis.legend(frameon=False)
+    return _save(figure, path)
+
+
+def stability_map(table: pd.DataFrame, path: Path) -> Path:
+    """Which steps held, a panel a method, a row a stiffness and length."""
+    methods = list(dict.fromkeys(table["method"]))
+    figure, axes = plt.subplots(1, len(methods), figsize=(13, 3.4), sharey=True, layout="constrained")
+    for axis, method in zip(axes, methods, strict=True):
+        part = table[table["method"] == method].assign(held=lambda rows: rows["diverged_at_s"].isna())
+        grid = part.pivot_table("held", ["stiffness_n_per_m", "length_m"], "ratio")
+        axis.imshow(grid.to_numpy(), aspect="auto", cmap=ListedColormap([RED, BLUE]), vmin=0, vmax=1, origin="lower")
+        axis.set_xticks(range(grid.shape[1]), [f"{ratio:g}" for ratio in grid.columns], fontsize=8)
+        axis.set_yticks(range(grid.shape[0]), [f"{k:.0e} N/m, {length:.0f} m" for k, length in grid.index], fontsize=8)
+        axis.set_xlabel("step / named limit")
+        axis.set_title(method)
+    figure.suptitle("held (blue) or diverged (red)")
     return _save(figure, path)

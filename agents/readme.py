@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from agents import timelapse
+from agents import stability_map, timelapse
 from agents.claims import Ensemble, markdown
 from agents.provenance import write_atomically
 from agents.study import load_rows
@@ -99,6 +99,11 @@ def _timelapse() -> str:
     return f"{timelapse.markdown(pd.read_csv(folder / 'summary.csv'))}\n\n{_source(folder / 'provenance.json')}"
 
 
+def _stability() -> str:
+    folder = RESULTS / "stability"
+    return f"{stability_map.markdown(pd.read_csv(folder / 'map.csv'))}\n\n{_source(folder / 'provenance.json')}"
+
+
 def _growth_figure(path: Path) -> None:
     from agents.figures import length_against_vibration
 
@@ -109,4 +114,9 @@ def _growth_figure(path: Path) -> None:
     length_against_vibration(list(lengths), low, middle, high, path)
 
 
-BLOCKS: dict[str, Callable[[], str]] = {"study": _study, "bench": _bench, "timelapse": _timelapse}
+BLOCKS: dict[str, Callable[[], str]] = {
+    "study": _study,
+    "bench": _bench,
+    "timelapse": _timelapse,
+    "stability": _stability,
+}
