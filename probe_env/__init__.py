@@ -6,15 +6,22 @@
 (501, 2)
 """
 
+import gymnasium
+
 from probe_env.batch import SimulatorBatch, Window
+from probe_env.contexts import Context, load_contexts
 from probe_env.errors import SimulationError, StabilityWarning
+from probe_env.fidelity import Fidelity
 from probe_env.run import Run
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
 from probe_env.simulator import Simulator
+from probe_env.task import TaskConfig
 
 __all__ = [
     "Air",
     "Contact",
+    "Context",
+    "Fidelity",
     "Probe",
     "Run",
     "Scene",
@@ -22,6 +29,15 @@ __all__ = [
     "Simulator",
     "SimulatorBatch",
     "StabilityWarning",
+    "TaskConfig",
     "Tube",
     "Window",
+    "load_contexts",
 ]
+
+for _name in ("Insertion", "Snapshot"):  # no max_episode_steps: the environments keep their own time limit
+    gymnasium.register(
+        id=f"probe_env/{_name}-v0",
+        entry_point=f"probe_env.env:{_name}Env",
+        vector_entry_point=f"probe_env.vector:{_name}VectorEnv",
+    )

@@ -1,0 +1,135 @@
+"""Stable-Baselines3's VecEnv over the native batch, so that PPO trains on the lanes directly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
+
+from probe_env.env import InsertionEnv, ProbeEnv, SnapshotEnv, spaces_of, task_config
+from probe_env.episodes import Contexts, Episodes
+from probe_env.fidelity import Fidelity
+from probe_env.scene import Scene
+from probe_env.task import TaskConfig
+
+ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
+    "probe_env/Insertion-v0": InsertionEnv,
+    "probe_env/Snapshot-v0": SnapshotEnv,
+}
+
+
+class ProbeVecEnv(VecEnv):
+    """N environments in one batch for SB3; an ended episode starts anew in the same step.
+
+    ``infos`` then have ``terminal_observation`` and ``TimeLimit.truncated``, which PPO needs to bootstrap; what the
+    new episode's reset gave is in ``reset_infos``.
+
+    Args:
+        env_id: "probe_env/Insertion-v0" or "probe_env/Snapshot-v0".
+        num_envs: N; environment i equals a single one with the seed ``seed + i``.
+        threads: at most so many; default: all cores.
+        config, scene, fidelity, contexts, feed_speed, air_supply_rate: see ``InsertionEnv``.
+
+    Raises:
+        ValueError: an argument is not valid.
+    """
+
+    def __init__(
+        self,
+        env_id: str = "probe_env/Insertion-v0",
+        num_envs: int = 16,
+        config: TaskConfig | Mapping[str, Any] | None = None,
+        scene: Scene | None = None,
+        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
+        contexts: Contexts = "random",
+        feed_speed: float = 0.2,
+        air_supply_rate: float = 63.0 / 3600.0,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        if env_id not in ENVIRONMENTS:
+            raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
+        self.config = task_config(ENVIRONMENTS[env_id].defaults, config)
+        self.episodes = Episodes(
+            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, threads=threads
+        )
+        self.render_mode = None
+        super().__init__(num_envs, *spaces_of(self.config))
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._actions = np.zeros((num_envs, 2), dtype=np.float32)
+
+    def reset(self) -> VecEnvObs:
+        """Start all episodes, with the seeds of ``seed`` and the options of ``set_options`` if these were called."""
+        every = range(self.num_envs)
+        for k in every:
+            if self._seeds[k] is not None or k not in self._rngs:
+                self._rngs[k] = gym.utils.seeding.np_random(self._seeds[k])[0]
+        observation, infos = self.episodes.reset(list(every), self._rngs, dict(enumerate(self._options)))
+        self.reset_infos = [infos[k] for k in every]
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for ``step_wait``."""
+        self._actions = np.asarray(actions, dtype=np.float32)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One control period of all environments."""
+        step = self.episodes.step(self._actions)
+        done = step.terminated | step.truncated
+        observation, infos = step.observation, step.infos
+        for k, info in enumerate(infos):
+            info["TimeLimit.truncated"] = bool(step.truncated[k])
+        ended = np.flatnonzero(done).tolist()
+        if ended:
+            for k in ended:
+                infos[k]["terminal_observation"] = step.observation[k].copy()
+            observation, started = self.episodes.reset(ended, self._rngs)
+            for k in ended:
+                self.reset_infos[k] = started[k]
+        return observation, step.reward.astype(np.float32), done, infos
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        """An attribute of the batch (such as ``render_mode`` or ``config``), once for each environment."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def has_attr(self, attr_name: str) -> bool:
+        """Whether the batch has an attribute."""
+        return hasattr(self, attr_name)
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        """Set an attribute of the batch: it is shared, so for all environments only.
+
+        Raises:
+            ValueError: some environments only.
+        """
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise ValueError(f"{attr_name} is shared by all environments of the batch: leave indices out")
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Not there: a batch has no environments of their own to call.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"{method_name}: a native batch has no single environments to call methods of")
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        """Never: a native batch has no wrapped environments."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """None: render a single environment."""
+        return [None] * self.num_envs
