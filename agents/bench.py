@@ -19,6 +19,7 @@ from rich.table import Table
 from scipy.linalg import solve_banded
 from tqdm import tqdm
 
+from agents.bench_env import bench_environments
 from agents.provenance import provenance, write_json
 from probe_env import Scene, Simulator, SimulatorBatch, schemes, ticm
 from probe_env.chain import build_chain
@@ -36,6 +37,7 @@ def run_bench(output: Path, repeats: int) -> dict[str, Any]:
         "scaling": _scaling(repeats),
         "fast": _fast(repeats),
         "insertion": _insertion(),
+        "environments": bench_environments(),
         "first_result_s": _first_result(),
         "repeats": repeats,
         **provenance(),
@@ -178,6 +180,17 @@ def _print(results: dict[str, Any]) -> None:
     Console().print(table)
     for name, seconds in results["insertion"].items():
         print(f"full insertion at 0.2 m/s, 16 probes, all cores, {name}: {seconds:.2f} s a probe")
+    environments = results["environments"]
+    table = Table(title=f"Environment steps of 0.1 s, {environments['carrier_length_m']:g} m of carrier cable")
+    for column in ("kind, environments", "steps/s", "times the single one"):
+        table.add_column(column, justify="right")
+    single = environments["steps_per_second"]["single"]
+    for name, rate in environments["steps_per_second"].items():
+        table.add_row(name, f"{rate:.0f}", f"{rate / single:.1f}")
+    Console().print(table)
+    print(f"share of a step outside the kernel, batch of 16: {100.0 * environments['share_outside_kernel']:.1f} %")
+    for name, seconds in environments["episode_s_per_probe"].items():
+        print(f"an episode of fidelity {name}, batch of 16, all cores: {seconds:.2f} s a probe")
     scaling = results["scaling"]
     costs = ", ".join(f"{cost:.0f}" for cost in scaling["ns_per_node_step"])
     span = f"{SCALING_NODES[0]} to {SCALING_NODES[-1]} nodes"

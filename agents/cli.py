@@ -132,6 +132,40 @@ class Stability:
 
 
 @dataclass(frozen=True)
+class Render:
+    """Film an episode at constant feed and air: the helix with the probe in it, feed, air, vibration, reward."""
+
+    output: Path = Path("output/insertion.gif")
+    """File to write, .gif or .mp4."""
+    env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
+    """Which environment."""
+    feed_speed: float = 0.2
+    """[m/s]."""
+    air_supply_m3_per_h: float = 63.0
+    """[m3/h]."""
+    fidelity: Literal["study", "standard", "fast"] = "standard"
+    """How closely to simulate; fast is for Insertion-v0 alone."""
+    contexts: Literal["random", "train", "validation", "test"] = "random"
+    """Where the tube's properties are drawn from."""
+    every: int = 4
+    """Control periods a frame."""
+    seed: int = 0
+    """Of the context and the sensors' noise."""
+
+    def run(self) -> None:
+        """Simulate, draw, write."""
+        from agents.render import render_episode
+
+        kpis = render_episode(
+            self.env_id, self.output, self.feed_speed, self.air_supply_m3_per_h / 3600.0, self.every, self.seed,
+            fidelity=self.fidelity, contexts=self.contexts,
+        )  # fmt: skip
+        for name, value in kpis.items():
+            print(f"{name:40s} {value:.6g}")
+        print(f"written: {self.output}")
+
+
+@dataclass(frozen=True)
 class Readme:
     """Rewrite the README's tables and figures from the stored results."""
 
@@ -177,6 +211,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("bench", Bench),
             ("timelapse", Timelapse),
             ("stability", Stability),
+            ("render", Render),
             ("readme", Readme),
         )
     )

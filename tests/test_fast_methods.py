@@ -161,6 +161,33 @@ def test_imex_has_newmark_s_statistics_in_chaos(ensembles, statistic, margin):
     assert interval.high < 1.0 + margin
 
 
+@pytest.mark.parametrize("length", [30, 50])
+@pytest.mark.parametrize(
+    ("method", "statistic", "margin"),
+    [
+        ("explicit", "radial_rms_m", 0.35),
+        ("explicit", "radial_p99_m", 0.35),
+        ("explicit", "axial_rms_m", 0.15),
+        ("explicit", "lift_off_share", 0.05),
+        ("implicit", "radial_rms_m", 0.4),  # 20 % low at 30 m, 9 % at 50 m with 2.5e-5 s
+        ("implicit", "axial_rms_m", 0.2),
+        ("implicit", "lift_off_share", 0.15),
+    ],
+)
+def test_explicit_and_implicit_have_newmark_s_statistics(length, method, statistic, margin):
+    """Stored ensembles, eight runs against eight: the interval of the ratio of means lies within the margin."""
+    first = STORED.values(f"l{length}-{method}", statistic)
+    second = STORED.values(f"l{length}", statistic)
+    assert min(len(first), len(second)) >= 8
+
+    def ratio(a, b, axis=-1):
+        return a.mean(axis=axis) / b.mean(axis=axis)
+
+    interval = bootstrap((first, second), ratio, rng=np.random.default_rng(0)).confidence_interval
+    assert 1.0 - margin < interval.low
+    assert interval.high < 1.0 + margin
+
+
 def test_what_the_step_of_imex_costs(ensembles):
     """Known bias at 2e-4 s: acceleration (1 kHz) some 10 % low, axial mean 2 to 12 % high; tension within 1 %."""
     length, statistics = ensembles

@@ -1,0 +1,53 @@
+"""A film of an episode, as GIF or MP4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import imageio.v3 as iio
+from tqdm import tqdm
+
+import probe_env
+
+FORMATS = (".gif", ".mp4")
+FRAMES_PER_SECOND = 10
+
+
+def render_episode(
+    env_id: str, output: Path, feed_speed: float, air_supply_rate: float, every: int, seed: int, **arguments: Any
+) -> dict[str, float]:
+    """Film an episode at constant feed [m/s] and air [m3/s], a frame every so many control periods.
+
+    Returns:
+        the episode's KPIs.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was written.
+    """
+    assert probe_env.__all__  # imported for its ids
+    if output.suffix not in FORMATS:
+        raise ValueError(f"output = {str(output)!r} must end in {' or '.join(FORMATS)}")
+    if every < 1:
+        raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
+    env = gym.make(env_id, render_mode="rgb_array", **arguments)
+    action = env.unwrapped.config.action(feed_speed, air_supply_rate)  # type: ignore[attr-defined]
+    env.reset(seed=seed)
+    frames: list[Any] = [env.render()]
+    steps, ended, info = 0, False, dict[str, Any]()
+    with tqdm(desc=f"{env_id}", unit="period") as bar:
+        while not ended:
+            _, _, terminated, truncated, info = env.step(action)
+            ended, steps = terminated or truncated, steps + 1
+            if steps % every == 0 or ended:
+                frames.append(env.render())
+            bar.update()
+    env.close()
+    output.parent.mkdir(parents=True, exist_ok=True)
+    if output.suffix == ".gif":
+        iio.imwrite(output, frames, duration=1000 / FRAMES_PER_SECOND, loop=0)
+    else:
+        iio.imwrite(output, frames, fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=8)
+    kpis: dict[str, float] = info["episode_kpis"]
+    return kpis
