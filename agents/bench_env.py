@@ -46,11 +46,9 @@ def _steps_per_second() -> dict[str, float]:
         f"SB3 DummyVecEnv, {WORKERS}": (WORKERS, lambda: DummyVecEnv([_make] * WORKERS)),
         f"SB3 SubprocVecEnv, {WORKERS}": (WORKERS, lambda: SubprocVecEnv([_make] * WORKERS)),
     }
+    scene = Scene(carrier_length=LENGTH)
     for count in BATCHES:
-        makers[f"native batch, {count}"] = (
-            count,
-            lambda n=count: ProbeVecEnv(ENV_ID, n, scene=Scene(carrier_length=LENGTH)),
-        )  # type: ignore[misc]
+        makers[f"native batch, {count}"] = (count, partial(ProbeVecEnv, ENV_ID, count, scene=scene))
     rates = {}
     for name, (count, make) in tqdm(makers.items(), desc="environments", unit="kind"):
         env = make()
@@ -71,9 +69,8 @@ def _steps_per_second() -> dict[str, float]:
 
 def _share_outside_kernel() -> float:
     """Share of a step's time that is not spent in the kernels, for a batch of 16 on one thread."""
-    batch = ProbeVecEnv(
-        ENV_ID, 16, scene=Scene(carrier_length=LENGTH), config={"period": 1.0, "time_limit": 80.0}, threads=1
-    )
+    config = {"period": 1.0, "time_limit": 80.0}
+    batch = ProbeVecEnv(ENV_ID, 16, config, Scene(carrier_length=LENGTH), threads=1)
     batch.reset()
     action = np.zeros((16, 2), dtype=np.float32)
     batch.step(action)

@@ -159,7 +159,10 @@ class Episodes:
         """
         count, config = len(self), self.config
         chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        actions = np.where(chosen[:, None], np.asarray(actions, dtype=np.float32), self.actions)
+        actions = np.asarray(actions, dtype=np.float32)
+        if actions.shape != (count, 2):
+            raise ValueError(f"actions have shape {actions.shape}; accepted is ({count}, 2): feed speed, air supply")
+        actions = np.where(chosen[:, None], actions, self.actions)
         targets = config.targets(actions)
         ended = np.flatnonzero(chosen & ~self.running)
         if len(ended):

@@ -1,0 +1,148 @@
+"""The environments as users and their checkers see them."""
+
+import copy
+import pickle
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, RecordVideo, TimeLimit
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import probe_env
+from probe_env.contexts import FILE, SPLIT_SIZES, load_contexts, make_file
+
+IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v0", "probe_env/Snapshot-v0"])
+SHORT = {"probe_env/Insertion-v0": {"fidelity": "fast"}, "probe_env/Snapshot-v0": {}}
+
+
+@IDS
+@pytest.mark.parametrize("variant", [{}, {"observe_root_tension": False}, {"privileged": True}])
+def test_both_checkers_find_nothing(env_id, variant):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(env_id, config=variant, render_mode="rgb_array").unwrapped)
+        sb3_check_env(gym.make(env_id, config=variant).unwrapped)
+
+
+@IDS
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_bit_for_bit(env_id, duplicate):
+    env = gym.make(env_id, **SHORT[env_id])
+    env.reset(seed=4)
+    action = np.array([0.3, -0.2], dtype=np.float32)
+    env.step(action)
+    other = duplicate(env)
+    for _ in range(2):
+        a, b = env.step(action), other.step(action)
+        assert (a[0] == b[0]).all()
+        assert a[1:4] == b[1:4]
+    assert (env.reset()[0] == other.reset()[0]).all()  # the generator was copied too
+
+
+@IDS
+def test_wrappers_work(env_id, tmp_path):
+    env = gym.make(env_id, render_mode="rgb_array", **SHORT[env_id])
+    env = RecordVideo(env, str(tmp_path), disable_logger=True)
+    env = RecordEpisodeStatistics(TimeLimit(FlattenObservation(env), 3))
+    env.reset(seed=1)
+    for _ in range(3):
+        *_, truncated, info = env.step(env.action_space.sample())
+    env.close()
+    assert truncated
+    assert info["episode"]["l"] == 3
+    assert list(tmp_path.glob("*.mp4"))
+
+
+@IDS
+def test_steps_share_no_memory_and_are_deterministic(env_id):
+    env, runs = gym.make(env_id, **SHORT[env_id]), []
+    for _ in range(2):
+        observations = [env.reset(seed=7)[0]]
+        observations += [env.step(np.array([0.5, 0.1 * k], dtype=np.float32))[0] for k in range(3)]
+        assert not any(np.shares_memory(a, b) for a in observations for b in observations if a is not b)
+        runs.append(np.array(observations))
+    assert (runs[0] == runs[1]).all()
+    assert (np.ptp(runs[0], axis=0) > 0).sum() >= 8  # it does observe something
+
+
+def test_options_fix_the_context_and_the_rest_is_drawn_alike():
+    env = gym.make("probe_env/Insertion-v0")
+    free = env.reset(seed=3)[1]["context"]
+    fixed = env.reset(seed=3, options={"friction": 0.21})[1]["context"]
+    assert fixed == free | {"friction": 0.21}
+    whole = probe_env.Context(friction=0.12, helix_diameter=2.0)
+    assert env.reset(seed=3, options={"context": whole})[1]["context"] == whole.model_dump()
+    _, info = env.reset(seed=3, options={"probe": {"guide_length": 4.0}})
+    assert info["inserted_length"] == pytest.approx(6.5)
+    assert env.unwrapped.episodes.batch.simulators[0].sensor == 160
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: gym.make("probe_env/Insertion-v0", fidelity="best"), "fidelity = 'best'"),
+        (lambda: gym.make("probe_env/Insertion-v0", contexts="exam"), "contexts = 'exam'"),
+        (lambda: gym.make("probe_env/Insertion-v0", feed_speed=3.0), "feed_speed = 3.0"),
+        (lambda: gym.make("probe_env/Insertion-v0", config={"time_weigth": 1.0}), "time_weigth"),
+        (lambda: gym.make("probe_env/Insertion-v0", config={"ratio_cap": 0.0}), "0.0 is outside"),
+        (lambda: gym.make("probe_env/Insertion-v0", config={"feed_speeds": (0.4, 0.1)}), "must ascend"),
+        (lambda: gym.make("probe_env/Snapshot-v0", fidelity="fast"), "fidelity.time_lapse = 4"),
+        (lambda: gym.make("probe_env/Insertion-v0").reset(options={"fricton": 0.1}), "fricton"),
+        (lambda: gym.make("probe_env/Insertion-v0").reset(options={"friction": 7.0}), "7.0 is outside"),
+        (lambda: gym.make("probe_env/Insertion-v0").reset(options={"carrier_length": 7.0}), "carrier_length is not"),
+    ],
+)
+def test_bad_arguments_are_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_bad_actions_are_named_and_nothing_is_advanced():
+    env = gym.make("probe_env/Snapshot-v0").unwrapped
+    env.reset(seed=0)
+    before = env.episodes.batch.simulators[0].steps_done
+    for action, message in (
+        ((np.nan, 0.0), r"action\[0\] = .*nan"),
+        ((0.0, 1.5), r"action\[1\] = .*1.5"),
+        ((0.0,), "shape"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.step(np.array(action, dtype=np.float32))
+    assert env.episodes.batch.simulators[0].steps_done == before
+
+
+def test_a_step_after_the_end_is_refused():
+    env = gym.make("probe_env/Snapshot-v0", config={"time_limit": 0.1}).unwrapped
+    env.reset(seed=0)
+    assert env.step(np.zeros(2, dtype=np.float32))[3]
+    with pytest.raises(RuntimeError, match="call reset before step"):
+        env.step(np.zeros(2, dtype=np.float32))
+
+
+def test_rendering_needs_no_display_and_shows_the_probe_moving():
+    env = gym.make("probe_env/Insertion-v0", fidelity="fast", render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.ones(2, dtype=np.float32))
+    second = env.render()
+    assert first.shape == second.shape == (600, 1000, 3)
+    assert first.dtype == np.uint8
+    assert (first != second).any()
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
+
+
+def test_shipped_contexts_are_what_made_them_and_lists_do_not_overlap(monkeypatch):
+    assert FILE.read_text() == make_file()
+    lists = {split: load_contexts(split) for split in SPLIT_SIZES}
+    assert {split: len(contexts) for split, contexts in lists.items()} == SPLIT_SIZES
+    every = [context for contexts in lists.values() for context in contexts]
+    assert len(set(every)) == len(every)
+    with pytest.raises(ValueError, match="split = 'exam'"):
+        load_contexts("exam")
+    load_contexts.cache_clear()
+    monkeypatch.setattr("probe_env.contexts.FILE_HASH", "0123")
+    with pytest.raises(ValueError, match="was changed"):
+        load_contexts("test")
