@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from agents import stability_map, timelapse
+from agents import errors_of_step, stability_map, timelapse
 from agents.claims import Ensemble, markdown
 from agents.provenance import write_atomically
 from agents.study import load_rows
@@ -120,6 +120,11 @@ def _stability() -> str:
     return f"{stability_map.markdown(pd.read_csv(folder / 'map.csv'))}\n\n{_source(folder / 'provenance.json')}"
 
 
+def _errors() -> str:
+    folder = RESULTS / "stability"
+    return f"{errors_of_step.markdown(pd.read_csv(folder / 'errors.csv'))} {_source(folder / 'provenance.json')}"
+
+
 def _growth_figure(path: Path) -> None:
     from agents.figures import length_against_vibration
 
@@ -136,4 +141,5 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "environments": _environments,
     "timelapse": _timelapse,
     "stability": _stability,
+    "errors": _errors,
 }

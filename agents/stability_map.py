@@ -17,7 +17,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from agents import figures
+from agents import errors_of_step, figures
 from agents.provenance import provenance, write_atomically, write_json
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.stability import stable_time_step
@@ -56,7 +56,7 @@ def run_cell(method: str, stiffness: float, length: float, ratio: float) -> dict
 
 
 def run_map(output: Path) -> pd.DataFrame:
-    """All cells, two at a time; stores map.csv, map.png and provenance.json."""
+    """All cells, two at a time, and the errors of every step; stores map.csv, map.png, errors.csv, provenance.json."""
     cells = list(product(METHODS, STIFFNESSES, LENGTHS, RATIOS))
     work = Parallel(n_jobs=2, prefer="threads", return_as="generator")(delayed(run_cell)(*cell) for cell in cells)
     table = pd.DataFrame(tqdm(work, total=len(cells), desc="stability", unit="run"))
@@ -66,7 +66,8 @@ def run_map(output: Path) -> pd.DataFrame:
     write_json(output / "provenance.json", provenance())
     figures.stability_map(table, output / "map.png")
     print(markdown(table))
-    print(f"written: {output}/ (map.csv, map.png)")
+    print(errors_of_step.markdown(errors_of_step.run_errors(output)))
+    print(f"written: {output}/ (map.csv, map.png, errors.csv)")
     return table
 
 
