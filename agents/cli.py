@@ -136,7 +136,7 @@ class Render:
     """Film an episode at constant feed and air: the helix with the probe in it, feed, air, vibration, reward."""
 
     output: Path = Path("output/insertion.gif")
-    """File to write, .gif or .mp4."""
+    """File to write: .gif, .mp4, or .png for the last picture alone."""
     env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
     """Which environment."""
     feed_speed: float = 0.2

@@ -1,4 +1,4 @@
-"""A film of an episode, as GIF or MP4."""
+"""A film of an episode, as GIF or MP4, or its last picture as PNG."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 import probe_env
 
-FORMATS = (".gif", ".mp4")
+FORMATS = (".gif", ".mp4", ".png")
 FRAMES_PER_SECOND = 10
 
 
@@ -28,7 +28,7 @@ def render_episode(
     """
     assert probe_env.__all__  # imported for its ids
     if output.suffix not in FORMATS:
-        raise ValueError(f"output = {str(output)!r} must end in {' or '.join(FORMATS)}")
+        raise ValueError(f"output = {str(output)!r} must end in one of {', '.join(FORMATS)}")
     if every < 1:
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
     env = gym.make(env_id, render_mode="rgb_array", **arguments)
@@ -45,7 +45,9 @@ def render_episode(
             bar.update()
     env.close()
     output.parent.mkdir(parents=True, exist_ok=True)
-    if output.suffix == ".gif":
+    if output.suffix == ".png":
+        iio.imwrite(output, frames[-1])
+    elif output.suffix == ".gif":
         iio.imwrite(output, frames, duration=1000 / FRAMES_PER_SECOND, loop=0)
     else:
         iio.imwrite(output, frames, fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=8)

@@ -46,6 +46,9 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
         (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
         (["study", "--members", "0"], "members = 0"),
+        (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
+        (["render", "--every", "0"], "every = 0"),
+        (["render", "--feed-speed", "3"], "feed_speed = 3.0"),
         (["study", "--scenes", "nowhere", "--duration", "1"], "no such file: nowhere"),
     ],
 )
@@ -83,3 +86,12 @@ def test_study_stores_rows_and_does_not_repeat_them(tmp_path, capsys, monkeypatc
     assert len(second) == 4
     merged = second[second["member"] == 0].reset_index(drop=True)
     pd.testing.assert_frame_equal(merged[first.columns], first)
+
+
+@pytest.mark.parametrize("name", ["film.gif", "film.mp4", "picture.png"])
+def test_render_writes_a_film(name, tmp_path, capsys):
+    output = tmp_path / name
+    arguments = ["--env-id", "probe_env/Snapshot-v0", "--output", str(output), "--every", "20"]
+    assert main(["render", *arguments]) == 0
+    assert "share_within_limit" in capsys.readouterr().out
+    assert output.stat().st_size > 20_000

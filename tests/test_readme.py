@@ -28,12 +28,13 @@ def test_a_changed_figure_is_noticed(monkeypatch, tmp_path):
 def test_the_python_examples_run(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(examples) == 2
+    assert len(examples) == 3
     for example in examples:
         exec(compile(example, "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert "radial rms at the sensor" in printed
     assert "False" in printed  # nothing diverged
+    assert "reward of the first probe" in printed
     assert (tmp_path / "slower.toml").exists()
 
 
@@ -41,7 +42,7 @@ def test_the_commands_exist(capsys):
     from agents.cli import main
 
     commands = set(re.findall(r"^probe-env (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE))
-    assert commands == {"simulate", "study", "bench", "timelapse", "readme"}
+    assert commands == {"simulate", "study", "bench", "timelapse", "stability", "render", "readme"}
     for command in commands:
         with pytest.raises(SystemExit) as done:
             main([command, "--help"])
