@@ -11,6 +11,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -46,10 +47,11 @@ def provenance(command: str | None = None) -> dict[str, Any]:
     }
 
 
+@lru_cache
 def kernel_hash(method: str) -> str:
     """Short hash of the code that a method's results depend on, so that stored results show when they are old.
 
-    Comments, docstrings and layout do not count.
+    Comments, docstrings and layout do not count. Call it from one thread only: CPython 3.11 cannot parse in two.
     """
     digest = hashlib.sha256()
     folder = Path(probe_env.__file__).parent

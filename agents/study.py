@@ -79,7 +79,6 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
         "member": member,
         "duration_s": duration,
         "diverged_at_s": float("nan"),
-        "kernel_hash": kernel_hash(case.method),
     }
     try:
         run = simulator.advance(duration=duration, points=("sensor", "tip", "root"))
@@ -104,10 +103,11 @@ def run_study(
     done = set(zip(stored["case"], stored["member"], strict=True)) if len(stored) else set()
     missing = [(case, member) for member in range(members) for case in chosen if (case.name, member) not in done]
     rows = stored.to_dict("records")
+    hashes = {case.name: kernel_hash(case.method) for case in chosen}
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
     work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
     for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
-        rows.append(row)
+        rows.append(row | {"kernel_hash": hashes[str(row["case"])]})
         _store(rows, output)
     table = pd.DataFrame(rows)
     wanted = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)

@@ -1,0 +1,189 @@
+"""Evaluation: policies x contexts x seeds on the native batch, resumable, into one table of KPIs per episode.
+
+An episode depends on its policy, context and seed alone, not on what ran beside it, so an evaluation that was
+interrupted goes on to the same table.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from probe_env import Context, Fidelity
+from probe_env.episodes import Episodes
+from probe_env.task import TaskConfig, describe
+
+CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+BATCH = 16
+
+
+class Policy(Protocol):
+    """What evaluation needs: SB3's ``predict`` and a description that is equal for equal policies."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Action and state."""
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is evaluated: every policy on every context with every seed."""
+
+    policies: Mapping[str, Policy]
+    contexts: Sequence[Context]
+    seeds: Sequence[int] = (0,)
+    config: TaskConfig = field(default_factory=TaskConfig)
+    fidelity: Fidelity = field(default_factory=Fidelity)
+
+    def setting(self) -> dict[str, Any]:
+        """What all episodes share: results with another setting do not belong in the same table."""
+        return {
+            **describe(self.config),
+            "fidelity": self.fidelity.model_dump(),
+            "kernel_hash": kernel_hash(self.fidelity.method),
+        }
+
+    def units(self) -> list[tuple[str, int, int]]:
+        """Policy name, context number and seed of every episode."""
+        return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
+
+    def key(self, unit: tuple[str, int, int]) -> str:
+        """Identity of an episode: policy as described, context and seed."""
+        name, k, seed = unit
+        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), seed]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def run_plan(plan: Plan, output: Path, batch: int = BATCH, progress: bool = True) -> pd.DataFrame:
+    """Run what is missing in ``output`` and return the table of all episodes of the plan.
+
+    Every episode is appended to ``episodes.jsonl`` as it ends; at the end ``episodes.csv`` and ``episodes.parquet``
+    (KPIs) and ``profile.parquet`` (per control period) are written.
+
+    Raises:
+        ValueError: the folder holds episodes of another setting; nothing is changed.
+    """
+    journal = output / "episodes.jsonl"
+    stored = _check_setting(plan, output)
+    missing = deque(unit for unit in plan.units() if plan.key(unit) not in stored)
+    if missing:
+        output.mkdir(parents=True, exist_ok=True)
+        write_json(output / "setting.json", plan.setting())
+        with (
+            journal.open("ab") as file,
+            tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
+        ):
+            for line in _run_units(plan, missing, batch):
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+                bar.update()
+        stored = read_journal(journal)
+    rows, profiles = [], []
+    for unit in plan.units():
+        record = stored[plan.key(unit)]
+        name, k, seed = unit
+        place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
+        rows.append(place | plan.contexts[k].model_dump() | record["kpis"])
+        profiles.append(pd.DataFrame(record["profile"]).assign(**place))
+    table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+    _write_tables(table, profile, output)
+    write_json(
+        output / "provenance.json", provenance() | {"policies": {n: p.describe() for n, p in plan.policies.items()}}
+    )
+    return table
+
+
+def read_journal(path: Path) -> dict[str, dict[str, Any]]:
+    """Stored episodes by key; a last line that was cut off by an interrupt is left out (and cut off the file)."""
+    if not path.exists():
+        return {}
+    content = path.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    if len(whole) < len(content):
+        write_atomically(path, whole)
+    return {record["key"]: record for record in map(json.loads, whole.decode().splitlines())}
+
+
+def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
+    path = output / "setting.json"
+    if path.exists():
+        before, now = json.loads(path.read_text()), json.loads(json.dumps(plan.setting()))
+        different = [name for name in now if before.get(name) != now[name]]
+        if different:
+            raise ValueError(
+                f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
+            )
+    return read_journal(output / "episodes.jsonl")
+
+
+def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int) -> Any:
+    """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
+    count = min(batch, len(missing))
+    episodes = Episodes(count, plan.config, fidelity=plan.fidelity)
+    units: list[tuple[str, int, int] | None] = [None] * count
+    states: list[Any] = [None] * count
+    profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
+    observation = episodes.observation.copy()
+    while missing or episodes.running.any():
+        idle = [k for k in range(count) if not episodes.running[k]]
+        fresh = []
+        for k in idle[: len(missing)]:
+            units[k], states[k], profile[k] = missing.popleft(), None, []
+            fresh.append(k)
+        if fresh:
+            options = {k: {"context": plan.contexts[_unit(units[k])[1]]} for k in fresh}
+            rngs = {k: np.random.default_rng([_unit(units[k])[2], _unit(units[k])[1]]) for k in fresh}
+            observation, _ = episodes.reset(fresh, rngs, options)
+            for k in fresh:
+                if not episodes.running[k]:  # it diverged while settling
+                    yield _line(plan, _unit(units[k]), episodes.tally[k].kpis(0.0, True, False, False), [])
+        active = episodes.running.copy()
+        actions = np.zeros((count, 2), dtype=np.float32)
+        for k in np.flatnonzero(active).tolist():
+            policy = plan.policies[_unit(units[k])[0]]
+            start = np.array([states[k] is None])
+            action, states[k] = policy.predict(observation[k : k + 1], states[k], start, deterministic=True)
+            actions[k] = action[0]
+        step = episodes.step(actions, active)
+        observation = step.observation
+        for k in np.flatnonzero(active).tolist():
+            info = step.infos[k]
+            profile[k].append(tuple(float(info[name]) for name in CARRIED))
+            if "episode_kpis" in info:
+                yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k])
+
+
+def _unit(unit: tuple[str, int, int] | None) -> tuple[str, int, int]:
+    assert unit is not None
+    return unit
+
+
+def _line(plan: Plan, unit: tuple[str, int, int], kpis: dict[str, float], profile: list[tuple[float, ...]]) -> str:
+    values = [list(map(float, (f"{value:.6g}" for value in column))) for column in zip(*profile, strict=True)]
+    columns = dict(zip(CARRIED, values or [[] for _ in CARRIED], strict=True))
+    return json.dumps({"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}) + "\n"
+
+
+def _write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> None:
+    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
+    for name, frame in (("episodes", table), ("profile", profile)):
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        write_atomically(output / f"{name}.parquet", buffer.getvalue())
