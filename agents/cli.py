@@ -166,6 +166,52 @@ class Render:
 
 
 @dataclass(frozen=True)
+class Evaluate:
+    """Evaluate policies on the same contexts: KPIs with intervals, paired differences, a table and a report."""
+
+    policies: tuple[str, ...] = ("constant", "slow", "slow-down", "pi")
+    """Built-in policies or schedule files (.csv, .toml); the first is what the others are compared with."""
+    output: Path = Path("output/evaluation")
+    """Folder of the tables and the report; what is there already is not run again."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of contexts."""
+    limit: int = 0
+    """Take so many contexts of the list only, evenly spread; 0: all."""
+    seeds: int = 1
+    """Seeds of sensor noise and start for every context."""
+    fidelity: Literal["study", "standard", "fast"] = "standard"
+    """How closely to simulate."""
+
+    def run(self) -> None:
+        """Run what is missing, print, write the report."""
+        from agents.evaluate import evaluate
+
+        evaluate(self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity)
+
+
+@dataclass(frozen=True)
+class Optimise:
+    """Find the best constant feed or the best schedule over length on training contexts, by CMA-ES."""
+
+    family: Literal["best-constant", "best-schedule"]
+    """What to search."""
+    trials: int = 64
+    """Schedules tried."""
+    contexts: int = 8
+    """Training contexts that each is tried on."""
+    output: Path = Path("agents/data")
+    """Folder of the schedule, its trials and how it was made."""
+    work: Path = Path("output/optimise")
+    """Folder of the search itself, from which an interrupted one goes on."""
+
+    def run(self) -> None:
+        """Search, store, print."""
+        from agents.optimise import run_search
+
+        run_search(self.family, self.trials, self.contexts, self.output, self.work)
+
+
+@dataclass(frozen=True)
 class Readme:
     """Rewrite the README's tables and figures from the stored results."""
 
@@ -212,6 +258,8 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("timelapse", Timelapse),
             ("stability", Stability),
             ("render", Render),
+            ("evaluate", Evaluate),
+            ("optimise", Optimise),
             ("readme", Readme),
         )
     )
