@@ -184,7 +184,7 @@ class Evaluate:
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
-        from agents.evaluate import evaluate
+        from agents.report import evaluate
 
         evaluate(self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity)
 

@@ -1,0 +1,146 @@
+"""The evaluation as a command: run it, print it, and write one self-contained HTML page."""
+
+from __future__ import annotations
+
+import base64
+import json
+import tempfile
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+from rich.console import Console
+from rich.table import Table
+
+from agents import figures
+from agents.evaluate import Plan, run_plan
+from agents.policies import make_policy
+from agents.provenance import write_atomically
+from agents.statistics import KPIS, Interval, endings, sentences, summarise
+from probe_env import load_contexts
+from probe_env.contexts import Split
+from probe_env.fidelity import resolve_fidelity
+from probe_env.task import TaskConfig
+
+
+def evaluate(
+    specs: Sequence[str], output: Path, contexts: Split, limit: int, seeds: int, fidelity: str
+) -> pd.DataFrame:
+    """Evaluate policies on a shipped list of contexts; writes the tables, summary.csv and report.html.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was run.
+    """
+    listed = load_contexts(contexts)
+    if not 0 <= limit <= len(listed):
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")
+    if not 1 <= seeds <= 1000:
+        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
+    if len(set(specs)) != len(specs) or not specs:
+        raise ValueError(f"policies = {', '.join(specs) or 'none'}: at least one is needed, and none twice")
+    config = TaskConfig()
+    policies = {Path(spec).stem if "." in spec else spec: make_policy(spec, config) for spec in specs}
+    if len(policies) != len(specs):
+        raise ValueError(f"policies = {', '.join(specs)}: two schedule files have the same name")
+    chosen = [listed[k * len(listed) // limit] for k in range(limit)] if limit else listed
+    plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity))
+    table = run_plan(plan, output)
+    write_report(output)
+    print_summary(table)
+    print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
+    return table
+
+
+def print_summary(table: pd.DataFrame) -> None:
+    """KPIs with intervals and the comparison in words, on the terminal."""
+    view = Table(title="Means with 95 % intervals over the contexts")
+    for column in ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())):
+        view.add_column(column, justify="right" if column != "policy" else "left")
+    for policy, cells in kpi_cells(table):
+        view.add_row(policy, *cells)
+    Console(width=max(Console().width, 160)).print(view)
+    for policy, row in endings(table).iterrows():
+        print(
+            f"{policy}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"
+            f" {row['diverged']} diverged"
+        )
+    for line in sentences(table, str(table["policy"].iloc[0])):
+        print(line)
+
+
+def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
+    """For every policy its KPIs as text, in the units for people."""
+    summary, rows = summarise(table), []
+    for policy in dict.fromkeys(summary["policy"]):
+        part = summary[summary["policy"] == policy].set_index("kpi")
+        cells = []
+        for kpi, (_, factor, _) in KPIS.items():
+            row = part.loc[kpi]
+            cells.append(Interval(row["mean"], row["low"], row["high"]).text(factor))
+        rows.append((str(policy), cells))
+    return rows
+
+
+def write_report(folder: Path) -> Path:
+    """Write summary.csv and report.html from the tables stored in a folder.
+
+    Raises:
+        FileNotFoundError: no evaluation is stored there.
+    """
+    table, profile = (pd.read_parquet(folder / f"{name}.parquet") for name in ("episodes", "profile"))
+    made = json.loads((folder / "provenance.json").read_text())
+    setting = json.loads((folder / "setting.json").read_text())
+    write_atomically(folder / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
+    ends = endings(table)
+    template = Environment(undefined=StrictUndefined, autoescape=True).from_string(
+        files("agents").joinpath("templates/report.html").read_text()
+    )
+    page = template.render(
+        title="Feed policies compared",
+        episodes=len(table),
+        policies=table["policy"].nunique(),
+        contexts=table["context"].nunique(),
+        seeds=table["seed"].nunique(),
+        sentences=sentences(table, str(table["policy"].iloc[0])),
+        kpi_names=["policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())],
+        kpi_rows=[[policy, *cells] for policy, cells in kpi_cells(table)],
+        endings=[
+            [policy, row["episodes"], row["complete"], row["lost_drive"], row["diverged"]]
+            for policy, row in ends.iterrows()
+        ],
+        pictures=_pictures(table, profile),
+        made=(
+            f"Command: {made['command']}. Commit {made['commit']}, {made['machine']['cores']} cores"
+            f" ({made['machine']['processor']}), {', '.join(f'{k} {v}' for k, v in made['packages'].items())}."
+            f" Fidelity: {setting['fidelity']}. Policies: {made['policies']}."
+        ),
+    )
+    path = folder / "report.html"
+    write_atomically(path, page)
+    return path
+
+
+def _pictures(table: pd.DataFrame, profile: pd.DataFrame) -> list[tuple[str, str, str]]:
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        drawn = [
+            (
+                "Time against vibration",
+                "Each policy's mean over the tubes, bars are 95 % intervals. Down and left is better.",
+                figures.trade_off(summarise(table), folder / "trade-off.png"),
+            ),
+            (
+                "Over the inserted length",
+                "Feed speed, air supply and radial vibration by policy: mean over the tubes; for vibration also the"
+                " loudest tenth (thin lines).",
+                figures.policy_profiles(profile, folder / "profiles.png"),
+            ),
+            (
+                "Worst episodes",
+                "Of each policy the episode with the lowest reward: what it did and felt.",
+                figures.worst_episodes(table, profile, folder / "worst.png"),
+            ),
+        ]
+        return [(name, text, base64.b64encode(path.read_bytes()).decode()) for name, text, path in drawn]
