@@ -169,7 +169,7 @@ class Render:
 class Evaluate:
     """Evaluate policies on the same contexts: KPIs with intervals, paired differences, a table and a report."""
 
-    policies: tuple[str, ...] = ("constant", "slow", "slow-down", "pi")
+    policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
     """Built-in policies or schedule files (.csv, .toml); the first is what the others are compared with."""
     output: Path = Path("output/evaluation")
     """Folder of the tables and the report; what is there already is not run again."""
@@ -193,7 +193,7 @@ class Evaluate:
 class Optimise:
     """Find the best constant feed or the best schedule over length on training contexts, by CMA-ES."""
 
-    family: Literal["best-constant", "best-schedule"]
+    family: tyro.conf.Positional[Literal["best-constant", "best-schedule"]]
     """What to search."""
     trials: int = 64
     """Schedules tried."""

@@ -206,12 +206,8 @@ def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Pa
     for axis, policy in zip(axes[:, 0], policies, strict=True):
         part = table[table["policy"] == policy]
         worst = part.loc[part["reward"].idxmin()]
-        chosen = (
-            (profile["policy"] == policy)
-            & (profile["context"] == worst["context"])
-            & (profile["seed"] == worst["seed"])
-        )
-        rows = profile[chosen]
+        place = ["policy", "context", "seed"]
+        rows = profile[(profile[place] == worst[place]).all(axis=1)]
         axis.plot(rows["inserted_length"], rows["radial_rms_m"] * MM, color=BLUE, linewidth=0.8)
         axis.set_ylabel("radial rms [mm]", color=BLUE)
         feed = axis.twinx()

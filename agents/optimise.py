@@ -102,7 +102,7 @@ def run_search(family_name: str, trials: int, contexts: int, output: Path, work:
     return best
 
 
-def _values(family: Family, points: list[list[float]], config: TaskConfig, contexts: Any, output: Path) -> list[float]:
+def _values(family: Family, points: list[list[float]], config: TaskConfig, contexts: Any, work: Path) -> list[float]:
     """Mean reward of each point, all in one batch; what an interrupted batch has run is not run again."""
     policies = {f"{k}": Scheduled(config, family.schedule(x, config)) for k, x in enumerate(points)}
     table = run_plan(Plan(policies, contexts, config=config, fidelity=SEARCH_FIDELITY), work / "search", progress=False)

@@ -61,9 +61,9 @@ def print_summary(table: pd.DataFrame) -> None:
     for policy, cells in kpi_cells(table):
         view.add_row(policy, *cells)
     Console(width=max(Console().width, 160)).print(view)
-    for policy, row in endings(table).iterrows():
+    for name, row in endings(table).iterrows():
         print(
-            f"{policy}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"
+            f"{name}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"
             f" {row['diverged']} diverged"
         )
     for line in sentences(table, str(table["policy"].iloc[0])):
@@ -106,10 +106,7 @@ def write_report(folder: Path) -> Path:
         sentences=sentences(table, str(table["policy"].iloc[0])),
         kpi_names=["policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())],
         kpi_rows=[[policy, *cells] for policy, cells in kpi_cells(table)],
-        endings=[
-            [policy, row["episodes"], row["complete"], row["lost_drive"], row["diverged"]]
-            for policy, row in ends.iterrows()
-        ],
+        endings=[[policy, *row[["episodes", "complete", "lost_drive", "diverged"]]] for policy, row in ends.iterrows()],
         pictures=_pictures(table, profile),
         made=(
             f"Command: {made['command']}. Commit {made['commit']}, {made['machine']['cores']} cores"
