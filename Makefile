@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability readme clean
+.PHONY: setup demo test lint types study bench timelapse stability policies evaluation readme clean
 
 setup: $(STAMP)
 
@@ -15,7 +15,7 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $(STAMP)
 
 demo: setup
-	$(BIN)/probe-env study --subset --members 1 --duration 4 --output output/demo
+	$(BIN)/probe-env evaluate constant slow-down pi configs/schedules/example.csv --limit 4 --fidelity fast --output output/demo
 
 lint: setup
 	$(BIN)/ruff check .
@@ -39,6 +39,13 @@ timelapse: setup
 
 stability: setup
 	$(BIN)/probe-env stability --output results/stability
+
+policies: setup
+	$(BIN)/probe-env optimise best-constant --trials 24
+	$(BIN)/probe-env optimise best-schedule --trials 64
+
+evaluation: setup
+	$(BIN)/probe-env evaluate constant slow slow-down on-off pi random best-constant best-schedule configs/schedules/example.csv --fidelity fast --output results/evaluation
 
 readme: setup
 	$(BIN)/probe-env readme

@@ -201,6 +201,10 @@ BUILT_IN: Final[dict[str, tuple[type[FixedPolicy], dict[str, Any]]]] = {
 }
 
 
+STORED: Final = ("best-constant", "best-schedule")
+"""Schedules found by ``probe-env optimise``, in ``agents/data/``."""
+
+
 def make_policy(spec: str, config: TaskConfig) -> FixedPolicy:
     """A policy by its built-in name, or from a schedule file (.csv, .toml).
 
@@ -211,6 +215,10 @@ def make_policy(spec: str, config: TaskConfig) -> FixedPolicy:
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]
         return kind(config, **arguments)
+    if spec in STORED:
+        return Scheduled(config, Schedule.read(Path(__file__).parent / "data" / f"{spec}.csv"))
     if Path(spec).suffix in (".csv", ".toml"):
         return Scheduled(config, Schedule.read(spec))
-    raise ValueError(f"policy = {spec!r} is not one of {', '.join(BUILT_IN)}, nor a schedule file (.csv, .toml)")
+    raise ValueError(
+        f"policy = {spec!r} is not one of {', '.join((*BUILT_IN, *STORED))}, nor a schedule file (.csv, .toml)"
+    )
