@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability policies evaluation readme clean
+.PHONY: setup demo test lint types study bench timelapse stability policies evaluation tradeoff readme clean
 
 setup: $(STAMP)
 
@@ -47,8 +47,12 @@ policies: setup
 evaluation: setup
 	$(BIN)/probe-env evaluate constant slow slow-down on-off pi random best-constant best-schedule configs/schedules/example.csv --fidelity fast --output results/evaluation
 
+tradeoff: setup
+	$(BIN)/probe-env tradeoff --output results/tradeoff
+
 readme: setup
 	$(BIN)/probe-env readme
 
 clean:
 	rm -rf $(VENV) output
+	find probe_env -name __pycache__ -prune -exec rm -rf {} +

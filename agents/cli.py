@@ -190,6 +190,28 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Tradeoff:
+    """Sweep one parameter of every policy family: the front of inspection time against vibration."""
+
+    families: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow-down", "on-off", "pi")
+    """Families to sweep."""
+    output: Path = Path("output/tradeoff")
+    """Folder of the tables and the figure; what is there already is not run again."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of contexts."""
+    limit: int = 12
+    """Take so many contexts of the list only, evenly spread; 0: all."""
+    fidelity: Literal["study", "standard", "fast"] = "fast"
+    """How closely to simulate."""
+
+    def run(self) -> None:
+        """Run what is missing, store, print."""
+        from agents.tradeoff import run_tradeoff
+
+        run_tradeoff(self.families, self.output, self.contexts, self.limit, self.fidelity)
+
+
+@dataclass(frozen=True)
 class Optimise:
     """Find the best constant feed or the best schedule over length on training contexts, by CMA-ES."""
 
@@ -259,6 +281,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("stability", Stability),
             ("render", Render),
             ("evaluate", Evaluate),
+            ("tradeoff", Tradeoff),
             ("optimise", Optimise),
             ("readme", Readme),
         )

@@ -74,7 +74,7 @@ def run_plan(plan: Plan, output: Path, batch: int = BATCH, progress: bool = True
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
     Every episode is appended to ``episodes.jsonl`` as it ends; at the end ``episodes.csv`` and ``episodes.parquet``
-    (KPIs) and ``profile.parquet`` (per control period) are written.
+    (KPIs) and ``profile.parquet`` (per metre of inserted length) are written.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
@@ -101,7 +101,7 @@ def run_plan(plan: Plan, output: Path, batch: int = BATCH, progress: bool = True
         name, k, seed = unit
         place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
         rows.append(place | plan.contexts[k].model_dump() | record["kpis"])
-        profiles.append(pd.DataFrame(record["profile"]).assign(**place))
+        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
     table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
     _write_tables(table, profile, output)
     write_json(
@@ -176,9 +176,26 @@ def _unit(unit: tuple[str, int, int] | None) -> tuple[str, int, int]:
 
 
 def _line(plan: Plan, unit: tuple[str, int, int], kpis: dict[str, float], profile: list[tuple[float, ...]]) -> str:
-    values = [list(map(float, (f"{value:.6g}" for value in column))) for column in zip(*profile, strict=True)]
-    columns = dict(zip(CARRIED, values or [[] for _ in CARRIED], strict=True))
+    columns = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(profile).items()}
     return json.dumps({"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}) + "\n"
+
+
+def per_metre(profile: list[tuple[float, ...]]) -> dict[str, np.ndarray]:
+    """Periods (the columns of ``CARRIED``) gathered by metre of inserted length: means, but root mean square of rms.
+
+    ``inserted_length`` is then the middle of the metre, ``time`` that of its last period.
+    """
+    if not profile:
+        return {name: np.zeros(0) for name in CARRIED}
+    periods = pd.DataFrame(profile, columns=list(CARRIED))
+    # the period that ends on a whole metre belongs to the metre before
+    metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0
+    groups = periods.assign(radial_rms_m=periods["radial_rms_m"] ** 2).groupby(metre)
+    gathered = groups.mean()
+    gathered["radial_rms_m"] **= 0.5
+    gathered["time"] = groups["time"].max()
+    gathered["inserted_length"] = gathered.index + 0.5
+    return {name: gathered[name].to_numpy() for name in CARRIED}
 
 
 def _write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> None:

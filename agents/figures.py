@@ -171,6 +171,23 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
     return _save(figure, path)
 
 
+def front(points: pd.DataFrame, path: Path) -> Path:
+    """Fronts of policy families: inspection time against length out of the limit, a line a family."""
+    figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
+    for colour, (family, rows) in zip(_colours(), points.groupby("family", sort=False), strict=False):
+        ordered = rows.sort_values("time_s")
+        x, y = ordered["time_s"], 100.0 * ordered["out_share"]
+        across = [x - ordered["time_low"], ordered["time_high"] - x]
+        along = [y - 100.0 * ordered["out_low"], 100.0 * ordered["out_high"] - y]
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=family)
+    axis.set_xlabel("inspection time [s]")
+    axis.set_ylabel("length out of the limit [%]")
+    axis.set_ylim(bottom=0.0)
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    return _save(figure, path)
+
+
 def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
     """Feed, air and vibration over the inserted length by policy, in bins of two metres."""
     figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")

@@ -16,6 +16,8 @@ import pandas as pd
 from agents import errors_of_step, stability_map, timelapse
 from agents.claims import Ensemble, markdown
 from agents.provenance import write_atomically
+from agents.report import kpi_cells
+from agents.statistics import KPIS, endings, sentences
 from agents.study import load_rows
 
 README = Path("README.md")
@@ -110,6 +112,24 @@ def _environments() -> str:
     return "\n".join(lines) + f"\n\n{note} {_source(path)}"
 
 
+def _evaluation() -> str:
+    folder = RESULTS / "evaluation"
+    table = pd.read_csv(folder / "episodes.csv")
+    shown = [kpi for kpi in KPIS if kpi not in ("inspected_share", "radial_p99_m")]
+    names = [f"{KPIS[kpi][0]} [{KPIS[kpi][2]}]" if KPIS[kpi][2] else KPIS[kpi][0] for kpi in shown]
+    lines = [f"| policy | {' | '.join(names)} |", "|---" * (len(shown) + 1) + "|"]
+    for policy, cells in kpi_cells(table):
+        by_kpi = dict(zip(KPIS, cells, strict=True))
+        lines.append(f"| {policy} | " + " | ".join(by_kpi[kpi] for kpi in shown) + " |")
+    ends = endings(table)
+    words = "\n".join(f"* {line}" for line in sentences(table, "constant"))
+    note = (
+        f"{len(table)} insertions on {table['context'].nunique()} held-out tubes, means with 95 % bootstrap intervals;"
+        f" {ends['diverged'].sum()} diverged, {ends['lost_drive'].sum()} lost their drive."
+    )
+    return "\n".join(lines) + f"\n\n{words}\n\n{note} {_source(folder / 'provenance.json')}"
+
+
 def _timelapse() -> str:
     folder = RESULTS / "timelapse"
     return f"{timelapse.markdown(pd.read_csv(folder / 'summary.csv'))}\n\n{_source(folder / 'provenance.json')}"
@@ -139,6 +159,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "study": _study,
     "bench": _bench,
     "environments": _environments,
+    "evaluation": _evaluation,
     "timelapse": _timelapse,
     "stability": _stability,
     "errors": _errors,

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import trim_mean
 
-from agents.evaluate import Plan, read_journal, run_plan
+from agents.evaluate import Plan, per_metre, read_journal, run_plan
 from agents.policies import Constant, SlowDown
 from agents.report import evaluate, write_report
 from agents.statistics import (
@@ -41,8 +41,19 @@ def test_the_table_has_every_episode_and_pairs_share_context_and_seed(tmp_path):
     assert (first["reward"] != second["reward"]).all()
     assert pd.read_csv(tmp_path / "episodes.csv")["reward"].to_numpy() == pytest.approx(table["reward"], rel=1e-6)
     profile = pd.read_parquet(tmp_path / "profile.parquet")
-    assert len(profile) == 12 * 3
-    assert profile.groupby(["policy", "context", "seed"])["time"].max().eq(0.3).all()
+    assert len(profile) == 12  # one metre each: the length is constant
+    assert profile["time"].to_numpy() == pytest.approx(0.3)
+
+
+def test_the_profile_is_per_metre():
+    """Periods that end at 5.4, 5.8, 6.0 and 6.5 m: three in the sixth metre, one in the seventh."""
+    periods = [(t, length, 0.2, 0.02, rms, 4.0) for t, length, rms in
+               ((1, 5.4, 3e-4), (2, 5.8, 4e-4), (3, 6.0, 0.0), (4, 6.5, 1e-4))]  # fmt: skip
+    profile = per_metre(periods)
+    assert profile["inserted_length"].tolist() == [5.5, 6.5]
+    assert profile["time"].tolist() == [3.0, 4.0]
+    assert profile["radial_rms_m"] == pytest.approx([np.sqrt(25.0 / 3.0) * 1e-4, 1e-4])
+    assert profile["feed_speed"] == pytest.approx([0.2, 0.2])
 
 
 def test_an_episode_does_not_depend_on_its_company(tmp_path):

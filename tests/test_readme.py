@@ -42,7 +42,8 @@ def test_the_commands_exist(capsys):
     from agents.cli import main
 
     commands = set(re.findall(r"^probe-env (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE))
-    assert commands == {"simulate", "study", "bench", "timelapse", "stability", "render", "readme"}
+    every = {"simulate", "study", "bench", "timelapse", "stability", "render", "evaluate", "optimise"}
+    assert commands == every | {"tradeoff", "readme"}
     for command in commands:
         with pytest.raises(SystemExit) as done:
             main([command, "--help"])
