@@ -45,7 +45,7 @@ policies: setup
 	$(BIN)/probe-env optimise best-schedule --trials 64
 
 evaluation: setup
-	$(BIN)/probe-env evaluate constant slow slow-down on-off pi random best-constant best-schedule configs/schedules/example.csv --fidelity fast --output results/evaluation
+	$(BIN)/probe-env evaluate constant slow slow-down on-off pi best-constant best-schedule configs/schedules/example.csv --fidelity fast --output results/evaluation
 
 tradeoff: setup
 	$(BIN)/probe-env tradeoff --output results/tradeoff

@@ -181,12 +181,14 @@ class Evaluate:
     """Seeds of sensor noise and start for every context."""
     fidelity: Literal["study", "standard", "fast"] = "standard"
     """How closely to simulate."""
+    check_fidelity: Literal["no", "half-step", "all"] = "no"
+    """Repeat at half the time step; "all": and a sample with the study's scheme, which takes an hour."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
         from agents.report import evaluate
 
-        evaluate(self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity)
+        evaluate(self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Literal
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
@@ -16,6 +17,7 @@ from rich.table import Table
 
 from agents import figures
 from agents.evaluate import Plan, run_plan
+from agents.fidelity_check import check_half_step, check_study_scheme, report_checks
 from agents.policies import make_policy
 from agents.provenance import write_atomically
 from agents.statistics import KPIS, Interval, endings, sentences, summarise
@@ -26,7 +28,13 @@ from probe_env.task import TaskConfig
 
 
 def evaluate(
-    specs: Sequence[str], output: Path, contexts: Split, limit: int, seeds: int, fidelity: str
+    specs: Sequence[str],
+    output: Path,
+    contexts: Split,
+    limit: int,
+    seeds: int,
+    fidelity: str,
+    check_fidelity: Literal["no", "half-step", "all"] = "no",
 ) -> pd.DataFrame:
     """Evaluate policies on a shipped list of contexts; writes the tables, summary.csv and report.html.
 
@@ -49,6 +57,11 @@ def evaluate(
     table = run_plan(plan, output)
     write_report(output)
     print_summary(table)
+    if check_fidelity != "no":
+        checks = [check_half_step(plan, table, output)]
+        if check_fidelity == "all":
+            checks.append(check_study_scheme(plan, table, pd.read_parquet(output / "profile.parquet"), output))
+        report_checks(checks, output)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 

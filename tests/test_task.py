@@ -66,6 +66,14 @@ def test_crawling_to_the_time_limit_does_not_pay(insertions):
         assert terms[k].sum() < terms[constant].sum() - 100.0
 
 
+def test_contexts_leave_something_to_decide(insertions):
+    """Racing beats the study's feed in a mild context and loses in a hard one."""
+    _, terms, _ = insertions
+    (study_hard, study_mild), (race_hard, race_mild) = (terms[k : k + 2].sum(axis=1) for k in (0, 4))
+    assert race_mild > study_mild + 5.0
+    assert race_hard < study_hard - 20.0
+
+
 def test_no_early_end_pays():
     """Each metre left costs at least what a metre can cost at worst: ending anywhere loses against going on."""
     config = TaskConfig()

@@ -1,0 +1,93 @@
+"""Honesty of the solver: do an evaluation's figures and ranking stay at half the step and with the study's scheme?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import pandas as pd
+from scipy.stats import kendalltau
+
+from agents.evaluate import Plan, run_plan
+from agents.policies import Scheduled
+from agents.provenance import write_atomically
+from agents.statistics import KPIS, Interval, by_context, mean_interval
+from probe_env import Fidelity
+from probe_env.schedule import Schedule
+
+STUDY: Final = Fidelity(method="newmark", time_step=1e-4, time_lapse=4.0)
+SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 8
+COLUMNS: Final = ["check", "policy", "kpi", "mean", "low", "high", "rank", "rank_before"]
+
+
+def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """All episodes again at half the time step; differences to ``table``, see ``differences``."""
+    half = plan.fidelity.model_copy(update={"time_step": plan.fidelity.time_step / 2.0})
+    again = run_plan(replace(plan, fidelity=half), output / "half-step")
+    return differences("half step", again, table)
+
+
+def check_study_scheme(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """A sample replayed with the study's scheme: what each episode fed and blew over length, as a schedule.
+
+    The first ``SAMPLE_POLICIES`` policies on ``SAMPLE_CONTEXTS`` contexts spread over the list, time-lapse 4. Slow:
+    an episode takes minutes.
+    """
+    names = list(plan.policies)[:SAMPLE_POLICIES]
+    count = min(SAMPLE_CONTEXTS, len(plan.contexts))
+    places = [k * len(plan.contexts) // count for k in range(count)]
+    parts = []
+    for k in places:
+        policies = {name: Scheduled(plan.config, replayed(profile, name, k, plan.seeds[0])) for name in names}
+        again = run_plan(
+            replace(plan, policies=policies, contexts=[plan.contexts[k]], seeds=plan.seeds[:1], fidelity=STUDY),
+            output / "study-scheme" / f"context-{k}",
+        )
+        parts.append(again.assign(context=k))
+    chosen = table["policy"].isin(names) & table["context"].isin(places) & (table["seed"] == plan.seeds[0])
+    return differences("study's scheme", pd.concat(parts, ignore_index=True), table[chosen])
+
+
+def replayed(profile: pd.DataFrame, policy: str, context: int, seed: int) -> Schedule:
+    """What an episode fed and blew over the inserted length."""
+    rows = profile[(profile["policy"] == policy) & (profile["context"] == context) & (profile["seed"] == seed)]
+    if rows.empty:
+        raise ValueError(f"no profile of {policy} on context {context} with seed {seed} is stored")
+    columns = (rows[name].astype(float) for name in ("inserted_length", "feed_speed", "air_supply_rate"))
+    position, feed, air = (tuple(column) for column in columns)
+    return Schedule("inserted_length", "linear", position, feed, air)
+
+
+def differences(check: str, again: pd.DataFrame, before: pd.DataFrame) -> pd.DataFrame:
+    """For every policy and KPI: mean change on the same contexts with its interval, and the policy's rank by reward."""
+    ranks = [_ranks(frame) for frame in (again, before)]
+    rows = []
+    for policy in dict.fromkeys(again["policy"]):
+        for kpi in KPIS:
+            change = mean_interval((by_context(again, policy, kpi) - by_context(before, policy, kpi)).to_numpy())
+            rows.append((check, policy, kpi, change.mean, change.low, change.high, ranks[0][policy], ranks[1][policy]))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _ranks(table: pd.DataFrame) -> dict[str, int]:
+    means = table.groupby("policy")["reward"].mean().sort_values(ascending=False)
+    return {str(policy): place for place, policy in enumerate(means.index, start=1)}
+
+
+def report_checks(parts: Sequence[pd.DataFrame], output: Path) -> pd.DataFrame:
+    """Store fidelity.csv and say in words what moved: figures whose interval leaves zero out, and the ranking."""
+    checks = pd.concat(parts, ignore_index=True)
+    write_atomically(output / "fidelity.csv", checks.to_csv(index=False, float_format="%.6g"))
+    for check, rows in checks.groupby("check", sort=False):
+        places = rows.drop_duplicates("policy")
+        agreement = kendalltau(places["rank"], places["rank_before"]).statistic if len(places) > 1 else 1.0
+        same = "stays" if (places["rank"] == places["rank_before"]).all() else "changes"
+        print(f"{check}: the ranking of {len(places)} policies by reward {same} (Kendall's tau {agreement:.2f})")
+        for row in rows.to_dict("records"):
+            if row["low"] > 0.0 or row["high"] < 0.0:
+                name, factor, unit = KPIS[row["kpi"]]
+                change = Interval(row["mean"], row["low"], row["high"]).text(factor)
+                print(f"  {row['policy']}: {name} changes by {change} {unit}".rstrip())
+    return checks

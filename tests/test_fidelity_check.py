@@ -1,0 +1,56 @@
+"""The checks of the solver on short insertions, and their words on tables whose answer is known."""
+
+import pandas as pd
+import pytest
+
+from agents.evaluate import Plan, run_plan
+from agents.fidelity_check import check_half_step, check_study_scheme, differences, replayed, report_checks
+from agents.policies import Constant
+from agents.statistics import KPIS
+from probe_env import Fidelity, load_contexts
+from probe_env.task import TaskConfig
+
+CONFIG = TaskConfig(time_limit=3.0, settle_time=0.5)
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory):
+    policies = {"slow": Constant(CONFIG, feed_speed=0.1), "fast": Constant(CONFIG, feed_speed=0.4)}
+    plan = Plan(policies, load_contexts("validation")[:2], (0,), CONFIG, Fidelity(time_lapse=4.0))
+    output = tmp_path_factory.mktemp("evaluation")
+    return plan, run_plan(plan, output, progress=False), output
+
+
+def test_half_the_step_changes_little_before_the_probe_rings(evaluated):
+    plan, table, output = evaluated
+    checks = check_half_step(plan, table, output).set_index(["policy", "kpi"])
+    assert (checks["rank"] == checks["rank_before"]).all()
+    assert abs(checks.loc[("fast", "inspected_share"), "mean"]) < 1e-6
+    assert abs(checks.loc[("fast", "radial_rms_m"), "mean"]) < 1e-6
+    assert (output / "half-step" / "episodes.csv").exists()
+
+
+def test_the_study_s_scheme_replays_feed_and_air_over_length(evaluated):
+    plan, table, output = evaluated
+    profile = pd.read_parquet(output / "profile.parquet")
+    schedule = replayed(profile, "fast", 1, 0)
+    assert schedule.position == (5.5, 6.5)
+    assert schedule.at(5.5)[0] == pytest.approx(0.4, rel=0.2)
+    checks = check_study_scheme(plan, table, profile, output).set_index(["policy", "kpi"])
+    assert (checks["rank"] == checks["rank_before"]).all()
+    assert abs(checks.loc[("fast", "inspected_share"), "mean"]) < 0.02
+    with pytest.raises(ValueError, match="no profile of fast on context 7"):
+        replayed(profile, "fast", 7, 0)
+
+
+def test_words_name_what_moved_and_whether_the_ranking_stays(evaluated, tmp_path, capsys):
+    _, table, _ = evaluated
+    same = differences("same", table, table)
+    assert set(same["kpi"]) == set(KPIS)
+    moved = table.assign(reward=-table["reward"] - 5.0)
+    report_checks([same, differences("moved", moved, table)], tmp_path)
+    printed = capsys.readouterr().out
+    assert "same: the ranking of 2 policies by reward stays (Kendall's tau 1.00)" in printed
+    assert "moved: the ranking of 2 policies by reward changes (Kendall's tau -1.00)" in printed
+    assert "changes by" in printed
+    assert len(pd.read_csv(tmp_path / "fidelity.csv")) == 2 * 2 * len(KPIS)
