@@ -48,7 +48,7 @@ evaluation: setup
 	$(BIN)/probe-env evaluate constant slow slow-down on-off pi best-constant best-schedule configs/schedules/example.csv --fidelity fast --output results/evaluation
 
 tradeoff: setup
-	$(BIN)/probe-env tradeoff --output results/tradeoff
+	$(BIN)/probe-env tradeoff --limit 6 --output results/tradeoff
 
 readme: setup
 	$(BIN)/probe-env readme

@@ -17,7 +17,7 @@ from agents import errors_of_step, stability_map, timelapse
 from agents.claims import Ensemble, markdown
 from agents.provenance import write_atomically
 from agents.report import kpi_cells
-from agents.statistics import KPIS, endings, sentences
+from agents.statistics import KPIS, Interval, endings, sentences
 from agents.study import load_rows
 
 README = Path("README.md")
@@ -130,6 +130,20 @@ def _evaluation() -> str:
     return "\n".join(lines) + f"\n\n{words}\n\n{note} {_source(folder / 'provenance.json')}"
 
 
+def _tradeoff() -> str:
+    folder = RESULTS / "tradeoff"
+    volumes = pd.read_csv(folder / "hypervolume.csv")
+    contexts = pd.read_csv(folder / "episodes.csv")["context"].nunique()
+    parts = [
+        f"`{row['family']}` {Interval(row['hypervolume'], row['low'], row['high']).text()}"
+        for row in volumes.to_dict("records")
+    ]
+    return (
+        f"Hypervolume (share of the box from nothing to 900 s and all of the length out of the limit that a front"
+        f" dominates): {', '.join(parts)}; {contexts} tubes. {_source(folder / 'provenance.json')}"
+    )
+
+
 def _timelapse() -> str:
     folder = RESULTS / "timelapse"
     return f"{timelapse.markdown(pd.read_csv(folder / 'summary.csv'))}\n\n{_source(folder / 'provenance.json')}"
@@ -160,6 +174,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "bench": _bench,
     "environments": _environments,
     "evaluation": _evaluation,
+    "tradeoff": _tradeoff,
     "timelapse": _timelapse,
     "stability": _stability,
     "errors": _errors,
