@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability policies evaluation tradeoff readme clean
+.PHONY: setup demo test lint types study bench timelapse stability policies evaluation tradeoff fidelity readme clean
 
 setup: $(STAMP)
 
@@ -49,6 +49,9 @@ evaluation: setup
 
 tradeoff: setup
 	$(BIN)/probe-env tradeoff --limit 6 --output results/tradeoff
+
+fidelity: setup
+	$(BIN)/probe-env evaluate constant pi best-schedule --limit 8 --fidelity fast --check-fidelity half-step --output results/fidelity
 
 readme: setup
 	$(BIN)/probe-env readme

@@ -19,7 +19,8 @@ from probe_env.schedule import Schedule
 
 STUDY: Final = Fidelity(method="newmark", time_step=1e-4, time_lapse=4.0)
 SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 8
-COLUMNS: Final = ["check", "policy", "kpi", "mean", "low", "high", "rank", "rank_before"]
+COLUMNS: Final = ["check", "policy", "kpi", "before", "mean", "low", "high", "rank", "rank_before"]
+WORTH_A_WORD: Final = 1e-3  # of the figure before
 
 
 def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
@@ -61,13 +62,15 @@ def replayed(profile: pd.DataFrame, policy: str, context: int, seed: int) -> Sch
 
 
 def differences(check: str, again: pd.DataFrame, before: pd.DataFrame) -> pd.DataFrame:
-    """For every policy and KPI: mean change on the same contexts with its interval, and the policy's rank by reward."""
+    """For every policy and KPI: mean before, its change on the same contexts with interval, the rank by reward."""
     ranks = [_ranks(frame) for frame in (again, before)]
     rows = []
     for policy in dict.fromkeys(again["policy"]):
         for kpi in KPIS:
-            change = mean_interval((by_context(again, policy, kpi) - by_context(before, policy, kpi)).to_numpy())
-            rows.append((check, policy, kpi, change.mean, change.low, change.high, ranks[0][policy], ranks[1][policy]))
+            was = by_context(before, policy, kpi)
+            change = mean_interval((by_context(again, policy, kpi) - was).to_numpy())
+            interval = (float(was.mean()), change.mean, change.low, change.high)
+            rows.append((check, policy, kpi, *interval, ranks[0][policy], ranks[1][policy]))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -77,17 +80,25 @@ def _ranks(table: pd.DataFrame) -> dict[str, int]:
 
 
 def report_checks(parts: Sequence[pd.DataFrame], output: Path) -> pd.DataFrame:
-    """Store fidelity.csv and say in words what moved: figures whose interval leaves zero out, and the ranking."""
+    """Store fidelity.csv and say in words what moved."""
     checks = pd.concat(parts, ignore_index=True)
     write_atomically(output / "fidelity.csv", checks.to_csv(index=False, float_format="%.6g"))
+    print("\n".join(words(checks)))
+    return checks
+
+
+def words(checks: pd.DataFrame) -> list[str]:
+    """Whether the ranking stays, and the figures that move by more than rounding, with intervals without zero."""
+    lines = []
     for check, rows in checks.groupby("check", sort=False):
         places = rows.drop_duplicates("policy")
         agreement = kendalltau(places["rank"], places["rank_before"]).statistic if len(places) > 1 else 1.0
         same = "stays" if (places["rank"] == places["rank_before"]).all() else "changes"
-        print(f"{check}: the ranking of {len(places)} policies by reward {same} (Kendall's tau {agreement:.2f})")
+        lines.append(f"{check}: the ranking of {len(places)} policies by reward {same} (Kendall's tau {agreement:.2f})")
         for row in rows.to_dict("records"):
-            if row["low"] > 0.0 or row["high"] < 0.0:
+            clear = row["low"] > 0.0 or row["high"] < 0.0
+            if clear and abs(row["mean"]) > WORTH_A_WORD * abs(row["before"]):
                 name, factor, unit = KPIS[row["kpi"]]
                 change = Interval(row["mean"], row["low"], row["high"]).text(factor)
-                print(f"  {row['policy']}: {name} changes by {change} {unit}".rstrip())
-    return checks
+                lines.append(f"{row['policy']}: {name} changes by {change} {unit}".rstrip())
+    return lines

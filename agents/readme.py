@@ -15,6 +15,7 @@ import pandas as pd
 
 from agents import errors_of_step, stability_map, timelapse
 from agents.claims import Ensemble, markdown
+from agents.fidelity_check import words
 from agents.provenance import write_atomically
 from agents.report import kpi_cells
 from agents.statistics import KPIS, Interval, endings, sentences
@@ -144,6 +145,12 @@ def _tradeoff() -> str:
     )
 
 
+def _fidelity() -> str:
+    folder = RESULTS / "fidelity"
+    lines = [f"* {line}" for line in words(pd.read_csv(folder / "fidelity.csv"))]
+    return "\n".join(lines) + f"\n\n{_source(folder / 'provenance.json')}"
+
+
 def _timelapse() -> str:
     folder = RESULTS / "timelapse"
     return f"{timelapse.markdown(pd.read_csv(folder / 'summary.csv'))}\n\n{_source(folder / 'provenance.json')}"
@@ -175,6 +182,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "environments": _environments,
     "evaluation": _evaluation,
     "tradeoff": _tradeoff,
+    "fidelity": _fidelity,
     "timelapse": _timelapse,
     "stability": _stability,
     "errors": _errors,
