@@ -192,6 +192,20 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Report:
+    """Write the report of a stored evaluation again: one HTML page that needs no network."""
+
+    folder: tyro.conf.Positional[Path] = Path("results/evaluation")
+    """Folder of the evaluation's tables."""
+
+    def run(self) -> None:
+        """Write report.html and summary.csv beside the tables."""
+        from agents.report import write_report
+
+        print(f"written: {write_report(self.folder)}")
+
+
+@dataclass(frozen=True)
 class Tradeoff:
     """Sweep one parameter of every policy family: the front of inspection time against vibration."""
 
@@ -283,6 +297,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("stability", Stability),
             ("render", Render),
             ("evaluate", Evaluate),
+            ("report", Report),
             ("tradeoff", Tradeoff),
             ("optimise", Optimise),
             ("readme", Readme),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import errno
 import json
 import tempfile
 from collections.abc import Sequence
@@ -102,7 +103,11 @@ def write_report(folder: Path) -> Path:
     Raises:
         FileNotFoundError: no evaluation is stored there.
     """
-    table, profile = (pd.read_parquet(folder / f"{name}.parquet") for name in ("episodes", "profile"))
+    stored = [folder / f"{name}.parquet" for name in ("episodes", "profile")]
+    for path in stored:
+        if not path.exists():
+            raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
+    table, profile = (pd.read_parquet(path) for path in stored)
     made = json.loads((folder / "provenance.json").read_text())
     setting = json.loads((folder / "setting.json").read_text())
     write_atomically(folder / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
