@@ -151,9 +151,6 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int) -> 
             options = {k: {"context": plan.contexts[_unit(units[k])[1]]} for k in fresh}
             rngs = {k: np.random.default_rng([_unit(units[k])[2], _unit(units[k])[1]]) for k in fresh}
             observation, _ = episodes.reset(fresh, rngs, options)
-            for k in fresh:
-                if not episodes.running[k]:  # it diverged while settling
-                    yield _line(plan, _unit(units[k]), episodes.tally[k].kpis(0.0, True, False, False), [])
         active = episodes.running.copy()
         actions = np.zeros((count, 2), dtype=np.float32)
         for k in np.flatnonzero(active).tolist():

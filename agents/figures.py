@@ -163,12 +163,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
         across = [[x - time["low"]], [time["high"] - x]]
         along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
         axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=policy)
-    axis.set_xlabel("inspection time [s]")
-    axis.set_ylabel("length out of the limit [%]")
-    axis.set_ylim(bottom=0.0)
-    axis.grid(**GRID)
-    axis.legend(frameon=False)
-    return _save(figure, path)
+    return _save_time_against_vibration(figure, path)
 
 
 def front(points: pd.DataFrame, path: Path) -> Path:
@@ -180,6 +175,11 @@ def front(points: pd.DataFrame, path: Path) -> Path:
         across = [x - ordered["time_low"], ordered["time_high"] - x]
         along = [y - 100.0 * ordered["out_low"], 100.0 * ordered["out_high"] - y]
         axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=family)
+    return _save_time_against_vibration(figure, path)
+
+
+def _save_time_against_vibration(figure: Figure, path: Path) -> Path:
+    (axis,) = figure.axes
     axis.set_xlabel("inspection time [s]")
     axis.set_ylabel("length out of the limit [%]")
     axis.set_ylim(bottom=0.0)

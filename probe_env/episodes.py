@@ -140,7 +140,7 @@ class Episodes:
             simulator.drive.growth = self.fidelity.time_lapse if self.config.growing else 0.0
             self.tally[k].last_radial = window.radial[-2:, k].copy()
             noise[k] = self.rng[k].normal(size=2)
-            self.running[k] = not window.diverged[k]
+            self.running[k] = True  # one that diverged while settling ends in its first step
         observation = observe(self.config, self._measured(window), noise)
         for k in which:
             self.observation[k] = observation[k]
@@ -188,7 +188,8 @@ class Episodes:
         terminated = complete | lost | diverged
         out_of_time = np.array([t.time >= config.time_limit - 1e-9 for t in self.tally])
         truncated = chosen & out_of_time & ~terminated
-        left = np.where(terminated | truncated, length - after, 0.0) if config.growing else np.zeros(count)
+        reached = np.where(good, after, before)  # what passed in a period that diverged was not inspected
+        left = np.where(terminated | truncated, length - reached, 0.0) if config.growing else np.zeros(count)
         terms = reward_terms(config, travel, ratio, air, change, left, diverged)
         reward = np.where(chosen, sum(terms.values()), 0.0)
         noise = np.zeros((count, 2))

@@ -254,7 +254,8 @@ class Simulator:
         """Count steps that a kernel has done on this state, and keep the error if it diverged."""
         self.steps_done += int(steps)
         self.root = int(root)
-        if diverged:
+        # the lanes look at floats and the tip only: nothing that is not finite may go on from here
+        if diverged or not np.isfinite(self.state.d[: self.root]).all():
             size = np.abs(self.state.d[: self.root]).max(axis=1)
             worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
             distance = worst * self.chain.element_length

@@ -30,18 +30,18 @@ LARGEST_LENGTH, LARGEST_TENSION = 60.0, 20.0  # scales of the observation [m], [
 
 OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
     "inserted_length": (0.0, 20.0, "cable in the helix / 60 m"),
-    "remaining_length": (0.0, 20.0, "length still to feed / 60 m"),
+    "remaining_length": (-1.0, 20.0, "length still to feed / 60 m"),
     "feed_speed": (0.0, 2.0, "applied feed speed / (0.4 m/s)"),
     "air_supply_rate": (0.0, 2.0, "applied air supply / (130 m3/h)"),
     "radial_acceleration": (-3.0, 8.0, "log10 of the radial accelerometer's rms / (1 m/s2)"),
     "axial_acceleration": (-3.0, 8.0, "log10 of the axial accelerometer's rms / (1 m/s2)"),
     "rf_noise": (-4.0, 5.0, "log10 of the eddy-current noise, as radial rms / 0.1 mm; 5 % sensor noise"),
     "root_tension": (-50.0, 50.0, "mean root tension / 20 N; 2 % sensor noise"),
-    "previous_feed_action": (-1.0, 1.0, "action before, feed speed"),
-    "previous_air_action": (-1.0, 1.0, "action before, air supply"),
+    "previous_feed_action": (-1.5, 1.5, "action before, feed speed"),
+    "previous_air_action": (-1.5, 1.5, "action before, air supply"),
     "helix_diameter": (0.0, 4000.0, "helix diameter / 2.5 m"),
 }
-"""Name -> (low, high, meaning) of what a rig can measure."""
+"""Name -> (low, high, meaning) of what a rig can measure; no valid run reaches a bound."""
 PRIVILEGED: Final[dict[str, tuple[float, float, str]]] = {
     "friction": (0.0, 4.0, "friction coefficient / 0.25"),
     "contact_stiffness": (0.0, 1000.0, "contact stiffness / (1e5 N/m)"),
