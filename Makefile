@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability policies evaluation tradeoff fidelity readme clean
+.PHONY: setup demo test lint types study bench timelapse stability policies train train-smoke evaluation designs tradeoff fidelity readme clean
 
 setup: $(STAMP)
 
@@ -41,14 +41,29 @@ stability: setup
 	$(BIN)/probe-env stability --output results/stability
 
 policies: setup
-	$(BIN)/probe-env optimise best-constant --trials 24
-	$(BIN)/probe-env optimise best-schedule --trials 64
+	$(BIN)/probe-env map --output results/map
+	$(BIN)/probe-env optimise
+
+train: setup
+	$(BIN)/probe-env train configs/train/ppo.toml --output results/agents/ppo --jobs 2 --resume
+	$(BIN)/probe-env train configs/train/ppo-no-tension.toml --output results/agents/ppo-no-tension --jobs 2 --resume
+
+train-smoke: setup
+	$(BIN)/pytest tests/test_train.py -k smoke
+
+AGENTS := $(foreach k,0 1 2 3 4,ppo@$(k)=results/agents/ppo/seed-$(k)/agent.npz)
+BLIND := $(foreach k,0 1 2,ppo-no-tension@$(k)=results/agents/ppo-no-tension/seed-$(k)/agent.npz)
 
 evaluation: setup
-	$(BIN)/probe-env evaluate constant slow slow-down on-off pi best-constant best-schedule configs/schedules/example.csv --fidelity fast --output results/evaluation
+	$(BIN)/probe-env evaluate constant slow-down on-off pi best-constant best-schedule best-schedule-by-diameter tension-scheduled privileged configs/schedules/example.csv $(AGENTS) $(BLIND) --against best-schedule --fidelity fast --output results/evaluation
+
+designs: setup
+	$(BIN)/probe-env compare $(foreach name,original longer-guide larger-guide-floats smaller-carrier-floats improved,configs/design/$(name).toml) --output results/design/countermeasures
+	$(BIN)/probe-env design --output results/design/search
+	$(BIN)/probe-env compare configs/design/original.toml configs/design/improved.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
 
 tradeoff: setup
-	$(BIN)/probe-env tradeoff --limit 6 --output results/tradeoff
+	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 12 --output results/tradeoff
 
 fidelity: setup
 	$(BIN)/probe-env evaluate constant pi best-schedule --limit 8 --fidelity fast --check-fidelity half-step --output results/fidelity

@@ -133,16 +133,14 @@ class Stability:
 
 @dataclass(frozen=True)
 class Render:
-    """Film an episode at constant feed and air: the helix with the probe in it, feed, air, vibration, reward."""
+    """Film an episode under a policy: the helix with the probe in it, feed, air, vibration, reward."""
 
     output: Path = Path("output/insertion.gif")
     """File to write: .gif, .mp4, or .png for the last picture alone."""
     env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
     """Which environment."""
-    feed_speed: float = 0.2
-    """[m/s]."""
-    air_supply_m3_per_h: float = 63.0
-    """[m3/h]."""
+    policy: str = "constant"
+    """Built-in policy, schedule file or agent's bundle."""
     fidelity: Literal["study", "standard", "fast"] = "standard"
     """How closely to simulate; fast is for Insertion-v0 alone."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
@@ -157,7 +155,7 @@ class Render:
         from agents.render import render_episode
 
         kpis = render_episode(
-            self.env_id, self.output, self.feed_speed, self.air_supply_m3_per_h / 3600.0, self.every, self.seed,
+            self.env_id, self.output, self.policy, self.every, self.seed,
             fidelity=self.fidelity, contexts=self.contexts,
         )  # fmt: skip
         for name, value in kpis.items():
@@ -170,7 +168,10 @@ class Evaluate:
     """Evaluate policies on the same contexts: KPIs with intervals, paired differences, a table and a report."""
 
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
-    """Built-in policies or schedule files (.csv, .toml); the first is what the others are compared with."""
+    """Built-in policies, schedule files (.csv, .toml) or agents' bundles (.npz); NAME=FILE names one, NAME@K=FILE the
+    training seeds of one method."""
+    against: str | None = None
+    """Policy that the others are compared with; default: the first."""
     output: Path = Path("output/evaluation")
     """Folder of the tables and the report; what is there already is not run again."""
     contexts: Literal["train", "validation", "test"] = "test"
@@ -188,7 +189,10 @@ class Evaluate:
         """Run what is missing, print, write the report."""
         from agents.report import evaluate
 
-        evaluate(self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity)
+        evaluate(
+            self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity,
+            self.against,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -209,12 +213,14 @@ class Report:
 class Tradeoff:
     """Sweep one parameter of every policy family: the front of inspection time against vibration."""
 
-    families: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow-down", "on-off", "pi")
+    families: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow-down", "on-off", "pi", "tension-scheduled")
     """Families to sweep."""
     output: Path = Path("output/tradeoff")
     """Folder of the tables and the figure; what is there already is not run again."""
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of contexts."""
+    beside: tuple[str, ...] = ()
+    """Single policies to draw beside the fronts: schedules, agents."""
     limit: int = 12
     """Take so many contexts of the list only, evenly spread; 0: all."""
     fidelity: Literal["study", "standard", "fast"] = "fast"
@@ -224,29 +230,133 @@ class Tradeoff:
         """Run what is missing, store, print."""
         from agents.tradeoff import run_tradeoff
 
-        run_tradeoff(self.families, self.output, self.contexts, self.limit, self.fidelity)
+        run_tradeoff(self.families, self.output, self.contexts, self.limit, self.fidelity, self.beside)
+
+
+@dataclass(frozen=True)
+class Map:
+    """Wander on the training tubes and fit how loud the probe is over length, feed, air and tube."""
+
+    seeds: int = 2
+    """Insertions on each of the 96 training tubes."""
+    output: Path = Path("output/map")
+    """Folder of the insertions; what is there already is not run again."""
+
+    def run(self) -> None:
+        """Run what is missing, fit, store in agents/data/."""
+        from agents.vibration_map import make_map
+
+        make_map(self.seeds, self.output)
 
 
 @dataclass(frozen=True)
 class Optimise:
-    """Find the best constant feed or the best schedule over length on training contexts, by CMA-ES."""
+    """Find the best constant feed or the best schedule over length for the training tubes, by CMA-ES on the map."""
 
-    family: tyro.conf.Positional[Literal["best-constant", "best-schedule"]]
-    """What to search."""
-    trials: int = 64
-    """Schedules tried."""
-    contexts: int = 8
-    """Training contexts that each is tried on."""
+    families: tyro.conf.Positional[tuple[str, ...]] = ()
+    """What to search: best-constant, best-schedule, best-schedule-dDIAMETER; none: all."""
+    trials: int = 1200
+    """Schedules tried in each search."""
     output: Path = Path("agents/data")
-    """Folder of the schedule, its trials and how it was made."""
+    """Folder of the schedules, their trials and how they were made."""
     work: Path = Path("output/optimise")
-    """Folder of the search itself, from which an interrupted one goes on."""
+    """Folder of the searches themselves, from which an interrupted one goes on."""
+
+    def run(self) -> None:
+        """Search, simulate on the validation tubes, store, print."""
+        from agents.optimise import FAMILIES, run_search
+
+        for family in self.families or FAMILIES:
+            run_search(family, self.trials, self.output, self.work)
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train agents with Stable-Baselines3: checkpoints, validation, the best agent of each seed as a bundle."""
+
+    config_file: tyro.conf.Positional[Path]
+    """Training file (TOML), see configs/train/."""
+    output: Path | None = None
+    """Folder of the runs, seed-K in it; default: output/train/NAME-OF-THE-FILE."""
+    seeds: tuple[int, ...] = ()
+    """Seeds instead of the file's."""
+    jobs: int = 1
+    """Seeds trained side by side."""
+    resume: bool = False
+    """Go on from the last checkpoints in the folder."""
+
+    def run(self) -> None:
+        """Train, print the learning curves."""
+        from agents.train import print_curves, train_all
+        from agents.train_config import Training
+
+        training = Training.from_toml(self.config_file)
+        if self.seeds:
+            training = training.model_copy(update={"seeds": self.seeds})
+        output = self.output or Path("output/train") / self.config_file.stem
+        print_curves(train_all(training, output, self.resume, self.jobs))
+        print(f"written: {output}/seed-*/ (agent.npz: the best by validation, learning.csv, run.json, logs)")
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare probe designs on the same tubes under one feed: KPIs with intervals, changes against the first."""
+
+    designs: tyro.conf.Positional[tuple[Path, ...]]
+    """Design files (TOML), see configs/design/."""
+    feed: str = "constant"
+    """A schedule over inserted length: constant, best-constant, best-schedule or a file; with --full any policy."""
+    full: bool = False
+    """Whole insertions instead of sections of constant length."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of contexts."""
+    limit: int = 0
+    """Take so many contexts of the list only, evenly spread; 0: all."""
+    fidelity: Literal["study", "standard", "fast"] = "standard"
+    """How closely to simulate; fast saves time in whole insertions only."""
+    output: Path = Path("output/compare")
+    """Folder of designs.csv and summary.csv; what is there already is not run again."""
+
+    def run(self) -> None:
+        """Run what is missing, store, print."""
+        from agents.design_compare import Comparison, compare, print_comparison
+        from probe_env import Design
+        from probe_env.contexts import spread_contexts
+        from probe_env.fidelity import resolve_fidelity
+
+        designs = {path.stem: Design.from_toml(path) for path in self.designs}
+        if len(designs) != len(self.designs):
+            raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
+        chosen = spread_contexts(self.contexts, self.limit)
+        comparison = Comparison(designs, chosen, self.feed, self.full, resolve_fidelity(self.fidelity))
+        print_comparison(compare(comparison, self.output))
+        print(f"written: {self.output}/ (designs.csv, summary.csv)")
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """Search for probes: vibration, inspection time and drive margin at once, on training tubes."""
+
+    feed: str = "best-constant"
+    """best-constant searches feed speed and air with the probe; else a schedule, or with --full an agent's bundle."""
+    full: bool = False
+    """Whole insertions instead of sections of constant length: some 5 s a tube."""
+    trials: int = 240
+    """Designs tried."""
+    contexts: int = 6
+    """Training tubes that each is tried in."""
+    output: Path = Path("output/design")
+    """Folder of the study, the tables and the pictures; a search that was interrupted goes on."""
+    storage: str | None = None
+    """URL of an Optuna storage; default: SQLite in the output folder."""
+    seed: int = 0
+    """Of the search."""
 
     def run(self) -> None:
         """Search, store, print."""
-        from agents.optimise import run_search
+        from agents.design_search import run_design_search
 
-        run_search(self.family, self.trials, self.contexts, self.output, self.work)
+        run_design_search(self.feed, self.full, self.trials, self.contexts, self.output, self.storage, self.seed)
 
 
 @dataclass(frozen=True)
@@ -299,7 +409,11 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("evaluate", Evaluate),
             ("report", Report),
             ("tradeoff", Tradeoff),
+            ("map", Map),
             ("optimise", Optimise),
+            ("train", Train),
+            ("compare", Compare),
+            ("design", DesignSearch),
             ("readme", Readme),
         )
     )

@@ -70,7 +70,9 @@ class Plan:
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def run_plan(plan: Plan, output: Path, batch: int = BATCH, progress: bool = True) -> pd.DataFrame:
+def run_plan(
+    plan: Plan, output: Path, batch: int = BATCH, progress: bool = True, threads: int | None = None
+) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
     Every episode is appended to ``episodes.jsonl`` as it ends; at the end ``episodes.csv`` and ``episodes.parquet``
@@ -89,7 +91,7 @@ def run_plan(plan: Plan, output: Path, batch: int = BATCH, progress: bool = True
             journal.open("ab") as file,
             tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
         ):
-            for line in _run_units(plan, missing, batch):
+            for line in _run_units(plan, missing, batch, threads):
                 file.write(line.encode())
                 file.flush()
                 os.fsync(file.fileno())
@@ -133,10 +135,10 @@ def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
     return read_journal(output / "episodes.jsonl")
 
 
-def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int) -> Any:
+def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Any:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
     count = min(batch, len(missing))
-    episodes = Episodes(count, plan.config, fidelity=plan.fidelity)
+    episodes = Episodes(count, plan.config, fidelity=plan.fidelity, threads=threads)
     units: list[tuple[str, int, int] | None] = [None] * count
     states: list[Any] = [None] * count
     profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]

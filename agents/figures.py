@@ -225,6 +225,7 @@ def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Pa
         worst = part.loc[part["reward"].idxmin()]
         place = ["policy", "context", "seed"]
         rows = profile[(profile[place] == worst[place]).all(axis=1)]
+        rows = rows[rows["agent"] == worst["agent"]] if "agent" in rows else rows
         axis.plot(rows["inserted_length"], rows["radial_rms_m"] * MM, color=BLUE, linewidth=0.8)
         axis.set_ylabel("radial rms [mm]", color=BLUE)
         feed = axis.twinx()
@@ -243,3 +244,48 @@ def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Pa
 
 def _colours() -> list[Any]:
     return list(plt.get_cmap("tab20").colors[::2] + plt.get_cmap("tab20").colors[1::2])  # type: ignore[attr-defined]
+
+
+def design_front(table: pd.DataFrame, references: pd.DataFrame, path: Path) -> Path:
+    """Designs of a search: vibration against time and against drive margin, with the probes that they are to beat."""
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
+    labels = {"inspection_time_s": "inspection time [s]", "drive_margin_n": "drive margin [N]"}
+    for axis, (column, label) in zip(axes, labels.items(), strict=True):
+        for on_front, colour, size, name in ((False, "0.8", 10, "tried"), (True, BLUE, 28, "on the front")):
+            part = table[table["on_front"] == on_front]
+            axis.scatter(part[column], part["mean_square_ratio"], color=colour, s=size, label=name)
+        for colour, marker, (probe, rows) in zip((RED, "#d98c00"), "sD", references.groupby("design", sort=False)):  # noqa: B905
+            axis.scatter(rows[column], rows["mean_square_ratio"], color=colour, marker=marker, s=40, label=probe)
+        axis.set(xlabel=label, yscale="log")
+        axis.grid(**GRID)
+    axes[0].set_ylabel("mean of (radial rms / limit)$^2$")
+    axes[1].legend(fontsize=8)
+    return _save(figure, path)
+
+
+def parallel_coordinates(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]], path: Path) -> Path:
+    """Every design of a search as a line through its parameters, each from its lowest to its highest value."""
+    figure, axis = plt.subplots(figsize=(11, 5), layout="constrained")
+    names = list(axes)
+    for on_front, colour, width in ((False, "0.85", 0.6), (True, BLUE, 1.4)):
+        for row in table[table["on_front"] == on_front].to_dict("records"):
+            shares = [(row[name] - axes[name][0]) / (axes[name][1] - axes[name][0]) for name in names]
+            axis.plot(range(len(names)), shares, color=colour, linewidth=width)
+    labels = [f"{name.replace('_', ' ')}\n{axes[name][0]:.3g} to {axes[name][1]:.3g} {axes[name][2]}" for name in names]
+    axis.set_xticks(range(len(names)), labels, fontsize=7)
+    axis.set(ylabel="from lowest to highest", ylim=(-0.02, 1.02), title="Designs tried (grey) and on the front (blue)")
+    axis.grid(**GRID)
+    return _save(figure, path)
+
+
+def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
+    """Validation reward over environment steps of training, a line a seed; step 0 is the warm start."""
+    figure, axis = plt.subplots(figsize=(8, 4), layout="constrained")
+    for colour, (name, curves) in zip(_colours(), runs.items(), strict=False):
+        for number, (_, rows) in enumerate(curves.groupby("seed")):
+            label = name if number == 0 else None
+            axis.plot(rows["steps"], rows["reward"], "o-", color=colour, linewidth=1.0, markersize=3, label=label)
+    axis.set(xlabel="environment steps after the warm start", ylabel="reward on the validation tubes")
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    return _save(figure, path)

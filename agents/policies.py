@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -91,6 +90,7 @@ class FixedPolicy(ABC):
             seen["root_tension"] = raw["root_tension"] * LARGEST_TENSION
         if "friction" in raw:
             seen |= {"friction": raw["friction"] * 0.25, "drag_factor": raw["drag_factor"]}
+            seen["contact_stiffness"] = raw["contact_stiffness"] * 1e5
         return seen
 
 
@@ -199,26 +199,3 @@ BUILT_IN: Final[dict[str, tuple[type[FixedPolicy], dict[str, Any]]]] = {
     "pi": (PI, {}),
     "random": (Random, {}),
 }
-
-
-STORED: Final = ("best-constant", "best-schedule")
-"""Schedules found by ``probe-env optimise``, in ``agents/data/``."""
-
-
-def make_policy(spec: str, config: TaskConfig) -> FixedPolicy:
-    """A policy by its built-in name, or from a schedule file (.csv, .toml).
-
-    Raises:
-        ValueError: no such policy, or the file is not a valid schedule.
-        FileNotFoundError: no such file.
-    """
-    if spec in BUILT_IN:
-        kind, arguments = BUILT_IN[spec]
-        return kind(config, **arguments)
-    if spec in STORED:
-        return Scheduled(config, Schedule.read(Path(__file__).parent / "data" / f"{spec}.csv"))
-    if Path(spec).suffix in (".csv", ".toml"):
-        return Scheduled(config, Schedule.read(spec))
-    raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join((*BUILT_IN, *STORED))}, nor a schedule file (.csv, .toml)"
-    )

@@ -7,22 +7,33 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from agents import errors_of_step, stability_map, timelapse
+from agents import agent_results, design_compare, errors_of_step, stability_map, timelapse
+from agents.catalogue import DATA
 from agents.claims import Ensemble, markdown
 from agents.fidelity_check import words
 from agents.provenance import write_atomically
 from agents.report import kpi_cells
-from agents.statistics import KPIS, Interval, endings, sentences
+from agents.statistics import KPIS, Interval, endings, grouped, sentences
 from agents.study import load_rows
 
 README = Path("README.md")
 RESULTS = Path("results")
+BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled")
+METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
+           "ppo-no-tension", "ppo", "privileged")  # fmt: skip
+DESIGN_TABLES = {
+    "countermeasures": "The study's countermeasures (its section 4.3) one by one, in sections of constant length at its"
+    " 0.2 m/s and 63 m3/h, {tubes} held-out tubes:",
+    "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
+    " tubes:",
+}
 
 
 def rewrite_readme() -> None:
@@ -115,20 +126,81 @@ def _environments() -> str:
 
 def _evaluation() -> str:
     folder = RESULTS / "evaluation"
-    table = pd.read_csv(folder / "episodes.csv")
+    table = grouped(pd.read_csv(folder / "episodes.csv"))
+    against = json.loads((folder / "report.json").read_text())["against"]
     shown = [kpi for kpi in KPIS if kpi not in ("inspected_share", "radial_p99_m")]
     names = [f"{KPIS[kpi][0]} [{KPIS[kpi][2]}]" if KPIS[kpi][2] else KPIS[kpi][0] for kpi in shown]
     lines = [f"| policy | {' | '.join(names)} |", "|---" * (len(shown) + 1) + "|"]
     for policy, cells in kpi_cells(table):
         by_kpi = dict(zip(KPIS, cells, strict=True))
-        lines.append(f"| {policy} | " + " | ".join(by_kpi[kpi] for kpi in shown) + " |")
+        lines.append(f"| `{policy}` | " + " | ".join(by_kpi[kpi] for kpi in shown) + " |")
     ends = endings(table)
-    words = "\n".join(f"* {line}" for line in sentences(table, "constant"))
+    words = "\n".join(f"* {line}" for line in sentences(table, against))
     note = (
         f"{len(table)} insertions on {table['context'].nunique()} held-out tubes, means with 95 % bootstrap intervals;"
         f" {ends['diverged'].sum()} diverged, {ends['lost_drive'].sum()} lost their drive."
     )
     return "\n".join(lines) + f"\n\n{words}\n\n{note} {_source(folder / 'provenance.json')}"
+
+
+def _agents() -> str:
+    table = grouped(pd.read_csv(RESULTS / "evaluation" / "episodes.csv"))
+    lines = [f"* {line}" for line in agent_results.verdicts(table, "ppo", BARS, "privileged")]
+    run = json.loads((RESULTS / "agents" / "ppo" / "seed-0" / "run.json").read_text())
+    imitation = run["config"]["imitation"]
+    speed = agent_results.throughput(
+        agent_results.load_curves(RESULTS / "agents" / "ppo"), imitation["rounds"] * imitation["steps"]
+    )
+    note = (
+        "Interquartile means over training seeds, 95 % intervals over seeds and tubes. Training:"
+        f" {speed['minutes_a_seed']:.0f} minutes a seed with one thread ({run['machine']['cores']} cores shared by two"
+        f" seeds), {speed['steps_per_second']:.0f} environment steps/s, {100.0 * speed['kernel_share']:.0f} % of the"
+        f" time in the simulation kernel. Made by `{run['command']}` (and the same with `ppo-no-tension`) at commit"
+        f" {run['commit']}; weights, learning curves and settings are stored in `results/agents/`."
+    )
+    methods = [name for name in METHODS if name in set(table["policy"])]
+    return f"{agent_results.markdown(table, methods)}\n\n" + "\n".join(lines) + f"\n\n{note}"
+
+
+def _map() -> str:
+    quality = json.loads((DATA / "vibration-map.json").read_text())
+    return (
+        f"The map is fitted to {quality['episodes']} wandering insertions on the training tubes; on others it"
+        f" tells {100.0 * quality['explained_variance']:.0f} % of the variance of log rms."
+        f" Made by `{quality['command']}` at commit {quality['commit']}; stored in `agents/data/`."
+    )
+
+
+def _designs() -> str:
+    parts = []
+    for name, title in DESIGN_TABLES.items():
+        folder = RESULTS / "design" / name
+        table = design_compare.cells(pd.read_csv(folder / "summary.csv"))
+        made = json.loads((folder / "provenance.json").read_text())
+        tubes = pd.read_csv(folder / "designs.csv")["context"].nunique()
+        lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
+        lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
+        parts.append("\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}.")
+    return "\n\n".join(parts)
+
+
+def _search() -> str:
+    folder = RESULTS / "design" / "search"
+    influence, made = pd.read_csv(folder / "sensitivity.csv"), json.loads((folder / "provenance.json").read_text())
+    front = pd.read_csv(folder / "front.csv")
+    rows = influence[influence["objective"] == "mean_square_ratio"].to_dict("records")
+    rows.sort(key=lambda row: -abs(row["coefficient"]))
+    told = ", ".join(
+        f"{row['parameter'].replace('_', ' ')} {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]"
+        for row in rows
+    )
+    design = tomllib.loads((folder / "found.toml").read_text())
+    fields = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in design.items())
+    return (
+        f"{made['trials']} designs on {made['contexts']} training tubes, {len(front)} on the front. What vibration"
+        f" depends on (standardised rank regression over the trials): {told}. The design with the least cost by the"
+        f" task's weights (SI units): {fields}. {_source(folder / 'provenance.json')}"
+    )
 
 
 def _tradeoff() -> str:
@@ -176,10 +248,18 @@ def _growth_figure(path: Path) -> None:
     length_against_vibration(list(lengths), low, middle, high, path)
 
 
+def _learning_figure(path: Path) -> None:
+    from agents.figures import learning_curves
+
+    runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension")}
+    learning_curves(runs, path)
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "study": _study,
     "bench": _bench,
     "environments": _environments,
+    "map": _map,
     "evaluation": _evaluation,
     "tradeoff": _tradeoff,
     "fidelity": _fidelity,

@@ -7,18 +7,18 @@ from typing import Any
 
 import gymnasium as gym
 import imageio.v3 as iio
+import numpy as np
 from tqdm import tqdm
 
 import probe_env
+from agents.catalogue import make_policy
 
 FORMATS = (".gif", ".mp4", ".png")
 FRAMES_PER_SECOND = 10
 
 
-def render_episode(
-    env_id: str, output: Path, feed_speed: float, air_supply_rate: float, every: int, seed: int, **arguments: Any
-) -> dict[str, float]:
-    """Film an episode at constant feed [m/s] and air [m3/s], a frame every so many control periods.
+def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int, **arguments: Any) -> dict[str, float]:
+    """Film an episode under a policy (by its spec, see ``catalogue``), a frame every so many control periods.
 
     Returns:
         the episode's KPIs.
@@ -31,14 +31,17 @@ def render_episode(
         raise ValueError(f"output = {str(output)!r} must end in one of {', '.join(FORMATS)}")
     if every < 1:
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
-    env = gym.make(env_id, render_mode="rgb_array", **arguments)
-    action = env.unwrapped.config.action(feed_speed, air_supply_rate)  # type: ignore[attr-defined]
-    env.reset(seed=seed)
+    env = gym.make(env_id, render_mode="rgb_array", config={"privileged": True}, **arguments)
+    controller = make_policy(policy, env.unwrapped.config)  # type: ignore[attr-defined]
+    observation, _ = env.reset(seed=seed)
+    state, start = None, np.ones(1, dtype=bool)
     frames: list[Any] = [env.render()]
     steps, ended, info = 0, False, dict[str, Any]()
     with tqdm(desc=f"{env_id}", unit="period") as bar:
         while not ended:
-            _, _, terminated, truncated, info = env.step(action)
+            action, state = controller.predict(observation[None], state, start, deterministic=True)
+            start = np.zeros(1, dtype=bool)
+            observation, _, terminated, truncated, info = env.step(action[0])
             ended, steps = terminated or truncated, steps + 1
             if steps % every == 0 or ended:
                 frames.append(env.render())

@@ -17,13 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from agents import figures
+from agents.catalogue import named_policies
 from agents.evaluate import Plan, run_plan
 from agents.fidelity_check import check_half_step, check_study_scheme, report_checks
-from agents.policies import make_policy
-from agents.provenance import write_atomically
-from agents.statistics import KPIS, Interval, endings, sentences, summarise
-from probe_env import load_contexts
-from probe_env.contexts import Split
+from agents.provenance import write_atomically, write_json
+from agents.statistics import KPIS, Interval, endings, grouped, sentences, summarise
+from probe_env.contexts import Split, spread_contexts
 from probe_env.fidelity import resolve_fidelity
 from probe_env.task import TaskConfig
 
@@ -36,28 +35,29 @@ def evaluate(
     seeds: int,
     fidelity: str,
     check_fidelity: Literal["no", "half-step", "all"] = "no",
+    against: str | None = None,
 ) -> pd.DataFrame:
     """Evaluate policies on a shipped list of contexts; writes the tables, summary.csv and report.html.
+
+    Policies named NAME@K are training seeds of one method and are gathered in what is printed. ``against`` is the
+    policy that the others are compared with; default: the first.
 
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    listed = load_contexts(contexts)
-    if not 0 <= limit <= len(listed):
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")
+    chosen = spread_contexts(contexts, limit)
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    if len(set(specs)) != len(specs) or not specs:
-        raise ValueError(f"policies = {', '.join(specs) or 'none'}: at least one is needed, and none twice")
-    config = TaskConfig()
-    policies = {Path(spec).stem if "." in spec else spec: make_policy(spec, config) for spec in specs}
-    if len(policies) != len(specs):
-        raise ValueError(f"policies = {', '.join(specs)}: two schedule files have the same name")
-    chosen = [listed[k * len(listed) // limit] for k in range(limit)] if limit else listed
+    config = TaskConfig(privileged=True)  # every policy looks at what it is meant to
+    policies = named_policies(specs, config)
     plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity))
+    reference = against or next(iter(policies)).split("@")[0]
+    if reference not in {name.split("@")[0] for name in policies}:
+        raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(policies)}")
     table = run_plan(plan, output)
+    write_json(output / "report.json", {"against": reference})
     write_report(output)
-    print_summary(table)
+    print_summary(grouped(table), reference)
     if check_fidelity != "no":
         checks = [check_half_step(plan, table, output)]
         if check_fidelity == "all":
@@ -67,7 +67,7 @@ def evaluate(
     return table
 
 
-def print_summary(table: pd.DataFrame) -> None:
+def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
     view = Table(title="Means with 95 % intervals over the contexts")
     for column in ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())):
@@ -80,7 +80,7 @@ def print_summary(table: pd.DataFrame) -> None:
             f"{name}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"
             f" {row['diverged']} diverged"
         )
-    for line in sentences(table, str(table["policy"].iloc[0])):
+    for line in sentences(table, against):
         print(line)
 
 
@@ -107,11 +107,14 @@ def write_report(folder: Path) -> Path:
     for path in stored:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
-    table, profile = (pd.read_parquet(path) for path in stored)
+    table, profile = (grouped(pd.read_parquet(path)) for path in stored)
+    against = json.loads((folder / "report.json").read_text())["against"]
     made = json.loads((folder / "provenance.json").read_text())
     setting = json.loads((folder / "setting.json").read_text())
     write_atomically(folder / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     ends = endings(table)
+    swept = folder.parent / "tradeoff" / "front.csv"
+    fronts = pd.read_csv(swept) if swept.exists() else None
     template = Environment(undefined=StrictUndefined, autoescape=True).from_string(
         files("agents").joinpath("templates/report.html").read_text()
     )
@@ -121,11 +124,11 @@ def write_report(folder: Path) -> Path:
         policies=table["policy"].nunique(),
         contexts=table["context"].nunique(),
         seeds=table["seed"].nunique(),
-        sentences=sentences(table, str(table["policy"].iloc[0])),
+        sentences=sentences(table, against),
         kpi_names=["policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())],
         kpi_rows=[[policy, *cells] for policy, cells in kpi_cells(table)],
         endings=[[policy, *row[["episodes", "complete", "lost_drive", "diverged"]]] for policy, row in ends.iterrows()],
-        pictures=_pictures(table, profile),
+        pictures=_pictures(table, profile, fronts),
         made=(
             f"Command: {made['command']}. Commit {made['commit']}, {made['machine']['cores']} cores"
             f" ({made['machine']['processor']}), {', '.join(f'{k} {v}' for k, v in made['packages'].items())}."
@@ -137,7 +140,7 @@ def write_report(folder: Path) -> Path:
     return path
 
 
-def _pictures(table: pd.DataFrame, profile: pd.DataFrame) -> list[tuple[str, str, str]]:
+def _pictures(table: pd.DataFrame, profile: pd.DataFrame, fronts: pd.DataFrame | None) -> list[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         drawn = [
@@ -158,4 +161,7 @@ def _pictures(table: pd.DataFrame, profile: pd.DataFrame) -> list[tuple[str, str
                 figures.worst_episodes(table, profile, folder / "worst.png"),
             ),
         ]
+        if fronts is not None:
+            text = "What families of policies reach when one of their parameters is swept (probe-env tradeoff)."
+            drawn.insert(1, ("Fronts", text, figures.front(fronts, folder / "front.png")))
         return [(name, text, base64.b64encode(path.read_bytes()).decode()) for name, text, path in drawn]

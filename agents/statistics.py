@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.stats import bootstrap, trim_mean
 
 CONFIDENCE: Final = 0.95
+RESAMPLES: Final = 2000
 KPIS: Final[dict[str, tuple[str, float, str]]] = {
     "reward": ("reward", 1.0, ""),
     "inspection_time_s": ("inspection time", 1.0, "s"),
@@ -63,6 +64,27 @@ def mean_interval(values: np.ndarray) -> Interval:
 def interquartile_mean(values: np.ndarray) -> float:
     """Mean of the middle half."""
     return float(trim_mean(np.asarray(values, dtype=float), 0.25))
+
+
+def grouped(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with training seeds of one method gathered: policy NAME@K becomes NAME with K in column ``agent``."""
+    parts = table["policy"].str.extract(r"^(?P<name>.*?)(?:@(?P<agent>\d+))?$")
+    return table.assign(policy=parts["name"], agent=parts["agent"].fillna("0").astype(int))
+
+
+def over_seeds(table: pd.DataFrame, policy: str, kpi: str) -> Interval:
+    """Interquartile mean over training seeds of the mean over contexts; interval by drawing seeds and contexts anew."""
+    part = table[table["policy"] == policy]
+    values = part.pivot_table(index="agent", columns="context", values=kpi).to_numpy()
+    rng, (seeds, contexts) = np.random.default_rng(0), values.shape
+    drawn = [
+        interquartile_mean(
+            values[rng.integers(seeds, size=seeds)][:, rng.integers(contexts, size=contexts)].mean(axis=1)
+        )
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.percentile(drawn, [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
+    return Interval(interquartile_mean(values.mean(axis=1)), float(low), float(high))
 
 
 def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,12 +15,13 @@ from rich.table import Table
 from scipy.stats import bootstrap
 
 from agents import figures
-from agents.evaluate import Plan, run_plan
+from agents.catalogue import named_policies
+from agents.evaluate import Plan, Policy, run_plan
+from agents.map_policies import Privileged, TensionScheduled
 from agents.policies import PI, Constant, FixedPolicy, OnOff, SlowDown
 from agents.provenance import write_atomically
-from agents.statistics import Interval, by_context, mean_interval
-from probe_env import load_contexts
-from probe_env.contexts import Split
+from agents.statistics import Interval, by_context, grouped, mean_interval
+from probe_env.contexts import Split, spread_contexts
 from probe_env.fidelity import resolve_fidelity
 from probe_env.task import TaskConfig
 
@@ -44,30 +45,34 @@ FAMILIES: Final[dict[str, Family]] = {
     "slow-down": Family(SlowDown, "slow", (0.05, 0.08, 0.12, 0.16, 0.22), {}),
     "on-off": Family(OnOff, "level", (2e-5, 4e-5, 8e-5, 1.6e-4, 3.2e-4), {}),
     "pi": Family(PI, "level", (1.5e-5, 3e-5, 6e-5, 1.2e-4, 2.4e-4), {}),
+    "tension-scheduled": Family(TensionScheduled, "vibration_weight", (0.2, 0.5, 1.0, 2.0, 5.0), {}),
+    "privileged": Family(Privileged, "vibration_weight", (0.2, 0.5, 1.0, 2.0, 5.0), {}),
 }
 
 
-def run_tradeoff(names: Sequence[str], output: Path, contexts: Split, limit: int, fidelity: str) -> pd.DataFrame:
+def run_tradeoff(
+    names: Sequence[str], output: Path, contexts: Split, limit: int, fidelity: str, beside: Sequence[str] = ()
+) -> pd.DataFrame:
     """Sweep families; stores front.csv, hypervolume.csv and front.png beside the evaluation's tables.
+
+    ``beside`` are single policies by their specs, drawn as points: agents, schedules.
 
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    listed = load_contexts(contexts)
-    if not 0 <= limit <= len(listed):
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")
+    chosen = spread_contexts(contexts, limit)
     for name in names:
         if name not in FAMILIES:
             raise ValueError(f"family = {name!r} is not one of {', '.join(FAMILIES)}")
-    chosen = [listed[k * len(listed) // limit] for k in range(limit)] if limit else listed
-    config = TaskConfig()
-    policies = {
+    config = TaskConfig(privileged=True)
+    singles = named_policies(beside, config) if beside else {}
+    policies: dict[str, Policy] = {
         f"{name} {value:g}": FAMILIES[name].kind(config, **{FAMILIES[name].parameter: value}, **FAMILIES[name].fixed)
         for name in names
         for value in FAMILIES[name].values
     }
-    table = run_plan(Plan(policies, chosen, (0,), config, resolve_fidelity(fidelity)), output)
-    front, volumes = front_of(table, names), hypervolumes(table, names)
+    table = run_plan(Plan(policies | singles, chosen, (0,), config, resolve_fidelity(fidelity)), output)
+    front, volumes = front_of(grouped(table), names, singles), hypervolumes(table, names)
     write_atomically(output / "front.csv", front.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "hypervolume.csv", volumes.to_csv(index=False, float_format="%.6g"))
     figures.front(front, output / "front.png")
@@ -76,15 +81,18 @@ def run_tradeoff(names: Sequence[str], output: Path, contexts: Split, limit: int
     return front
 
 
-def front_of(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """Mean time [s] and share of length out of the limit of every member, with 95 % intervals over the contexts."""
+def front_of(table: pd.DataFrame, names: Sequence[str], singles: Iterable[str] = ()) -> pd.DataFrame:
+    """Mean time [s] and share of length out of the limit of every member, with 95 % intervals over the contexts.
+
+    A single policy is a family of its own, of value NaN; NAME@K of all K are one.
+    """
+    members = [(name, value, f"{name} {value:g}") for name in names for value in FAMILIES[name].values]
+    members += [(name, float("nan"), name) for name in dict.fromkeys(single.split("@")[0] for single in singles)]
     rows = []
-    for name in names:
-        for value in FAMILIES[name].values:
-            policy = f"{name} {value:g}"
-            time = mean_interval(by_context(table, policy, "inspection_time_s").to_numpy())
-            out = mean_interval(1.0 - by_context(table, policy, "share_within_limit").to_numpy())
-            rows.append((name, value, time.mean, time.low, time.high, out.mean, out.low, out.high))
+    for name, value, policy in members:
+        time = mean_interval(by_context(table, policy, "inspection_time_s").to_numpy())
+        out = mean_interval(1.0 - by_context(table, policy, "share_within_limit").to_numpy())
+        rows.append((name, value, time.mean, time.low, time.high, out.mean, out.low, out.high))
     columns = ["family", "value", "time_s", "time_low", "time_high", "out_share", "out_low", "out_high"]
     return pd.DataFrame(rows, columns=columns)
 

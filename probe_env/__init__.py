@@ -10,6 +10,7 @@ import gymnasium
 
 from probe_env.batch import SimulatorBatch, Window
 from probe_env.contexts import Context, load_contexts
+from probe_env.design import Design
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity
 from probe_env.run import Run
@@ -21,6 +22,7 @@ __all__ = [
     "Air",
     "Contact",
     "Context",
+    "Design",
     "Fidelity",
     "Probe",
     "Run",
@@ -41,3 +43,4 @@ for _name in ("Insertion", "Snapshot"):  # no max_episode_steps: the environment
         entry_point=f"probe_env.env:{_name}Env",
         vector_entry_point=f"probe_env.vector:{_name}VectorEnv",
     )
+gymnasium.register(id="probe_env/Design-v0", entry_point="probe_env.design_env:DesignEnv")

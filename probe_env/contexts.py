@@ -80,6 +80,18 @@ def load_contexts(split: Split) -> tuple[Context, ...]:
     )
 
 
+def spread_contexts(split: Split, limit: int) -> tuple[Context, ...]:
+    """So many contexts of a shipped list, evenly spread; 0: all.
+
+    Raises:
+        ValueError: no such split, or more than there are.
+    """
+    listed = load_contexts(split)
+    if not 0 <= limit <= len(listed):
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")
+    return tuple(listed[k * len(listed) // limit] for k in range(limit)) if limit else listed
+
+
 def make_file() -> str:
     """The text of the shipped file: helix diameters in turn, the rest drawn, rounded to what is written."""
     lines = ["split,friction,contact_stiffness,drag_factor,helix_diameter"]

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from probe_env.batch import SimulatorBatch, Window
 from probe_env.chain import FloatArray
+from probe_env.checks import whole_steps
 from probe_env.contexts import Context, Split, draw_context, load_contexts
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.kpis import Tally
@@ -69,8 +70,7 @@ class Episodes:
     ) -> None:
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
-        if contexts not in ("random", *get_args(Split)):
-            raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+        drawn_context(contexts, np.random.default_rng(0), {})  # names a list that is not there
         self.config, self.base_scene, self.fidelity = config, scene or Scene(), resolve_fidelity(fidelity)
         self.contexts: Contexts = contexts
         self.start_action = config.action(feed_speed, air_supply_rate)
@@ -78,6 +78,7 @@ class Episodes:
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
         self._dynamic_period = config.period / self.fidelity.time_lapse
+        whole_steps("config.period / fidelity.time_lapse", self._dynamic_period, self.fidelity.time_step)
         scenes = [self._start_scene(Context(), {})] * count
         self.batch = SimulatorBatch(
             scenes, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
@@ -113,11 +114,11 @@ class Episodes:
         for k in which:
             rng, given = rngs[k], dict((options or {}).get(k) or {})
             changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
-            context = self._draw(copy.deepcopy(rng), given)
+            context = drawn_context(self.contexts, copy.deepcopy(rng), given)
             prepared[k] = (context, self._start_scene(context, changes))
         for k, (context, scene) in prepared.items():
             rng = rngs[k]
-            self._draw(rng, {})
+            drawn_context(self.contexts, rng, {})
             seed = int(rng.integers(2**31))
             self.rng[k], self.context[k] = rng, context
             simulator = Simulator(
@@ -239,17 +240,6 @@ class Episodes:
             }
             tally.add_signals(float(travel[k]), rms, window.radial[:, k], SAMPLE_PERIOD)
 
-    def _draw(self, rng: np.random.Generator, given: dict[str, Any]) -> Context:
-        """A context from the generator; options fix fields of it."""
-        whole = given.pop("context", None)
-        if whole is not None:
-            values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
-            given = values | given
-        if self.contexts == "random":
-            return draw_context(rng, given)
-        choices = load_contexts(self.contexts)
-        return choices[int(rng.integers(len(choices)))].model_copy(update=given)
-
     def _start_scene(self, context: Context, changes: Mapping[str, Any]) -> Scene:
         """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
         scene = context.apply(self.base_scene)
@@ -309,3 +299,23 @@ class Episodes:
             "air_supply_rate": float(window.air_supply_rate[k]),
             **{name: float(window.statistics[name][k]) for name in names},
         }
+
+
+def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:
+    """A context from the generator, at random or from a shipped list; ``given`` fixes fields or a whole "context".
+
+    Takes "context" out of ``given``.
+
+    Raises:
+        ValueError: no such list, or a field that is not known or not valid.
+    """
+    if contexts not in ("random", *get_args(Split)):
+        raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+    whole = given.pop("context", None)
+    if whole is not None:
+        values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
+        given = values | given
+    if contexts == "random":
+        return draw_context(rng, given)
+    choices = load_contexts(contexts)
+    return choices[int(rng.integers(len(choices)))].model_copy(update=given)

@@ -49,7 +49,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
         (["render", "--every", "0"], "every = 0"),
         (["report", "nowhere"], "no such file: nowhere"),
-        (["render", "--feed-speed", "3"], "feed_speed = 3.0"),
+        (["render", "--policy", "fastest"], "policy = 'fastest'"),
         (["study", "--scenes", "nowhere", "--duration", "1"], "no such file: nowhere"),
     ],
 )

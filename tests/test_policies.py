@@ -3,17 +3,23 @@
 import numpy as np
 import pytest
 
-from agents.policies import BUILT_IN, PI, Constant, OnOff, SlowDown, make_policy
+from agents.catalogue import NAMES, make_policy
+from agents.policies import PI, Constant, OnOff, SlowDown
 from probe_env.task import TaskConfig
 
-CONFIG = TaskConfig()
-NAMES = list(CONFIG.observations)
+CONFIG = TaskConfig(privileged=True)
+SHOWN = list(CONFIG.observations)
 
 
 def observation(length=20.0, rms=1e-5):
-    values = np.zeros(len(NAMES), dtype=np.float32)
-    values[NAMES.index("inserted_length")] = length / 60.0
-    values[NAMES.index("rf_noise")] = np.log10(rms / 1e-4)
+    values = np.zeros(len(SHOWN), dtype=np.float32)
+    values[SHOWN.index("inserted_length")] = length / 60.0
+    values[SHOWN.index("rf_noise")] = np.log10(rms / 1e-4)
+    values[SHOWN.index("helix_diameter")] = 1.2 / 2.5
+    values[SHOWN.index("root_tension")] = 4.0 / 20.0
+    values[SHOWN.index("feed_speed")], values[SHOWN.index("air_supply_rate")] = 0.5, 63.0 / 130.0
+    for name in ("friction", "contact_stiffness", "drag_factor"):
+        values[SHOWN.index(name)] = {"friction": 0.6}.get(name, 1.0)
     return values
 
 
@@ -21,7 +27,7 @@ def feed_of(action):
     return CONFIG.targets(np.atleast_2d(action))[:, 0]
 
 
-@pytest.mark.parametrize("name", [*BUILT_IN, "configs/schedules/example.csv", "configs/schedules/shift.toml"])
+@pytest.mark.parametrize("name", [*NAMES, "configs/schedules/example.csv", "configs/schedules/shift.toml"])
 def test_predict_follows_sb3_s_protocol(name, monkeypatch):
     monkeypatch.chdir(__file__.rsplit("/", 2)[0])
     policy = make_policy(name, CONFIG)

@@ -42,8 +42,8 @@ def test_the_commands_exist(capsys):
     from agents.cli import main
 
     commands = set(re.findall(r"^probe-env (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE))
-    every = {"simulate", "study", "bench", "timelapse", "stability", "render", "evaluate", "optimise"}
-    assert commands == every | {"report", "tradeoff", "readme"}
+    every = {"simulate", "study", "bench", "timelapse", "stability", "render", "evaluate", "optimise", "map", "train"}
+    assert commands == every | {"report", "tradeoff", "readme", "compare", "design"}
     for command in commands:
         with pytest.raises(SystemExit) as done:
             main([command, "--help"])

@@ -1,0 +1,64 @@
+"""All policies by name: built-in ones, those found by search, schedule files and trained agents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from agents.evaluate import Policy
+from agents.map_policies import MAP_POLICIES, ByDiameter
+from agents.policies import BUILT_IN, Scheduled
+from probe_env.schedule import Schedule
+from probe_env.task import TaskConfig
+
+DATA: Final = Path(__file__).parent / "data"
+STORED: Final = ("best-constant", "best-schedule")
+"""Schedules found by ``probe-env optimise``, in ``agents/data/``."""
+BY_DIAMETER: Final = "best-schedule-by-diameter"
+NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES)
+
+
+def named_policies(specs: Sequence[str], config: TaskConfig) -> dict[str, Policy]:
+    """Policies by the names that tables give them: "NAME=SPEC", or the name or file name in the spec.
+
+    Raises:
+        ValueError: none, or one name twice; and what ``make_policy`` raises.
+    """
+    pairs = [spec.split("=", 1) if "=" in spec else (Path(spec).stem if "." in spec else spec, spec) for spec in specs]
+    names = [name for name, _ in pairs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or not names:
+        raise ValueError(
+            f"policies = {', '.join(specs) or 'none'}: at least one is needed, and no name twice"
+            + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
+        )
+    return {name: make_policy(spec, config) for name, spec in pairs}
+
+
+def make_policy(spec: str, config: TaskConfig) -> Policy:
+    """A policy by its name, from a schedule file (.csv, .toml) or from an agent's bundle (.npz).
+
+    Raises:
+        ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
+        FileNotFoundError: no such file.
+    """
+    for known in (BUILT_IN, MAP_POLICIES):
+        if spec in known:
+            kind, arguments = known[spec]
+            return kind(config, **arguments)
+    if spec in STORED:
+        return Scheduled(config, Schedule.read(DATA / f"{spec}.csv"))
+    if spec == BY_DIAMETER:
+        return ByDiameter.read(config, DATA)
+    suffix = Path(spec).suffix
+    if suffix in (".csv", ".toml"):
+        return Scheduled(config, Schedule.read(spec))
+    if suffix == ".npz":
+        from agents.bundle import load_bundle  # torch takes seconds to import
+
+        return load_bundle(spec, config)
+    raise ValueError(
+        f"policy = {spec!r} is not one of {', '.join(NAMES)}, nor a schedule file (.csv, .toml)"
+        " nor an agent's bundle (.npz)"
+    )

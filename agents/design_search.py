@@ -1,0 +1,248 @@
+"""Search for probe designs: vibration, inspection time and drive margin at once, by NSGA-II of Optuna.
+
+Trials are kept in SQLite (or any storage that Optuna knows), one by one, and the sampler is seeded by how many are
+complete, so a search that was killed goes on to the same front.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import moocore
+import numpy as np
+import optuna
+import pandas as pd
+from optuna.samplers import NSGAIISampler
+from optuna.trial import FrozenTrial, TrialState
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import bootstrap, rankdata
+from tqdm import tqdm
+
+from agents import figures
+from agents.design_compare import Comparison
+from agents.map_policies import LEAST_AIR
+from agents.provenance import provenance, write_atomically, write_json
+from agents.vibration_map import FEEDS
+from probe_env import Context, Design
+from probe_env.contexts import spread_contexts
+from probe_env.design import RANGES
+from probe_env.schedule import Schedule
+from probe_env.task import TaskConfig
+from probe_env.trials import SPAN, judge, try_sections
+
+OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
+DIRECTIONS: Final = ("minimize", "minimize", "maximize")
+FEED_AXES: Final = {"feed_speed": (*FEEDS, "m/s"), "air_supply_rate": (LEAST_AIR, 130.0 / 3600.0, "m3/s")}
+Values = tuple[float, float, float]
+STUDY_PROBES: Final = {
+    "the study's original": Design(),
+    "the study's improved": Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016),
+}
+
+
+@dataclass(frozen=True)
+class DesignProblem:
+    """What is searched and how a point is judged.
+
+    Attributes:
+        contexts: tubes that every design is tried in.
+        feed: "best-constant": feed speed and air are searched together with the probe; else the spec of a schedule,
+            or with ``full`` of an agent.
+        full: whole insertions.
+    """
+
+    contexts: tuple[Context, ...]
+    feed: str = "best-constant"
+    full: bool = False
+    config: TaskConfig = field(default_factory=lambda: TaskConfig(privileged=True))
+
+    @property
+    def axes(self) -> dict[str, tuple[float, float, str]]:
+        """Name -> lowest, highest, unit of everything that is searched."""
+        return RANGES | (FEED_AXES if self.feed == "best-constant" else {})
+
+    def value(self, point: dict[str, float]) -> Values:
+        """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
+
+        A probe that does not get through has the ratio's cap and the slowest time for what it missed.
+        """
+        design = Design(**{name: point[name] for name in RANGES})
+        pairs = [(design, context) for context in self.contexts]
+        seeds = range(len(pairs))
+        if self.feed == "best-constant":
+            feed = Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
+            trial = try_sections([design] * len(pairs), self.contexts, [feed] * len(pairs), self.config, seeds=seeds)
+            _, figures_ = judge([design] * len(pairs), trial, self.config)
+            kpis = [{name: float(values[k]) for name, values in figures_.items()} for k in range(len(pairs))]
+        else:
+            comparison = Comparison({"": design}, self.contexts, self.feed, self.full, config=self.config)
+            kpis = comparison.run(pairs, seeds)
+        span = [k["missed_m"] for k in kpis]
+        slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
+        squares = [(k["mean_square_ratio"] * (SPAN - m) + cap * m) / SPAN for k, m in zip(kpis, span, strict=True)]
+        times = [k["inspection_time_s"] + slowest * m for k, m in zip(kpis, span, strict=True)]
+        return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
+
+
+def search(
+    axes: dict[str, tuple[float, float, str]],
+    value: Callable[[dict[str, float]], Values],
+    trials: int,
+    storage: str,
+    name: str,
+    population: int = 24,
+    seed: int = 0,
+) -> optuna.Study:
+    """Run a search, or what is left of it, and return the study.
+
+    Args:
+        axes: name -> lowest, highest, unit.
+        value: objectives of a point, by ``DIRECTIONS``.
+        trials: to be complete at the end.
+        storage: URL of any storage that Optuna knows.
+        name: of the study in it.
+        population: designs in a generation.
+        seed: of the search.
+    """
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(storage=storage, study_name=name, directions=list(DIRECTIONS), load_if_exists=True)
+    for stale in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study._storage.set_trial_state_values(stale._trial_id, TrialState.FAIL)  # of a run that was killed
+    done = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+    with tqdm(total=trials, initial=min(done, trials), desc=name, unit="design") as bar:
+        for number in range(done, trials):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                study.sampler = NSGAIISampler(
+                    population_size=population, seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+                )
+            trial = study.ask()
+            point = {axis: trial.suggest_float(axis, low, high) for axis, (low, high, _) in axes.items()}
+            study.tell(trial, value(point))
+            bar.update()
+    return study
+
+
+def trials_table(study: optuna.Study) -> pd.DataFrame:
+    """Complete trials: number, point, objectives and whether the design is on the front."""
+    complete = sorted(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)), key=lambda trial: trial.number)
+    rows = [_row(k, trial) for k, trial in enumerate(complete)]
+    table = pd.DataFrame(rows)
+    signs = np.array([1.0 if direction == "minimize" else -1.0 for direction in DIRECTIONS])
+    table["on_front"] = moocore.is_nondominated(table[list(OBJECTIVES)].to_numpy() * signs)
+    return table
+
+
+def _row(number: int, trial: FrozenTrial) -> dict[str, Any]:
+    return {"trial": number} | trial.params | dict(zip(OBJECTIVES, trial.values, strict=True))
+
+
+def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> pd.DataFrame:
+    """Standardised rank regression of every objective on all parameters, with 95 % bootstrap intervals.
+
+    A coefficient of +1 would say that the objective rises with the parameter alone; the trials are those of the search,
+    so parameters that it soon agreed on show less than they would over the whole space.
+    """
+    names = list(axes)
+    rows: list[tuple[str, str, float, float, float]] = []
+    for objective in OBJECTIVES:
+
+        def coefficients(*columns: np.ndarray) -> np.ndarray:
+            ranks = np.column_stack([rankdata(column) for column in columns])
+            scaled = (ranks - ranks.mean(axis=0)) / np.maximum(ranks.std(axis=0), 1e-12)
+            return np.asarray(np.linalg.lstsq(scaled[:, :-1], scaled[:, -1], rcond=None)[0])
+
+        data = tuple(table[name].to_numpy() for name in (*names, objective))
+        drawn = bootstrap(
+            data, coefficients, paired=True, vectorized=False, method="percentile", n_resamples=1000,
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+        middle = coefficients(*data)
+        low, high = (np.atleast_1d(end) for end in drawn.confidence_interval)
+        rows += [(objective, n, float(middle[k]), float(low[k]), float(high[k])) for k, n in enumerate(names)]
+    return pd.DataFrame(rows, columns=["objective", "parameter", "coefficient", "low", "high"])
+
+
+def run_design_search(
+    feed: str, full: bool, trials: int, contexts: int, output: Path, storage: str | None, seed: int
+) -> pd.DataFrame:
+    """The search as a command: stores trials.csv, front.csv, sensitivity.csv, pictures and the best designs as TOML.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was run.
+    """
+    if contexts < 1:
+        raise ValueError(f"contexts = {contexts!r} is outside the accepted range 1 and more")
+    chosen = spread_contexts("train", contexts)
+    if not 2 <= trials <= 1_000_000:
+        raise ValueError(f"trials = {trials!r} is outside the accepted range 2 to 1000000")
+    problem = DesignProblem(chosen, feed, full)
+    if feed != "best-constant" and not full:
+        Comparison({}, chosen, feed).schedule()
+    output.mkdir(parents=True, exist_ok=True)
+    study = search(
+        problem.axes, problem.value, trials, storage or f"sqlite:///{output / 'study.db'}",
+        f"{'full' if full else 'sections'} {feed} {contexts} tubes seed {seed}", seed=seed,
+    )  # fmt: skip
+    table = trials_table(study)
+    front = table[table["on_front"]].sort_values("mean_square_ratio")
+    influence = sensitivity(table, problem.axes)
+    for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
+        write_atomically(output / f"{name}.csv", frame.to_csv(index=False, float_format="%.6g"))
+    design = best_of(front, problem.config)
+    write_atomically(output / "found.toml", design.to_toml())
+    references = reference_probes(problem, output / "references.csv")
+    figures.design_front(table, references, output / "front.png")
+    figures.parallel_coordinates(table, problem.axes, output / "parallel.png")
+    setting = {"feed": feed, "full": full, "contexts": contexts, "trials": len(table), "seed": seed}
+    write_json(output / "provenance.json", provenance() | setting)
+    _print(front, influence, problem.axes)
+    print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, parallel.png, found.toml)")
+    return table
+
+
+def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
+    """The design of the front with the least cost by the task's weights, among those that keep some drive."""
+
+    def cost(row: dict[str, float]) -> float:
+        vibration = config.vibration_weight * SPAN * row["mean_square_ratio"]
+        return vibration + config.time_weight * row["inspection_time_s"]
+
+    rows: list[Any] = front.to_dict("records")
+    best = min([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=cost)
+    return Design(**{name: float(best[name]) for name in RANGES}).built
+
+
+def reference_probes(problem: DesignProblem, path: Path) -> pd.DataFrame:
+    """Objectives of the study's two probes, at several feeds if these are searched too; kept in a file."""
+    if path.exists():
+        return pd.read_csv(path)
+    feeds: list[dict[str, float]] = [{}]
+    if problem.feed == "best-constant":
+        feeds = [
+            {"feed_speed": u, "air_supply_rate": q / 3600.0} for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0)
+        ]
+    rows = []
+    for name, probe in STUDY_PROBES.items():
+        for feed in feeds:
+            values = problem.value(probe.model_dump() | feed)
+            rows.append({"design": name} | feed | dict(zip(OBJECTIVES, values, strict=True)))
+    table = pd.DataFrame(rows)
+    write_atomically(path, table.to_csv(index=False, float_format="%.6g"))
+    return table
+
+
+def _print(front: pd.DataFrame, influence: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> None:
+    view = Table(title="Designs on the front")
+    for name in (*axes, *OBJECTIVES):
+        view.add_column(name, justify="right")
+    for row in front.to_dict("records"):
+        view.add_row(*(f"{row[name]:.3g}" for name in (*axes, *OBJECTIVES)))
+    Console(width=max(Console().width, 160)).print(view)
+    for row in influence[influence["objective"] == OBJECTIVES[0]].to_dict("records"):
+        print(f"vibration and {row['parameter']}: {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]")

@@ -1,0 +1,268 @@
+"""Training with checkpoints: killed at any moment, it goes on to the same weights.
+
+A run is a row of phases. All that is random in a phase follows from the run's seed and the phase's number, and a phase
+begins with new episodes, so weights, optimiser and step count are all that a checkpoint must hold.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pandas as pd
+import torch
+from rich.console import Console
+from rich.table import Table
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger, make_output_format
+from stable_baselines3.common.utils import set_random_seed
+from tqdm import tqdm
+
+from agents.bundle import ALGORITHMS, Agent, Description, save_bundle
+from agents.catalogue import make_policy
+from agents.evaluate import Plan, run_plan
+from agents.imitation import imitate
+from agents.provenance import provenance, write_atomically, write_json
+from agents.train_config import Training
+from agents.vec_env import ProbeVecEnv
+from agents.view import ViewVecEnv
+from probe_env import lane_group
+from probe_env.contexts import spread_contexts
+from probe_env.fidelity import resolve_fidelity
+
+CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
+BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def train_all(training: Training, output: Path, resume: bool, jobs: int, command: str | None = None) -> pd.DataFrame:
+    """Train every seed, each in ``output``/seed-K; returns the learning curves, one row a phase.
+
+    Raises:
+        ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
+    """
+    if not 1 <= jobs <= 256:
+        raise ValueError(f"jobs = {jobs!r} is outside the accepted range 1 to 256")
+    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
+    made = provenance(command)
+    for seed, folder in folders.items():
+        _check_folder(training, seed, folder, resume)
+        write_json(folder / RUN, {"config": training.model_dump(mode="json"), "seed": seed} | made)
+    threads = 1 if jobs > 1 else None
+    curves: Sequence[pd.DataFrame] = joblib.Parallel(n_jobs=min(jobs, len(folders)))(
+        joblib.delayed(train)(training, seed, folder, made, threads, place)
+        for place, (seed, folder) in enumerate(folders.items())
+    )
+    return pd.concat(curves, ignore_index=True)
+
+
+def _check_folder(training: Training, seed: int, folder: Path, resume: bool) -> None:
+    if not (folder / RUN).exists():
+        return
+    if not resume:
+        raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
+    before, now = json.loads((folder / RUN).read_text())["config"], json.loads(training.model_dump_json())
+    # what is still to come may change: more phases, other seeds beside this one
+    different = [name for name in now if before.get(name) != now[name] and name not in ("seeds", "phases")]
+    if different:
+        raise ValueError(f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder")
+
+
+def train(
+    training: Training, seed: int, folder: Path, made: dict[str, Any], threads: int | None = None, place: int = 0
+) -> pd.DataFrame:
+    """Train one seed to its end, from its last checkpoint if there is one.
+
+    Args:
+        training: settings.
+        seed: of weights, episodes and exploration.
+        folder: of checkpoint, best agent (``agent.npz``), learning curve and logs.
+        made: how the run was started, see ``provenance``.
+        threads: of the simulation; default: all cores.
+        place: line of the progress bar.
+    """
+    torch.set_num_threads(1)
+    view, shown = training.view, training.shown_task
+    batch = ProbeVecEnv(
+        training.environment.env_id, training.environment.num_envs, shown,
+        fidelity=training.environment.fidelity, contexts=training.environment.contexts, threads=threads,
+    )  # fmt: skip
+    env = ViewVecEnv(batch, view, shown, training.environment.reward_scale)
+    set_random_seed(seed)
+    algorithm, name = ALGORITHMS[training.algorithm]
+    model: BaseAlgorithm = algorithm(
+        name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
+        **training.learning,
+    )  # fmt: skip
+    rows = _restore(model, folder / CHECKPOINT)
+    imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
+    done = (imitated if rows else 0) + model.num_timesteps
+    total = imitated + training.phases * training.phase_steps
+    first = 0 if training.imitation else 1
+    with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=place) as bar:
+        report = _watched(bar.update)
+        for phase in range(first + len(rows), training.phases + 1):
+            begin = time.perf_counter()
+            set_random_seed(_seed_of(seed, phase))
+            env.seed(_seed_of(seed, phase))
+            model._last_obs = None  # new episodes
+            with _Stopwatch() as watch:
+                if phase == 0:
+                    assert training.imitation is not None
+                    imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, report)  # type: ignore[arg-type]
+                else:
+                    model.set_logger(_logger(folder, phase))
+                    model.learn(training.phase_steps, _Bar(report), reset_num_timesteps=False)
+            wall = time.perf_counter() - begin
+            rows.append(_validated(training, model, seed, phase, made, folder, rows, threads))
+            rows[-1] |= {"wall_s": wall, "kernel_s": watch.seconds}
+            write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
+            _save(model, rows, folder / CHECKPOINT)
+    return pd.DataFrame(rows)
+
+
+def _validated(
+    training: Training,
+    model: BaseAlgorithm,
+    seed: int,
+    phase: int,
+    made: dict[str, Any],
+    folder: Path,
+    rows: list[dict[str, Any]],
+    threads: int | None,
+) -> dict[str, Any]:
+    """Validate the model as it is, keep it if it is the best so far; the phase's row."""
+    description = Description(
+        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
+        trained={"seed": seed, "phase": phase, "steps": model.num_timesteps} | made,
+    )  # fmt: skip
+    chosen = spread_contexts(training.validation.contexts, training.validation.limit)
+    agent = Agent(description, model.policy, training.shown_task, f"phase {phase}")
+    fidelity = resolve_fidelity(training.validation.fidelity)
+    begin = time.perf_counter()
+    plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity)
+    with tempfile.TemporaryDirectory() as scratch:
+        table = run_plan(plan, Path(scratch), progress=False, threads=threads)
+    row = {"seed": seed, "phase": phase, "steps": model.num_timesteps, "reward": float(table["reward"].mean())}
+    row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}
+    row["validation_s"] = time.perf_counter() - begin
+    if all(row["reward"] > before["reward"] for before in rows):
+        save_bundle(folder / BEST, description, model.policy)
+    return row
+
+
+def _seed_of(seed: int, phase: int) -> int:
+    return int(np.random.SeedSequence([seed, phase]).generate_state(1)[0] % 2**31)
+
+
+def _logger(folder: Path, phase: int) -> Logger:
+    """SB3's CSV, a file a phase (a resumed phase writes its own again), and TensorBoard, which gathers them."""
+    logs = folder / "logs"
+    logs.mkdir(parents=True, exist_ok=True)
+    formats = [make_output_format("csv", str(logs), f"-{phase:04d}")]
+    formats.append(make_output_format("tensorboard", str(logs / "tensorboard")))
+    return Logger(str(logs), formats)
+
+
+def _save(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
+    """Weights, optimisers, counts and learning curve, atomically; of off-policy algorithms also the replay buffer."""
+    state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows}
+    state["counts"] = {"num_timesteps": model.num_timesteps, "_n_updates": int(getattr(model, "_n_updates", 0))}
+    state["variables"] = {name: getattr(model, name).detach() for name in _variables(model)}
+    replay = getattr(model, "replay_buffer", None)
+    if replay is not None:
+        state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
+        state["replay_place"] = {"pos": int(replay.pos), "full": bool(replay.full)}
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_atomically(path, buffer.getvalue())
+
+
+def _variables(model: BaseAlgorithm) -> list[str]:
+    """Names of trained tensors that ``get_parameters`` leaves out: SAC's entropy coefficient."""
+    return list(model._get_torch_save_params()[1])
+
+
+def _restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
+    """Set the model as it was at the checkpoint; the learning curve until then. Tensors and plain data only."""
+    if not path.exists():
+        return []
+    state = torch.load(path, weights_only=True)
+    model.set_parameters(state["parameters"])
+    for name, value in state["counts"].items():
+        setattr(model, name, value)
+    for name, value in state["variables"].items():
+        getattr(model, name).data.copy_(value)
+    replay = getattr(model, "replay_buffer", None)
+    if replay is not None:
+        for name, values in state["replay"].items():
+            getattr(replay, name)[:] = values.numpy()
+        replay.pos, replay.full = state["replay_place"]["pos"], state["replay_place"]["full"]
+    rows: list[dict[str, Any]] = state["rows"]
+    return rows
+
+
+def print_curves(curves: pd.DataFrame) -> None:
+    """The phases of all seeds on the terminal."""
+    view = Table(title="Validation after each phase")
+    names = {"seed": "seed", "phase": "phase", "steps": "steps", "reward": "reward", "inspection_time_s": "time [s]",
+             "share_within_limit": "within the limit", "wall_s": "wall [s]"}  # fmt: skip
+    for name in names.values():
+        view.add_column(name, justify="right")
+    for row in curves[list(names)].itertuples(index=False):
+        view.add_row(*(f"{value:.4g}" for value in row))
+    Console().print(view)
+
+
+def _watched(update: Callable[[int], Any]) -> Callable[[int], None]:
+    """The progress bar's update, which also ends a worker whose command was killed: two must not write one run."""
+    parent = os.getppid()
+
+    def report(steps: int) -> None:
+        if os.getppid() != parent:
+            raise SystemExit("the command that started this training is gone")
+        update(steps)
+
+    return report
+
+
+class _Bar(BaseCallback):
+    """Moves the progress bar."""
+
+    def __init__(self, update: Callable[[int], Any]) -> None:
+        super().__init__()
+        self.update = update
+
+    def _on_step(self) -> bool:
+        self.update(self.training_env.num_envs)
+        return True
+
+
+class _Stopwatch:
+    """Time spent in the lanes' kernel [s], summed over threads, while it is entered."""
+
+    def __enter__(self) -> _Stopwatch:
+        self.seconds, self._kernels = 0.0, dict(lane_group.KERNELS)
+        for name, kernel in self._kernels.items():
+            lane_group.KERNELS[name] = self._timed(kernel)
+        return self
+
+    def _timed(self, kernel: Any) -> Any:
+        def timed(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            result = kernel(*arguments)
+            self.seconds += time.perf_counter() - start
+            return result
+
+        return timed
+
+    def __exit__(self, *_: object) -> None:
+        lane_group.KERNELS.update(self._kernels)

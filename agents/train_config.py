@@ -1,0 +1,150 @@
+"""A training run as a TOML file: every setting, validated before any work is done."""
+
+from __future__ import annotations
+
+import inspect
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from agents.bundle import ALGORITHMS, Algorithm, Network
+from agents.catalogue import make_policy
+from agents.vec_env import ENVIRONMENTS
+from agents.view import View
+from probe_env.checks import whole_steps
+from probe_env.contexts import Split, spread_contexts
+from probe_env.env import task_config
+from probe_env.episodes import Contexts
+from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.scene import Model, explain, quantity
+from probe_env.task import TaskConfig
+
+OURS = ("self", "policy", "env", "policy_kwargs", "tensorboard_log", "seed", "device", "verbose", "_init_setup_model")
+"""Arguments of the algorithms that other fields set."""
+Count = Annotated[int, Field(ge=1)]
+
+
+class Environments(Model):
+    """What the agent is trained in."""
+
+    env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
+    num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
+    contexts: Contexts = "train"
+    fidelity: str | Fidelity = "fast"
+    task: dict[str, Any] = Field(default_factory=dict)
+    reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
+
+
+class Imitation(Model):
+    """Warm start: imitate a teacher on the states that the agent itself gets into (DAgger), before the first update."""
+
+    teacher: str = "privileged"
+    rounds: Count = 3
+    steps: Count = 8192
+    """Environment steps of a round."""
+    epochs: Count = 20
+    learning_rate: Annotated[float, quantity(1e-8, 1.0, "")] = 1e-3
+
+
+class Validation(Model):
+    """Where the best model is chosen."""
+
+    contexts: Split = "validation"
+    limit: Annotated[int, Field(ge=0)] = 12
+    """So many contexts, evenly spread; 0: all."""
+    fidelity: str | Fidelity = "fast"
+
+
+class Training(Model):
+    """A training run.
+
+    ``learning`` holds arguments of SB3's algorithm by their own names (``n_steps``, ``learning_rate``, ``gamma``, ...).
+    A phase is what is done between two checkpoints: all environments begin anew at its start, and at its end the agent
+    is validated. ``observations`` of the view default to all that the task shows.
+    """
+
+    algorithm: Algorithm = "ppo"
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
+    environment: Environments = Environments()
+    network: Network = Network()
+    averages: tuple[float, ...] = (5.0, 20.0)
+    friction_estimate: bool = False
+    learning: dict[str, int | float | bool] = Field(default_factory=dict)
+    imitation: Imitation | None = None
+    validation: Validation = Validation()
+    phases: Annotated[int, Field(ge=0, le=100_000)] = 8
+    phase_steps: Count = 16_384
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        known = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
+        for name in self.learning:
+            if name not in known or name in OURS:
+                accepted = ", ".join(key for key in known if key not in OURS)
+                raise PydanticCustomError("learning", f"learning.{name} is not one of {self.algorithm}'s: {accepted}")
+        if self.imitation is not None and self.algorithm != "ppo":
+            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
+        if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
+            raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be at least one, and none twice")
+        if self.phases == 0 and self.imitation is None:
+            raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
+        for fidelity in map(resolve_fidelity, (self.environment.fidelity, self.validation.fidelity)):
+            whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
+        self.view.columns(self.task)
+        spread_contexts(self.validation.contexts, self.validation.limit)
+        if self.imitation is not None:
+            try:
+                make_policy(self.imitation.teacher, self.shown_task)
+            except (ValueError, FileNotFoundError) as error:
+                raise PydanticCustomError("teacher", "{text}", {"text": f"imitation.teacher: {error}"}) from error
+        return self
+
+    @property
+    def task(self) -> TaskConfig:
+        """The task that the agent learns, as given."""
+        return task_config(ENVIRONMENTS[self.environment.env_id].defaults, self.environment.task)
+
+    @property
+    def shown_task(self) -> TaskConfig:
+        """The same with all observations shown: teachers look at some that the agent does not."""
+        return self.task.model_copy(update={"privileged": True, "observe_root_tension": True})
+
+    @property
+    def view(self) -> View:
+        """What the agent sees."""
+        return View(
+            observations=tuple(self.task.observations),
+            averages=self.averages,
+            friction_estimate=self.friction_estimate,
+        )
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a training file.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: not TOML, or not a valid training; names the file and every offending field.
+        """
+        path = Path(path)
+        with path.open("rb") as file:
+            try:
+                data = tomllib.load(file)
+            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+                raise ValueError(f"{path}: not a TOML file: {error}") from error
+        try:
+            return cls.model_validate(_tuples(data))
+        except ValidationError as error:
+            raise ValueError(f"{path}: {explain(error)}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+
+def _tuples(value: Any) -> Any:
+    """TOML's lists as the tuples that frozen models hold."""
+    if isinstance(value, dict):
+        return {key: _tuples(entry) for key, entry in value.items()}
+    return tuple(_tuples(entry) for entry in value) if isinstance(value, list) else value

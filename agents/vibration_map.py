@@ -1,0 +1,212 @@
+"""How loud the probe is: radial vibration over length, feed, air and tube, from wandering insertions on training tubes.
+
+The probe answers within a second or two to a change of feed or air, so the vibration at a length depends on what is
+fed and blown there. A small network fitted to that (the map) tells what any schedule would cost on any tube, so the
+searches for schedules take seconds, and a controller that knows the tube can look up its best feed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+import pandas as pd
+
+from agents.evaluate import Plan, run_plan
+from agents.policies import FixedPolicy
+from agents.provenance import provenance, write_atomically, write_json
+from probe_env import Context, load_contexts
+from probe_env.chain import FloatArray
+from probe_env.fidelity import PRESETS
+from probe_env.task import TaskConfig
+
+SEGMENT: Final = 3.0  # [m] of constant feed and air
+FEEDS: Final = (0.04, 0.4)  # [m/s]; slower ones would take most of the time and ring least
+CONTEXT: Final = ("friction", "contact_stiffness", "drag_factor", "helix_diameter")
+HIDDEN, EPOCHS, BATCH = 64, 300, 512
+STORED: Final = Path(__file__).parent / "data" / "vibration-map.npz"
+
+
+@dataclass
+class Wandering(FixedPolicy):
+    """Feed and air held for ``SEGMENT``, then drawn anew: to explore. An episode's own noise seeds its draws."""
+
+    seed: int = 0
+    memory: ClassVar[int] = 1
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Feed is uniform in its logarithm, air in itself. Memory: the first noise that was measured."""
+        memory[:, 0] = np.where(memory[:, 0] > 0.0, memory[:, 0], seen["radial_rms"])
+        shares = np.empty((2, len(memory)))
+        for k, (first, length) in enumerate(zip(memory[:, 0], seen["inserted_length"], strict=True)):
+            entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / SEGMENT)]
+            shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
+        least, most = self.config.air_supply_rates
+        feed = FEEDS[0] * (FEEDS[1] / FEEDS[0]) ** shares[0]
+        return feed, least + shares[1] * (most - least)
+
+
+@dataclass(frozen=True)
+class VibrationMap:
+    """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm.
+
+    Attributes:
+        layers: weights (inputs, outputs) and biases (outputs,) of three layers, tanh between them.
+    """
+
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+
+    def distribution(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) at ``features`` (n, 7)."""
+        values = features
+        for weights, biases in self.layers[:-1]:
+            values = np.tanh(values @ weights + biases)
+        weights, biases = self.layers[-1]
+        values = values @ weights + biases
+        return values[:, 0], np.exp(np.clip(values[:, 1], -5.0, 1.0))
+
+    def metre_cost(self, features: FloatArray, feed: FloatArray, air: FloatArray, config: TaskConfig) -> FloatArray:
+        """Expected cost (n,) of a metre (progress left out): vibration, time and air, by the task's weights.
+
+        Args:
+            features: (n, 7), see ``features_of``.
+            feed: (n,) feed speed [m/s] that ``features`` were made of.
+            air: (n,) air supply [m3/s] that ``features`` were made of.
+            config: the task; its vibration measure must be the displacement.
+        """
+        if config.vibration_measure != "displacement":
+            raise ValueError(f"vibration_measure = {config.vibration_measure!r}: the map knows displacement only")
+        mean, deviation = self.distribution(features)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+        logarithms = mean[:, None] + deviation[:, None] * nodes
+        ratio = np.minimum(10.0**logarithms * 1e-4 / config.limit, config.ratio_cap)
+        squares = (ratio**2) @ (weights / weights.sum())
+        return np.asarray(
+            config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed
+        )
+
+    @classmethod
+    def load(cls, path: Path = STORED) -> VibrationMap:
+        """Read a stored map (plain arrays only, no pickles)."""
+        with np.load(path, allow_pickle=False) as arrays:
+            count = len(arrays.files) // 2
+            return cls(tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(count)))
+
+    def save(self, path: Path) -> None:
+        """Write it atomically."""
+        buffer = io.BytesIO()
+        arrays = {f"weights{k}": w for k, (w, _) in enumerate(self.layers)}
+        arrays |= {f"biases{k}": b for k, (_, b) in enumerate(self.layers)}
+        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        write_atomically(path, buffer.getvalue())
+
+
+@lru_cache
+def stored_map() -> VibrationMap:
+    """The shipped map."""
+    return VibrationMap.load()
+
+
+def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray) -> FloatArray:
+    """(n, 7) inputs of the map, each within some -2 to 2.
+
+    Args:
+        length: (n,) inserted length [m].
+        feed: (n,) feed speed [m/s].
+        air: (n,) air supply [m3/s].
+        context: (n, 4) in the order of ``CONTEXT``, SI units.
+    """
+    return np.column_stack(
+        [
+            length / 30.0 - 1.0,
+            np.log(feed / 0.12),
+            (air * 3600.0 - 80.0) / 30.0,
+            (context[:, 0] - 0.175) / 0.04,
+            (context[:, 1] - 1.05e5) / 2e4,
+            (context[:, 2] - 1.0) / 0.06,
+            (1.0 / context[:, 3] - 0.65) / 0.2,
+        ]
+    )
+
+
+def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[str, float]]:
+    """Fit by the likelihood of all but every eighth episode, and say how well it tells those.
+
+    Args:
+        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``episode``.
+        seed: of the network's start.
+
+    Returns:
+        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on held-out
+        episodes.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
+    inputs = features_of(length, feed, air, profile[list(CONTEXT)].to_numpy(float))
+    logarithm = np.log10(np.maximum(profile["radial_rms_m"].to_numpy(float), 1e-7) / 1e-4)
+    held = (profile["episode"].to_numpy() % 8) == 7
+    x, y = (torch.tensor(values, dtype=torch.float32) for values in (inputs[~held], logarithm[~held]))
+    network = torch.nn.Sequential(
+        torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, 2),
+    )  # fmt: skip
+    optimiser = torch.optim.AdamW(network.parameters(), lr=3e-3, weight_decay=1e-3)
+    steps = EPOCHS * max(len(x) // BATCH, 1)
+    pace = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for _ in range(steps):
+        chosen = torch.randint(len(x), (BATCH,))
+        out = network(x[chosen])
+        loss = torch.nn.functional.gaussian_nll_loss(out[:, 0], y[chosen], torch.exp(2.0 * out[:, 1].clamp(-5, 1)))
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        pace.step()
+    parts = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    layers = tuple(
+        (p.weight.detach().numpy().T.astype(np.float32).copy(), p.bias.detach().numpy().copy()) for p in parts
+    )
+    fitted = VibrationMap(layers)
+    error = fitted.distribution(inputs[held])[0] - logarithm[held]
+    explained = 1.0 - float((error**2).mean() / logarithm[held].var())
+    return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
+
+
+def make_map(seeds: int, output: Path, target: Path = STORED) -> VibrationMap:
+    """Wander on all training contexts (resumable), fit the map, store it with how it was made.
+
+    Raises:
+        ValueError: the number of seeds is out of range.
+    """
+    if not 1 <= seeds <= 100:
+        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 100")
+    config = TaskConfig(lost_drive_periods=1000)  # goes on without drive: that is seen in the table
+    contexts = load_contexts("train")
+    plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
+    run_plan(plan, output)
+    fitted, quality = fit_map(with_contexts(pd.read_parquet(output / "profile.parquet"), contexts))
+    fitted.save(target)
+    write_json(target.with_suffix(".json"), provenance() | {"episodes": len(plan.units()), **quality})
+    print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
+    return fitted
+
+
+def with_contexts(profile: pd.DataFrame, contexts: Sequence[Context]) -> pd.DataFrame:
+    """The profile with the columns of ``CONTEXT`` and a number for each episode."""
+    values = np.array([[getattr(c, name) for name in CONTEXT] for c in contexts])
+    columns: dict[str, Any] = {name: values[profile["context"], k] for k, name in enumerate(CONTEXT)}
+    return profile.assign(**columns, episode=profile["seed"] * len(contexts) + profile["context"])
+
+
+def load_quality(path: Path = STORED) -> dict[str, float]:
+    """How the stored map was made and how well it tells."""
+    quality: dict[str, float] = json.loads(path.with_suffix(".json").read_text())
+    return quality

@@ -1,0 +1,152 @@
+"""What a trained agent sees and how its actions are meant: the same in training, evaluation and pictures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Self
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn, VecEnvWrapper
+
+from agents.map_policies import friction_from_tension
+from probe_env.chain import FloatArray
+from probe_env.scene import Model, quantity
+from probe_env.task import LARGEST_LENGTH, LARGEST_TENSION, OBSERVATIONS, TaskConfig
+
+Rows = npt.NDArray[np.floating[Any]]
+TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
+
+
+ESTIMATED_FROM: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
+SCALES: Final = {
+    "root_tension": LARGEST_TENSION, "inserted_length": LARGEST_LENGTH, "feed_speed": 0.4,
+    "air_supply_rate": 130.0 / 3600.0, "helix_diameter": 2.5,
+}  # fmt: skip
+"""[SI unit] of one unit of the observation, see ``task.observe``."""
+CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
+
+
+def _physical(config: TaskConfig, rows: Rows, name: str) -> FloatArray:
+    return np.asarray(rows[:, list(config.observations).index(name)], dtype=float) * SCALES[name]
+
+
+class View(Model):
+    """Some of the task's observations with their running averages, and a logarithmic feed action.
+
+    ``friction_estimate`` adds the friction that steady sliding would need for the measured root tension. Averages are
+    the memory that a controller needs to guess friction from noisy windows. Feed speed spans a factor of 20, so equal
+    steps of an action are equal ratios of speed.
+    """
+
+    observations: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(OBSERVATIONS)
+    averages: tuple[TimeConstant, ...] = (5.0, 20.0)
+    friction_estimate: bool = False
+
+    @model_validator(mode="after")
+    def _estimable(self) -> Self:
+        missing = [name for name in ESTIMATED_FROM if name not in self.observations]
+        if self.friction_estimate and missing:
+            raise PydanticCustomError("estimate", f"friction_estimate needs the observations {', '.join(missing)}")
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return (len(self.observations) + self.friction_estimate) * (1 + len(self.averages))
+
+    @property
+    def spaces(self) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+        """Spaces of features and actions."""
+        features = gym.spaces.Box(-np.inf, np.inf, (self.size,), dtype=np.float32)
+        return features, gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+
+    def columns(self, config: TaskConfig) -> list[int]:
+        """Places of its observations among the task's.
+
+        Raises:
+            ValueError: the task does not show one of them.
+        """
+        names = list(config.observations)
+        missing = [name for name in self.observations if name not in names]
+        if missing:
+            raise ValueError(f"observations = {', '.join(missing)} are not shown by this task: {', '.join(names)}")
+        return [names.index(name) for name in self.observations]
+
+    def features(
+        self, config: TaskConfig, rows: Rows, averages: Rows | None, new: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Features (N, size) of observations (N, d), and the averages (N, m) to give back next time.
+
+        Args:
+            config: the task that the observations are of.
+            rows: observations (N, d).
+            averages: what the last call returned; None: all episodes are new.
+            new: (N,) where an episode begins.
+        """
+        seen = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
+        if self.friction_estimate:
+            friction = friction_from_tension(*(_physical(config, rows, name) for name in ESTIMATED_FROM))
+            scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
+            seen = np.column_stack([seen, scaled]).astype(np.float32)
+        repeated = np.tile(seen, len(self.averages))
+        if averages is None:
+            averages = repeated
+        gains = np.repeat(-np.expm1(-config.period / np.array(self.averages)), seen.shape[1]).astype(np.float32)
+        kept = np.where(new[:, None], repeated, averages + gains * (repeated - averages)).astype(np.float32)
+        return np.concatenate([seen, kept], axis=1), kept
+
+    def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
+        """(N, 2) actions of the environment for the agent's: its feed action is of the logarithm."""
+        low, high = config.feed_speeds
+        share = 0.5 * (np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0) + 1.0)
+        feed = low * (high / low) ** share[:, 0]
+        linear = 2.0 * (feed - low) / (high - low) - 1.0
+        return np.clip(np.column_stack([linear, 2.0 * share[:, 1] - 1.0]), -1.0, 1.0).astype(np.float32)
+
+    def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
+        """(N, 2) the inverse of ``env_actions``."""
+        low, high = config.feed_speeds
+        feed = low + 0.5 * (np.asarray(actions[:, 0], dtype=np.float64) + 1.0) * (high - low)
+        logarithmic = 2.0 * np.log(feed / low) / np.log(high / low) - 1.0
+        return np.column_stack([np.clip(logarithmic, -1.0, 1.0), actions[:, 1]]).astype(np.float32)
+
+
+class ViewVecEnv(VecEnvWrapper):
+    """The environments as an agent sees them; rewards times ``reward_scale``.
+
+    ``rows`` holds the environment's own observations (N, d) of the last step.
+    """
+
+    def __init__(self, venv: VecEnv, view: View, config: TaskConfig, reward_scale: float = 1.0) -> None:
+        super().__init__(venv, *view.spaces)
+        view.columns(config)
+        self.view, self.config, self.reward_scale = view, config, reward_scale
+        self.rows: FloatArray = np.zeros((venv.num_envs, len(config.observations)))
+        self._averages: npt.NDArray[np.float32] | None = None
+
+    def reset(self) -> VecEnvObs:
+        """Start all episodes."""
+        self.rows = np.asarray(self.venv.reset())
+        features, self._averages = self.view.features(self.config, self.rows, None, np.ones(self.num_envs, dtype=bool))
+        return features
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Hand the actions on in the environment's own terms."""
+        self.venv.step_async(self.view.env_actions(self.config, actions))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One control period; an ended episode's last features are in ``terminal_observation``."""
+        rows, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        if len(ended):
+            assert self._averages is not None
+            last = np.array([infos[k]["terminal_observation"] for k in ended])
+            features, _ = self.view.features(self.config, last, self._averages[ended], np.zeros(len(ended), dtype=bool))
+            for k, terminal in zip(ended, features, strict=True):
+                infos[k]["terminal_observation"] = terminal
+        self.rows = np.asarray(rows)
+        features, self._averages = self.view.features(self.config, self.rows, self._averages, np.asarray(dones))
+        return features, np.asarray(rewards * self.reward_scale, dtype=np.float32), dones, infos

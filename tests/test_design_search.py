@@ -1,0 +1,146 @@
+"""Design search and comparison: known optimum, same seed same front, killed equals never killed, pairing."""
+
+import multiprocessing
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from agents.design_compare import Comparison, compare, summarise
+from agents.design_search import OBJECTIVES, DesignProblem, search, sensitivity, trials_table
+from probe_env import Context, Design, Fidelity
+from probe_env.design import RANGES
+
+AXES = {"guide_length": (1.0, 10.0, "m"), "line_density": (0.09, 0.14, "kg/m")}
+
+
+def closed_form(point):
+    """Pareto set: line_density = 0.1 and any guide length; ratio (10 - L)^2 + ..., time 10 L + ..., margin is free."""
+    penalty = 1e4 * (point["line_density"] - 0.10) ** 2
+    return (10.0 - point["guide_length"]) ** 2 + penalty, 10.0 * point["guide_length"] + penalty, -penalty
+
+
+def run(path, trials, seed=0, value=closed_form):
+    return trials_table(search(AXES, value, trials, f"sqlite:///{path}/study.db", "known", population=16, seed=seed))
+
+
+def test_a_known_front_is_found(tmp_path):
+    table = run(tmp_path, 400)
+    front = table[table["on_front"] & (table["trial"] >= 200)]
+    assert len(front) >= 10
+    assert np.abs(front["line_density"] - 0.10).median() < 0.002  # the range is 0.05
+    assert np.ptp(front["guide_length"]) > 5.0  # of 9
+    assert table[table["on_front"]]["mean_square_ratio"].min() < 0.5
+
+
+def test_the_same_seed_gives_the_same_front_and_another_does_not(tmp_path):
+    for name in "abc":
+        (tmp_path / name).mkdir()
+    first, again, other = run(tmp_path / "a", 60), run(tmp_path / "b", 60), run(tmp_path / "c", 60, seed=1)
+    assert first.equals(again)
+    assert not first.equals(other)
+
+
+def slow(point):
+    time.sleep(0.01)
+    return closed_form(point)
+
+
+def _killed(path):
+    run(path, 60, value=slow)
+
+
+def test_killed_ten_times_equals_never_killed(tmp_path):
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "killed").mkdir()
+    whole = run(tmp_path / "whole", 60)
+    rng, kills = np.random.default_rng(0), 0
+    for _ in range(200):
+        process = multiprocessing.get_context("fork").Process(target=_killed, args=(tmp_path / "killed",))
+        process.start()
+        process.join(rng.uniform(0.05, 0.5) if kills < 10 else None)
+        if process.exitcode == 0:
+            break
+        kills += 1
+        process.kill()
+        process.join()
+    assert kills >= 5
+    assert run(tmp_path / "killed", 60).equals(whole)
+
+
+def test_sensitivity_finds_what_matters():
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({name: rng.uniform(low, high, 200) for name, (low, high, _) in AXES.items()})
+    table["mean_square_ratio"] = np.exp(-table["guide_length"]) + 1e-6 * rng.normal(size=200)
+    table["inspection_time_s"] = table["line_density"] * 100.0
+    table["drive_margin_n"] = rng.normal(size=200)
+    found = sensitivity(table, AXES).set_index(["objective", "parameter"])
+    assert found.loc[("mean_square_ratio", "guide_length"), "coefficient"] < -0.95
+    assert found.loc[("inspection_time_s", "line_density"), "low"] > 0.95
+    for name in AXES:
+        nothing = found.loc[("drive_margin_n", name)]
+        assert nothing["low"] - 0.1 < 0.0 < nothing["high"] + 0.1
+
+
+def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
+    """Missed metres count with the capped ratio and the slowest feed, so that ending early never pays."""
+    problem = DesignProblem((Context(),), "constant")
+    kpis = {"mean_square_ratio": 0.1, "inspection_time_s": 100.0, "drive_margin_n": -0.1, "missed_m": 27.5}
+    monkeypatch.setattr(Comparison, "run", lambda *_: [kpis])
+    squares, seconds, margin = problem.value(Design().model_dump())
+    assert squares == pytest.approx((0.1 * 20.0 + 9.0 * 27.5) / 47.5)
+    assert seconds == pytest.approx(100.0 + 27.5 / 0.02)
+    assert margin == -0.1
+
+
+def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path):
+    designs = {"original": Design(), "light": Design(line_density=0.1)}
+    tubes = [Context(friction=0.15), Context(friction=0.2)]
+    whole = compare(Comparison(designs, tubes), tmp_path / "whole")
+    compare(Comparison({"original": Design()}, tubes), tmp_path / "parts")
+    parts = compare(Comparison(designs, tubes), tmp_path / "parts")
+    assert parts.equals(whole)
+    again = compare(Comparison(designs, tubes), tmp_path / "whole")
+    assert again["reward"].to_numpy() == pytest.approx(whole["reward"].to_numpy(), rel=1e-12)
+    rows = summarise(whole).set_index(["design", "kpi"])
+    assert rows.loc[("original", "reward"), "change"] == 0.0
+    change = whole[whole["design"] == "light"]["reward"].mean() - whole[whole["design"] == "original"]["reward"].mean()
+    assert rows.loc[("light", "reward"), "change"] == pytest.approx(change)
+
+
+def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(DesignProblem, "value", lambda _, point: closed_form(point))
+    arguments = ["design", "--contexts", "1", "--output", str(tmp_path / "out"), "--trials"]
+    assert main([*arguments, "30"]) == 0
+    assert main([*arguments, "40"]) == 0
+    assert len(pd.read_csv(tmp_path / "out" / "trials.csv")) == 40
+    assert "Designs on the front" in capsys.readouterr().out
+    for name in ("front.png", "parallel.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 5000
+    assert set(pd.read_csv(tmp_path / "out" / "front.csv").columns) >= {*RANGES, *OBJECTIVES, "feed_speed"}
+    Design.from_toml(tmp_path / "out" / "found.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["design", "--contexts", "0"], "contexts = 0"),
+        (["design", "--trials", "1"], "trials = 1"),
+        (["design", "--feed", "pi"], "feed = 'pi' is not a schedule over inserted length"),
+        (["compare", "nowhere.toml"], "no such file: nowhere.toml"),
+        (["compare", "configs/design/original.toml", "--limit", "99"], "limit = 99"),
+        (["compare", "configs/design/original.toml", "--feed", "pi"], "feed = 'pi'"),
+        (["compare", "configs/design/original.toml", "./configs/design/original.toml"], "same name"),
+    ],
+)
+def test_bad_commands_are_named_before_any_work(arguments, message, capsys, tmp_path):
+    assert main([*arguments, "--output", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_fidelity_counts_in_the_identity_of_a_result():
+    keys = {Comparison({}, [], fidelity=f).key(Design(), Context()) for f in (Fidelity(), Fidelity(time_step=1e-4))}
+    assert len(keys) == 2

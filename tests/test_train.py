@@ -1,0 +1,146 @@
+"""Training: the same seed gives the same weights, also when killed; broken settings are named before any work."""
+
+import multiprocessing
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.bundle import load_bundle
+from agents.cli import main
+from agents.evaluate import Plan, run_plan
+from agents.policies import Constant
+from agents.train import BEST, CHECKPOINT, CURVE, train_all
+from agents.train_config import Training
+from probe_env import Fidelity, load_contexts
+from probe_env.task import TaskConfig
+
+COARSE = Fidelity(time_lapse=20.0)
+SHORT = {"settle_time": 0.1, "time_limit": 20.0}
+TINY = {
+    "environment": {"num_envs": 4, "fidelity": COARSE, "task": SHORT},
+    "network": {"net_arch": (8,)},
+    "validation": {"limit": 1, "fidelity": COARSE},
+    "phases": 2,
+    "phase_steps": 64,
+}
+PPO = {**TINY, "learning": {"n_steps": 16, "batch_size": 32, "n_epochs": 2}}
+IMITATING = {**PPO, "imitation": {"teacher": "slow-down", "rounds": 2, "steps": 32, "epochs": 2}}
+RECURRENT = {**PPO, "algorithm": "recurrent-ppo"}
+SAC = {**TINY, "algorithm": "sac", "learning": {"learning_starts": 16, "buffer_size": 256, "batch_size": 8}}
+
+
+def weights(folder):
+    with np.load(folder / "seed-0" / BEST) as file:
+        return {name: file[name] for name in file.files if name.startswith("weight:")}
+
+
+def equal(first, second):
+    return first.keys() == second.keys() and all((first[name] == second[name]).all() for name in first)
+
+
+@pytest.mark.parametrize("settings", [IMITATING, RECURRENT, SAC], ids=["ppo", "recurrent-ppo", "sac"])
+def test_resumed_equals_never_stopped(settings, tmp_path):
+    """Half of the phases, then the rest by resuming, gives the weights and the curve of one go."""
+    one_go = train_all(Training(**settings), tmp_path / "whole", resume=False, jobs=1)
+    half = Training(**settings | {"phases": 1})
+    train_all(half, tmp_path / "parts", resume=False, jobs=1)
+    resumed = train_all(Training(**settings), tmp_path / "parts", resume=True, jobs=1)
+    columns = ["phase", "steps", "reward", "inspection_time_s", "share_within_limit"]
+    assert (one_go[columns] == resumed[columns]).all(axis=None)
+    assert equal(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
+    agent = load_bundle(tmp_path / "whole" / "seed-0" / BEST)
+    action, _ = agent.predict(np.zeros(len(agent.config.observations), dtype=np.float32), deterministic=True)
+    assert (np.abs(action) <= 1.0).all()
+
+
+def _train(folder, resume):
+    train_all(Training(**IMITATING), folder, resume=resume, jobs=1)
+
+
+def test_killed_at_any_moment_it_goes_on(tmp_path):
+    _train(tmp_path / "whole", False)
+    rng, killed = np.random.default_rng(0), 0
+    for attempt in range(40):
+        process = multiprocessing.get_context("fork").Process(target=_train, args=(tmp_path / "killed", attempt > 0))
+        process.start()
+        process.join(rng.uniform(0.05, 1.5) if killed < 5 else None)
+        if process.exitcode == 0:
+            break
+        killed += 1
+        process.kill()
+        process.join()
+    assert killed >= 2
+    assert equal(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
+    curve = pd.read_csv(tmp_path / "killed" / "seed-0" / CURVE)
+    assert curve["phase"].tolist() == [0, 1, 2]
+
+
+def test_an_existing_run_is_not_overwritten_nor_mixed(tmp_path):
+    training = Training(**PPO | {"phases": 1})
+    train_all(training, tmp_path, resume=False, jobs=1)
+    before = (tmp_path / "seed-0" / CHECKPOINT).read_bytes()
+    with pytest.raises(ValueError, match="give --resume"):
+        train_all(training, tmp_path, resume=False, jobs=1)
+    other = Training(**PPO | {"learning": {"n_steps": 16, "batch_size": 16}})
+    with pytest.raises(ValueError, match=r"other settings \(learning\)"):
+        train_all(other, tmp_path, resume=True, jobs=1)
+    assert (tmp_path / "seed-0" / CHECKPOINT).read_bytes() == before
+
+
+BROKEN = {
+    "algorithm = 'a2c'": "algorithm: ",
+    "seeds = [1, 1]": "seeds = ",
+    "seeds = []": "seeds = ",
+    "seeds = [-1]": "seeds.0",
+    "phases = -1": "phases: ",
+    "phases = 0": "leaves nothing to train",
+    "phase_steps = 0": "phase_steps",
+    "averages = [0.0]": "averages",
+    "colour = 1": "colour",
+    "[learning]\nmomentum = 1": "learning.momentum is not one of ppo's",
+    "[learning]\npolicy = 1": "learning.policy",
+    "[environment]\nnum_envs = 0": "environment.num_envs",
+    "[environment]\nfidelity = 'fastest'": "fidelity = 'fastest'",
+    "[environment]\nfidelity = { time_lapse = 16.0 }": "not a whole number",
+    "[environment]\ncontexts = 'all'": "environment.contexts",
+    "[environment]\nenv_id = 'CartPole-v1'": "environment.env_id",
+    "[environment.task]\nperiods = 1.0": "periods",
+    "[network]\nnet_arch = ['wide']": "network.net_arch",
+    "algorithm = 'sac'\n[imitation]\nrounds = 1": "imitation needs algorithm = 'ppo'",
+    "[imitation]\nrounds = 0": "imitation.rounds",
+    "[imitation]\nteacher = 'nobody'": "teacher",
+    "[validation]\nlimit = -1": "validation.limit",
+    "seeds = [": "not a TOML file",
+}
+
+
+@pytest.mark.parametrize("text", BROKEN)
+def test_broken_files_are_named_before_any_work(text, tmp_path, capsys):
+    path = tmp_path / "broken.toml"
+    path.write_text(text.replace("'", '"'))
+    assert main(["train", str(path), "--output", str(tmp_path / "run")]) == 2
+    printed = capsys.readouterr().err
+    assert BROKEN[text] in printed
+    assert str(path) in printed
+    assert not (tmp_path / "run").exists()
+
+
+def test_smoke_training_beats_the_study_s_constant(tmp_path):
+    """A tiny budget on a short insertion into a rough tube: PPO alone, fixed seeds."""
+    begin = time.perf_counter()
+    task = {"settle_time": 0.5}
+    training = Training(
+        environment={"num_envs": 8, "fidelity": COARSE, "task": task, "reward_scale": 0.2},
+        network={"net_arch": (32,)}, phases=2, phase_steps=2048, averages=(5.0,),
+        learning={"n_steps": 64, "batch_size": 128, "n_epochs": 8, "learning_rate": 2e-3, "gamma": 0.98},
+        validation={"limit": 4, "fidelity": COARSE},
+    )  # fmt: skip
+    train_all(training, tmp_path, resume=False, jobs=1)
+    config = TaskConfig(**task)
+    policies = {"agent": load_bundle(tmp_path / "seed-0" / BEST, config), "constant": Constant(config)}
+    plan = Plan(policies, load_contexts("test")[:6], (0,), config, COARSE)
+    reward = run_plan(plan, tmp_path / "evaluation", progress=False).groupby("policy")["reward"].mean()
+    print(reward, time.perf_counter() - begin)
+    assert reward["agent"] > reward["constant"]
