@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability policies train train-smoke evaluation designs tradeoff fidelity readme clean
+.PHONY: setup demo test lint types study bench timelapse stability policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
 
 setup: $(STAMP)
 
@@ -52,14 +52,14 @@ train-smoke: setup
 	$(BIN)/pytest tests/test_train.py -k smoke
 
 AGENTS := $(foreach k,0 1 2 3 4,ppo@$(k)=results/agents/ppo/seed-$(k)/agent.npz)
-BLIND := $(foreach k,0 1 2,ppo-no-tension@$(k)=results/agents/ppo-no-tension/seed-$(k)/agent.npz)
+BLIND := $(foreach k,0,ppo-no-tension@$(k)=results/agents/ppo-no-tension/seed-$(k)/agent.npz)
 
 evaluation: setup
-	$(BIN)/probe-env evaluate constant slow-down on-off pi best-constant best-schedule best-schedule-by-diameter tension-scheduled privileged configs/schedules/example.csv $(AGENTS) $(BLIND) --against best-schedule --fidelity fast --output results/evaluation
+	$(BIN)/probe-env evaluate constant slow-down pi best-constant best-schedule best-schedule-by-diameter tension-scheduled privileged configs/schedules/example.csv $(AGENTS) $(BLIND) --against best-schedule --fidelity fast --output results/evaluation
 
 designs: setup
 	$(BIN)/probe-env compare $(foreach name,original longer-guide larger-guide-floats smaller-carrier-floats improved,configs/design/$(name).toml) --output results/design/countermeasures
-	$(BIN)/probe-env design --output results/design/search
+	$(BIN)/probe-env design --feed constant --trials 160 --output results/design/search
 	$(BIN)/probe-env compare configs/design/original.toml configs/design/improved.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
 
 tradeoff: setup
@@ -68,9 +68,16 @@ tradeoff: setup
 fidelity: setup
 	$(BIN)/probe-env evaluate constant pi best-schedule --limit 8 --fidelity fast --check-fidelity half-step --output results/fidelity
 
+# an environment of its own: RLlib pins gymnasium 1.2.2
+RAY := .venv-ray
+test-ray:
+	test -x $(RAY)/bin/python || $(PYTHON) -m venv $(RAY)
+	$(RAY)/bin/pip install --quiet --disable-pip-version-check --constraint constraints-ray.txt --editable '.[agents,dev,ray]'
+	$(RAY)/bin/pytest tests_ray
+
 readme: setup
 	$(BIN)/probe-env readme
 
 clean:
-	rm -rf $(VENV) output
+	rm -rf $(VENV) $(RAY) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from agents.statistics import RESAMPLES, Interval, by_context, over_seeds, paired_difference
+from agents.statistics import RESAMPLES, Interval, interquartile_mean, over_seeds, seeds_by_contexts
 
 SHOWN = ("reward", "inspection_time_s", "share_within_limit")
 
@@ -24,7 +24,7 @@ def verdicts(table: pd.DataFrame, agent: str, others: Sequence[str], top: str) -
     """
     lines = []
     for other in others:
-        reward = paired_difference(table, agent, other, "reward")
+        reward = difference(table, agent, other, "reward")
         time = relative_change(table, agent, other, "inspection_time_s")
         out = relative_change(table.assign(out=1.0 - table["share_within_limit"]), agent, other, "out")
         lines.append(
@@ -36,23 +36,34 @@ def verdicts(table: pd.DataFrame, agent: str, others: Sequence[str], top: str) -
     return lines
 
 
+def difference(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
+    """First minus second: interquartile mean over training seeds of the mean over contexts, as in the table."""
+    return _drawn(table, (first, second), kpi, lambda a, b: a - b)
+
+
 def relative_change(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
-    """Change of a KPI's mean over the contexts from second to first, as a share of the second's; paired bootstrap."""
-    pair = np.column_stack([by_context(table, name, kpi).to_numpy() for name in (first, second)])
-    return _drawn(pair, lambda rows: float(rows[:, 0].mean() / rows[:, 1].mean() - 1.0))
+    """Change from second to first, as a share of the second's."""
+    return _drawn(table, (first, second), kpi, lambda a, b: a / b - 1.0)
 
 
 def gain_fraction(table: pd.DataFrame, agent: str, reference: str, top: str) -> Interval:
-    """(agent - reference) / (top - reference) of the mean rewards; paired bootstrap over the contexts."""
-    trio = np.column_stack([by_context(table, name, "reward").to_numpy() for name in (agent, reference, top)])
-    return _drawn(trio, lambda rows: float((rows[:, 0] - rows[:, 1]).mean() / (rows[:, 2] - rows[:, 1]).mean()))
+    """(agent - reference) / (top - reference) of the rewards."""
+    return _drawn(table, (agent, reference, top), "reward", lambda a, b, c: (a - b) / (c - b))
 
 
-def _drawn(columns: np.ndarray, statistic: Callable[[np.ndarray], float]) -> Interval:
-    rng = np.random.default_rng(0)
-    drawn = [statistic(columns[rng.integers(len(columns), size=len(columns))]) for _ in range(RESAMPLES)]
+def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Callable[..., float]) -> Interval:
+    """A statistic of several methods; interval by drawing contexts (the same for all) and each one's seeds anew."""
+    values = [seeds_by_contexts(table, name, kpi) for name in names]
+    if len({tuple(part.columns) for part in values}) != 1:
+        raise ValueError(f"{', '.join(names)} were not run on the same contexts")
+    arrays, rng, drawn = [part.to_numpy() for part in values], np.random.default_rng(0), []
+    contexts = arrays[0].shape[1]
+    for _ in range(RESAMPLES):
+        chosen = rng.integers(contexts, size=contexts)
+        means = [part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays]
+        drawn.append(statistic(*map(interquartile_mean, means)))
     low, high = np.percentile(drawn, [2.5, 97.5])
-    return Interval(statistic(columns), float(low), float(high))
+    return Interval(statistic(*(interquartile_mean(part.mean(axis=1)) for part in arrays)), float(low), float(high))
 
 
 def _percent(change: Interval) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +32,10 @@ ALGORITHMS: Final[dict[str, tuple[Any, str]]] = {
     "sac": (SAC, "MlpPolicy"),
     "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
 }
-FORMAT: Final = 1
-SUFFIX: Final = ".npz"
+UNREADABLE: Final = (
+    ValueError, OSError, EOFError, KeyError, TypeError, NotImplementedError, zipfile.BadZipFile, zlib.error
+)  # fmt: skip
+"""What numpy raises on files that are no archive of plain arrays."""
 ACTED: Final = ("growing", "period", "feed_speeds", "air_supply_rates")
 """Fields of the task that give an action its meaning: an agent runs in no task where they differ."""
 
@@ -40,7 +43,7 @@ ACTED: Final = ("growing", "period", "feed_speeds", "air_supply_rates")
 class Network(Model):
     """Size of the policy's networks; ``lstm_hidden_size`` is for recurrent-ppo alone."""
 
-    net_arch: tuple[int, ...] = (64, 64)
+    net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
     lstm_hidden_size: int = Field(default=64, ge=1, le=4096)
     log_std_init: float = -1.0
 
@@ -136,9 +139,18 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
             arrays = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
+    except (
+        ValueError,
+        OSError,
+        EOFError,
+        KeyError,
+        TypeError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise ValueError(f"{path}: not a bundle of plain arrays: {error}") from error
-    if not isinstance(arrays, dict) or not {"description", "hash"} <= set(arrays) or not _plain(arrays):
+    if not {"description", "hash"} <= set(arrays) or not _plain(arrays):
         raise ValueError(f"{path}: not a bundle: it must hold a description, a hash and weights, all plain arrays")
     text, digest = str(arrays["description"]), str(arrays["hash"])
     weights = {name.removeprefix("weight:"): value for name, value in arrays.items() if name.startswith("weight:")}
@@ -151,7 +163,7 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
     policy = build_policy(description)
     try:
         policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
-    except RuntimeError as error:
+    except (RuntimeError, TypeError) as error:
         raise ValueError(f"{path}: weights do not fit the described network: {error}") from error
     try:
         return Agent(description, policy, config or description.task, digest)

@@ -73,23 +73,28 @@ class Comparison:
             )
         return policy.schedule
 
-    def key(self, design: Design, context: Context) -> str:
-        """Identity of one result."""
+    def key(self, design: Design, context: Context, place: int = 0) -> str:
+        """Identity of one result; the context's place seeds the start."""
         parts = [
+            place,
             design.built.model_dump(), context.model_dump(), make_policy(self.feed, self.config).describe(), self.full,
             self.fidelity.model_dump(), self.config.model_dump(mode="json"), kernel_hash(self.fidelity.method),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
-    def run(self, pairs: Sequence[tuple[Design, Context]], seeds: Sequence[int]) -> list[dict[str, float]]:
+    def run(
+        self, pairs: Sequence[tuple[Design, Context]], seeds: Sequence[int], threads: int | None = None
+    ) -> list[dict[str, float]]:
         """KPIs and reward of some pairs, side by side."""
         designs, contexts = [d for d, _ in pairs], [c for _, c in pairs]
         if self.full:
             controllers = [make_policy(self.feed, self.config) for _ in pairs]
-            trial = try_insertions(designs, contexts, controllers, self.config, self.fidelity, seeds=seeds)
+            trial = try_insertions(
+                designs, contexts, controllers, self.config, self.fidelity, seeds=seeds, threads=threads
+            )
         else:
             feeds = [self.schedule()] * len(pairs)
-            trial = try_sections(designs, contexts, feeds, self.config, self.fidelity, seeds=seeds)
+            trial = try_sections(designs, contexts, feeds, self.config, self.fidelity, seeds=seeds, threads=threads)
         terms, kpis = judge(designs, trial, self.config)
         rewards = np.sum(list(terms.values()), axis=0)
         return [
@@ -109,7 +114,7 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     journal = output / "designs.jsonl"
     stored = read_journal(journal)
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
-    keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]]) for u in units}
+    keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
     missing = [unit for unit in units if keys[unit] not in stored]
     if missing:
         output.mkdir(parents=True, exist_ok=True)

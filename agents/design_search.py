@@ -6,9 +6,12 @@ complete, so a search that was killed goes on to the same front.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,18 +19,22 @@ import moocore
 import numpy as np
 import optuna
 import pandas as pd
+from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import NSGAIISampler
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import bootstrap, rankdata
+from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from tqdm import tqdm
 
 from agents import figures
+from agents.catalogue import make_policy
 from agents.design_compare import Comparison
 from agents.map_policies import LEAST_AIR
-from agents.provenance import provenance, write_atomically, write_json
+from agents.provenance import kernel_hash, provenance, write_atomically, write_json
 from agents.vibration_map import FEEDS
+from agents.workers import HERE, Workers
 from probe_env import Context, Design
 from probe_env.contexts import spread_contexts
 from probe_env.design import RANGES
@@ -66,27 +73,62 @@ class DesignProblem:
         """Name -> lowest, highest, unit of everything that is searched."""
         return RANGES | (FEED_AXES if self.feed == "best-constant" else {})
 
-    def value(self, point: dict[str, float]) -> Values:
+    def starts(self) -> list[dict[str, float]]:
+        """The study's two probes, at several feeds where feed is searched: what a search is to beat."""
+        return [probe.model_dump() | feed for probe in STUDY_PROBES.values() for feed in self.reference_feeds()]
+
+    def reference_feeds(self) -> list[dict[str, float]]:
+        """Feeds that the study's probes are tried at."""
+        if self.feed != "best-constant":
+            return [{}]
+        return [{"feed_speed": u, "air_supply_rate": q / 3600.0} for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0)]
+
+    def identity(self) -> str:
+        """Short hash of all that the objectives depend on: trials of another problem must not be mixed in.
+
+        Raises:
+            ValueError: the feed is no policy.
+        """
+        feed = None if self.feed == "best-constant" else make_policy(self.feed, self.config).describe()
+        tubes = [context.model_dump() for context in self.contexts]
+        parts = [self.axes, tubes, feed, self.full, self.config.model_dump(mode="json"), kernel_hash("imex")]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
+
+    def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
         """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
 
-        A probe that does not get through has the ratio's cap and the slowest time for what it missed.
+        What a probe does not get to has the ratio's cap and the slowest time.
         """
+        everywhere = list(enumerate(self.contexts))
+        if workers.here:
+            kpis = self.kpis(point, everywhere)
+        else:
+            portions = [everywhere[k :: workers.jobs] for k in range(min(workers.jobs, len(everywhere)))]
+            kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
+        kpis.sort(key=lambda row: row["place"])  # sums do not depend on who was first
+        slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
+        squares = [(k["mean_square_ratio"] * (SPAN - k["missed_m"]) + cap * k["missed_m"]) / SPAN for k in kpis]
+        times = [k["inspection_time_s"] + slowest * k["missed_m"] for k in kpis]
+        return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
+
+    def kpis(
+        self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
+    ) -> list[dict[str, float]]:
+        """KPIs of a point in some of the tubes, given with their places."""
         design = Design(**{name: point[name] for name in RANGES})
-        pairs = [(design, context) for context in self.contexts]
-        seeds = range(len(pairs))
+        seeds, contexts = [place for place, _ in tubes], [context for _, context in tubes]
         if self.feed == "best-constant":
             feed = Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
-            trial = try_sections([design] * len(pairs), self.contexts, [feed] * len(pairs), self.config, seeds=seeds)
-            _, figures_ = judge([design] * len(pairs), trial, self.config)
-            kpis = [{name: float(values[k]) for name, values in figures_.items()} for k in range(len(pairs))]
+            count = len(tubes)
+            trial = try_sections(
+                [design] * count, contexts, [feed] * count, self.config, seeds=seeds, threads=threads
+            )  # fmt: skip
+            _, found = judge([design] * count, trial, self.config)
+            rows = [{name: float(values[k]) for name, values in found.items()} for k in range(count)]
         else:
-            comparison = Comparison({"": design}, self.contexts, self.feed, self.full, config=self.config)
-            kpis = comparison.run(pairs, seeds)
-        span = [k["missed_m"] for k in kpis]
-        slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
-        squares = [(k["mean_square_ratio"] * (SPAN - m) + cap * m) / SPAN for k, m in zip(kpis, span, strict=True)]
-        times = [k["inspection_time_s"] + slowest * m for k, m in zip(kpis, span, strict=True)]
-        return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
+            comparison = Comparison({"": design}, contexts, self.feed, self.full, config=self.config)
+            rows = comparison.run([(design, context) for context in contexts], seeds, threads)
+        return [row | {"place": float(place)} for row, place in zip(rows, seeds, strict=True)]
 
 
 def search(
@@ -97,6 +139,7 @@ def search(
     name: str,
     population: int = 24,
     seed: int = 0,
+    starts: Sequence[Mapping[str, float]] = (),
 ) -> optuna.Study:
     """Run a search, or what is left of it, and return the study.
 
@@ -104,18 +147,33 @@ def search(
         axes: name -> lowest, highest, unit.
         value: objectives of a point, by ``DIRECTIONS``.
         trials: to be complete at the end.
-        storage: URL of any storage that Optuna knows.
+        storage: URL of any storage that Optuna knows; one search at a time in a study.
         name: of the study in it.
         population: designs in a generation.
         seed: of the search.
+        starts: points to begin with, part of the first generation.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = optuna.create_study(storage=storage, study_name=name, directions=list(DIRECTIONS), load_if_exists=True)
+    try:
+        study = optuna.create_study(storage=storage, study_name=name, directions=list(DIRECTIONS), load_if_exists=True)
+    except (ArgumentError, NoSuchModuleError) as error:
+        raise ValueError(f"storage = {storage!r} is not the URL of a database: {error}") from error
     for stale in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study._storage.set_trial_state_values(stale._trial_id, TrialState.FAIL)  # of a run that was killed
     done = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
     with tqdm(total=trials, initial=min(done, trials), desc=name, unit="design") as bar:
-        for number in range(done, trials):
+        for number in range(done, min(len(starts), trials)):
+            distributions: dict[str, BaseDistribution] = {
+                axis: FloatDistribution(low, high) for axis, (low, high, _) in axes.items()
+            }
+            study.add_trial(
+                create_trial(
+                    params=dict(starts[number]), distributions=distributions, values=value(dict(starts[number])),
+                    system_attrs={NSGAIISampler._get_generation_key(): 0},
+                )
+            )  # fmt: skip
+            bar.update()
+        for number in range(max(done, len(starts)), trials):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 study.sampler = NSGAIISampler(
@@ -169,13 +227,24 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
 
 
 def run_design_search(
-    feed: str, full: bool, trials: int, contexts: int, output: Path, storage: str | None, seed: int
+    feed: str,
+    full: bool,
+    trials: int,
+    contexts: int,
+    output: Path,
+    storage: str | None,
+    seed: int,
+    workers: Workers = HERE,
 ) -> pd.DataFrame:
     """The search as a command: stores trials.csv, front.csv, sensitivity.csv, pictures and the best designs as TOML.
 
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
+    if full and feed == "best-constant":
+        raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
+    if seed < 0:
+        raise ValueError(f"seed = {seed!r} is outside the accepted range 0 and more")
     if contexts < 1:
         raise ValueError(f"contexts = {contexts!r} is outside the accepted range 1 and more")
     chosen = spread_contexts("train", contexts)
@@ -184,10 +253,12 @@ def run_design_search(
     problem = DesignProblem(chosen, feed, full)
     if feed != "best-constant" and not full:
         Comparison({}, chosen, feed).schedule()
-    output.mkdir(parents=True, exist_ok=True)
+    identity = problem.identity()
+    if storage is None:
+        output.mkdir(parents=True, exist_ok=True)
     study = search(
-        problem.axes, problem.value, trials, storage or f"sqlite:///{output / 'study.db'}",
-        f"{'full' if full else 'sections'} {feed} {contexts} tubes seed {seed}", seed=seed,
+        problem.axes, partial(problem.value, workers=workers), trials, storage or f"sqlite:///{output / 'study.db'}",
+        f"{feed} {identity} seed {seed}", seed=seed, starts=problem.starts(),
     )  # fmt: skip
     table = trials_table(study)
     front = table[table["on_front"]].sort_values("mean_square_ratio")
@@ -196,8 +267,7 @@ def run_design_search(
         write_atomically(output / f"{name}.csv", frame.to_csv(index=False, float_format="%.6g"))
     design = best_of(front, problem.config)
     write_atomically(output / "found.toml", design.to_toml())
-    references = reference_probes(problem, output / "references.csv")
-    figures.design_front(table, references, output / "front.png")
+    figures.design_front(table, reference_probes(table, problem), output / "front.png")
     figures.parallel_coordinates(table, problem.axes, output / "parallel.png")
     setting = {"feed": feed, "full": full, "contexts": contexts, "trials": len(table), "seed": seed}
     write_json(output / "provenance.json", provenance() | setting)
@@ -207,34 +277,22 @@ def run_design_search(
 
 
 def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
-    """The design of the front with the least cost by the task's weights, among those that keep some drive."""
+    """The design of the front with the best reward by the task's weights, among those that keep some drive."""
 
-    def cost(row: dict[str, float]) -> float:
+    def cost(row: dict[str, float]) -> float:  # the reward's terms; air of a given schedule is the same for all
         vibration = config.vibration_weight * SPAN * row["mean_square_ratio"]
-        return vibration + config.time_weight * row["inspection_time_s"]
+        seconds = config.time_weight + config.air_weight * row.get("air_supply_rate", 0.0)
+        return vibration + seconds * row["inspection_time_s"] + config.progress_weight * row["guide_length"]
 
     rows: list[Any] = front.to_dict("records")
     best = min([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=cost)
     return Design(**{name: float(best[name]) for name in RANGES}).built
 
 
-def reference_probes(problem: DesignProblem, path: Path) -> pd.DataFrame:
-    """Objectives of the study's two probes, at several feeds if these are searched too; kept in a file."""
-    if path.exists():
-        return pd.read_csv(path)
-    feeds: list[dict[str, float]] = [{}]
-    if problem.feed == "best-constant":
-        feeds = [
-            {"feed_speed": u, "air_supply_rate": q / 3600.0} for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0)
-        ]
-    rows = []
-    for name, probe in STUDY_PROBES.items():
-        for feed in feeds:
-            values = problem.value(probe.model_dump() | feed)
-            rows.append({"design": name} | feed | dict(zip(OBJECTIVES, values, strict=True)))
-    table = pd.DataFrame(rows)
-    write_atomically(path, table.to_csv(index=False, float_format="%.6g"))
-    return table
+def reference_probes(table: pd.DataFrame, problem: DesignProblem) -> pd.DataFrame:
+    """The first trials, which are the study's two probes, with their names."""
+    names = [name for name in STUDY_PROBES for _ in problem.reference_feeds()]
+    return table.iloc[: len(names)].assign(design=names[: len(table)])
 
 
 def _print(front: pd.DataFrame, influence: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> None:

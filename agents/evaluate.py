@@ -11,8 +11,9 @@ import io
 import json
 import os
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,6 +22,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.episodes import Episodes
 from probe_env.task import TaskConfig, describe
@@ -66,12 +68,17 @@ class Plan:
     def key(self, unit: tuple[str, int, int]) -> str:
         """Identity of an episode: policy as described, context and seed."""
         name, k, seed = unit
-        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), seed]
+        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]  # the place is in the seed
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def run_plan(
-    plan: Plan, output: Path, batch: int = BATCH, progress: bool = True, threads: int | None = None
+    plan: Plan,
+    output: Path,
+    batch: int = BATCH,
+    progress: bool = True,
+    threads: int | None = None,
+    workers: Workers = HERE,
 ) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
@@ -91,7 +98,7 @@ def run_plan(
             journal.open("ab") as file,
             tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
         ):
-            for line in _run_units(plan, missing, batch, threads):
+            for line in _lines(plan, missing, batch, threads, workers):
                 file.write(line.encode())
                 file.flush()
                 os.fsync(file.fileno())
@@ -133,6 +140,25 @@ def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
                 f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
             )
     return read_journal(output / "episodes.jsonl")
+
+
+def _lines(
+    plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None, workers: Workers
+) -> Iterator[str]:
+    """A line of JSON for each episode, run here or by workers in portions of a batch."""
+    if workers.here:
+        yield from _run_units(plan, missing, batch, threads)
+        return
+    size = max(min(batch, len(missing) // (2 * workers.jobs)), 1)
+    units = list(missing)
+    portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
+    for _, lines in workers.map(partial(_portion, plan), portions):
+        yield from lines
+
+
+def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> list[str]:
+    """What a worker does: some episodes side by side on one thread."""
+    return list(_run_units(plan, deque(units), len(units), 1))
 
 
 def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from agents.policies import FixedPolicy
-from agents.vibration_map import CONTEXT, FEEDS, features_of, stored_map
+from agents.vibration_map import CONTEXT, FEEDS, STORED, features_of, stored_map
 from probe_env import Context, Scene
 from probe_env.chain import FloatArray, air_speed, build_chain
 from probe_env.contexts import HELIX_DIAMETERS
@@ -72,8 +73,21 @@ class ByDiameter(FixedPolicy):
         return cls(config, {d: Schedule.read(folder / f"best-schedule-d{d:g}.csv") for d in HELIX_DIAMETERS})
 
 
+class MapPolicy(FixedPolicy):
+    """Base: what it does depends on the stored map as well."""
+
+    def describe(self) -> dict[str, Any]:
+        """With a hash of the map."""
+        return super().describe() | {"map": _map_hash(), "least_air": LEAST_AIR}
+
+
+@lru_cache
+def _map_hash() -> str:
+    return hashlib.sha256(STORED.read_bytes()).hexdigest()[:16]
+
+
 @dataclass
-class Privileged(FixedPolicy):
+class Privileged(MapPolicy):
     """The best schedule for the true tube, which no rig knows: what a controller can reach at best."""
 
     vibration_weight: float | None = None
@@ -93,7 +107,7 @@ class Privileged(FixedPolicy):
 
 
 @dataclass
-class TensionScheduled(FixedPolicy):
+class TensionScheduled(MapPolicy):
     """Friction estimated from the root tension of steady sliding, then the best schedule for a tube with it."""
 
     average: float = 15.0

@@ -21,7 +21,8 @@ from agents.catalogue import named_policies
 from agents.evaluate import Plan, run_plan
 from agents.fidelity_check import check_half_step, check_study_scheme, report_checks
 from agents.provenance import write_atomically, write_json
-from agents.statistics import KPIS, Interval, endings, grouped, sentences, summarise
+from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
+from agents.workers import HERE, Workers
 from probe_env.contexts import Split, spread_contexts
 from probe_env.fidelity import resolve_fidelity
 from probe_env.task import TaskConfig
@@ -36,6 +37,7 @@ def evaluate(
     fidelity: str,
     check_fidelity: Literal["no", "half-step", "all"] = "no",
     against: str | None = None,
+    workers: Workers = HERE,
 ) -> pd.DataFrame:
     """Evaluate policies on a shipped list of contexts; writes the tables, summary.csv and report.html.
 
@@ -51,10 +53,11 @@ def evaluate(
     config = TaskConfig(privileged=True)  # every policy looks at what it is meant to
     policies = named_policies(specs, config)
     plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity))
-    reference = against or next(iter(policies)).split("@")[0]
-    if reference not in {name.split("@")[0] for name in policies}:
+    methods = [method_and_seed(name)[0] for name in policies]
+    reference = against or methods[0]
+    if reference not in methods:
         raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(policies)}")
-    table = run_plan(plan, output)
+    table = run_plan(plan, output, workers=workers)
     write_json(output / "report.json", {"against": reference})
     write_report(output)
     print_summary(grouped(table), reference)
@@ -108,7 +111,7 @@ def write_report(folder: Path) -> Path:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
     table, profile = (grouped(pd.read_parquet(path)) for path in stored)
-    against = json.loads((folder / "report.json").read_text())["against"]
+    against = compared_with(folder, table)
     made = json.loads((folder / "provenance.json").read_text())
     setting = json.loads((folder / "setting.json").read_text())
     write_atomically(folder / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
@@ -138,6 +141,12 @@ def write_report(folder: Path) -> Path:
     path = folder / "report.html"
     write_atomically(path, page)
     return path
+
+
+def compared_with(folder: Path, table: pd.DataFrame) -> str:
+    """The policy that a stored evaluation compares the others with; the first, if it does not say."""
+    path = folder / "report.json"
+    return str(json.loads(path.read_text())["against"]) if path.exists() else str(table["policy"].iloc[0])
 
 
 def _pictures(table: pd.DataFrame, profile: pd.DataFrame, fronts: pd.DataFrame | None) -> list[tuple[str, str, str]]:

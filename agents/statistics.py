@@ -68,14 +68,26 @@ def interquartile_mean(values: np.ndarray) -> float:
 
 def grouped(table: pd.DataFrame) -> pd.DataFrame:
     """The table with training seeds of one method gathered: policy NAME@K becomes NAME with K in column ``agent``."""
-    parts = table["policy"].str.extract(r"^(?P<name>.*?)(?:@(?P<agent>\d+))?$")
-    return table.assign(policy=parts["name"], agent=parts["agent"].fillna("0").astype(int))
+    parts = {name: method_and_seed(name) for name in table["policy"].unique()}
+    return table.assign(
+        agent=table["policy"].map(lambda name: parts[name][1]), policy=table["policy"].map(lambda name: parts[name][0])
+    )
+
+
+def method_and_seed(policy: str) -> tuple[str, int]:
+    """NAME@K as (NAME, K), anything else as (NAME, 0)."""
+    name, mark, seed = policy.rpartition("@")
+    return (name, int(seed)) if mark and seed.isdigit() else (policy, 0)
+
+
+def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:
+    """A KPI of a method: training seeds in rows, contexts in columns, averaged over the seeds of the episodes."""
+    return table[table["policy"] == policy].pivot_table(index="agent", columns="context", values=kpi)
 
 
 def over_seeds(table: pd.DataFrame, policy: str, kpi: str) -> Interval:
     """Interquartile mean over training seeds of the mean over contexts; interval by drawing seeds and contexts anew."""
-    part = table[table["policy"] == policy]
-    values = part.pivot_table(index="agent", columns="context", values=kpi).to_numpy()
+    values = seeds_by_contexts(table, policy, kpi).to_numpy()
     rng, (seeds, contexts) = np.random.default_rng(0), values.shape
     drawn = [
         interquartile_mean(

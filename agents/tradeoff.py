@@ -20,7 +20,7 @@ from agents.evaluate import Plan, Policy, run_plan
 from agents.map_policies import Privileged, TensionScheduled
 from agents.policies import PI, Constant, FixedPolicy, OnOff, SlowDown
 from agents.provenance import write_atomically
-from agents.statistics import Interval, by_context, grouped, mean_interval
+from agents.statistics import Interval, by_context, grouped, mean_interval, method_and_seed
 from probe_env.contexts import Split, spread_contexts
 from probe_env.fidelity import resolve_fidelity
 from probe_env.task import TaskConfig
@@ -87,7 +87,7 @@ def front_of(table: pd.DataFrame, names: Sequence[str], singles: Iterable[str] =
     A single policy is a family of its own, of value NaN; NAME@K of all K are one.
     """
     members = [(name, value, f"{name} {value:g}") for name in names for value in FAMILIES[name].values]
-    members += [(name, float("nan"), name) for name in dict.fromkeys(single.split("@")[0] for single in singles)]
+    members += [(name, float("nan"), name) for name in dict.fromkeys(method_and_seed(single)[0] for single in singles)]
     rows = []
     for name, value, policy in members:
         time = mean_interval(by_context(table, policy, "inspection_time_s").to_numpy())

@@ -11,11 +11,11 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 import pandas as pd
 import torch
@@ -35,6 +35,7 @@ from agents.provenance import provenance, write_atomically, write_json
 from agents.train_config import Training
 from agents.vec_env import ProbeVecEnv
 from agents.view import ViewVecEnv
+from agents.workers import HERE, Workers
 from probe_env import lane_group
 from probe_env.contexts import spread_contexts
 from probe_env.fidelity import resolve_fidelity
@@ -43,28 +44,49 @@ CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "ru
 BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-def train_all(training: Training, output: Path, resume: bool, jobs: int, command: str | None = None) -> pd.DataFrame:
+def train_all(
+    training: Training, output: Path, resume: bool, workers: Workers = HERE, command: str | None = None
+) -> pd.DataFrame:
     """Train every seed, each in ``output``/seed-K; returns the learning curves, one row a phase.
+
+    Workers on other machines must share the file system of ``output``.
 
     Raises:
         ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
     """
-    if not 1 <= jobs <= 256:
-        raise ValueError(f"jobs = {jobs!r} is outside the accepted range 1 to 256")
     folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
     made = provenance(command)
+    for folder in folders.values():
+        _check_folder(training, folder, resume)
     for seed, folder in folders.items():
-        _check_folder(training, seed, folder, resume)
-        write_json(folder / RUN, {"config": training.model_dump(mode="json"), "seed": seed} | made)
-    threads = 1 if jobs > 1 else None
-    curves: Sequence[pd.DataFrame] = joblib.Parallel(n_jobs=min(jobs, len(folders)))(
-        joblib.delayed(train)(training, seed, folder, made, threads, place)
-        for place, (seed, folder) in enumerate(folders.items())
-    )
-    return pd.concat(curves, ignore_index=True)
+        _note_run(training, seed, folder, made)
+    if workers.here:
+        curves = [train(training, seed, folder, made) for seed, folder in folders.items()]
+        return pd.concat(curves, ignore_index=True)
+    tasks = [(seed, folder.absolute(), place) for place, (seed, folder) in enumerate(folders.items())]
+    done: dict[int, pd.DataFrame] = {}
+    for task, curve in workers.map(partial(_train_task, training, made), tasks):
+        done[task[0]] = curve
+    return pd.concat([done[seed] for seed in training.seeds], ignore_index=True)
 
 
-def _check_folder(training: Training, seed: int, folder: Path, resume: bool) -> None:
+def _train_task(training: Training, made: dict[str, Any], task: tuple[int, Path, int]) -> pd.DataFrame:
+    seed, folder, place = task
+    return train(training, seed, folder, made, 1, place)
+
+
+def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any]) -> None:
+    """Write what is run; a resumed run keeps how it began and lists how it went on."""
+    path = folder / RUN
+    begun: dict[str, Any] = {"seed": seed} | made
+    if path.exists():
+        begun = json.loads(path.read_text())
+        begun["resumed"] = [*begun.get("resumed", []), {"command": made["command"], "commit": made["commit"]}]
+    teacher = make_policy(training.imitation.teacher, training.shown_task).describe() if training.imitation else None
+    write_json(path, begun | {"config": json.loads(training.model_dump_json()), "teacher": teacher})
+
+
+def _check_folder(training: Training, folder: Path, resume: bool) -> None:
     if not (folder / RUN).exists():
         return
     if not resume:
@@ -108,7 +130,7 @@ def train(
     total = imitated + training.phases * training.phase_steps
     first = 0 if training.imitation else 1
     with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=place) as bar:
-        report = _watched(bar.update)
+        report = _watched(bar.update) if threads == 1 else bar.update
         for phase in range(first + len(rows), training.phases + 1):
             begin = time.perf_counter()
             set_random_seed(_seed_of(seed, phase))

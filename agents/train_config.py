@@ -22,8 +22,12 @@ from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.scene import Model, explain, quantity
 from probe_env.task import TaskConfig
 
-OURS = ("self", "policy", "env", "policy_kwargs", "tensorboard_log", "seed", "device", "verbose", "_init_setup_model")
-"""Arguments of the algorithms that other fields set."""
+OURS = (
+    "self", "policy", "env", "policy_kwargs", "tensorboard_log", "seed", "device", "verbose", "_init_setup_model",
+    "use_sde", "sde_sample_freq", "use_sde_at_warmup", "rollout_buffer_class", "rollout_buffer_kwargs",
+    "replay_buffer_class", "replay_buffer_kwargs", "optimize_memory_usage", "action_noise", "stats_window_size",
+)  # fmt: skip
+"""Arguments of the algorithms that other fields set, or that a file of numbers cannot hold."""
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -92,9 +96,15 @@ class Training(Model):
         if self.phases == 0 and self.imitation is None:
             raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
         for fidelity in map(resolve_fidelity, (self.environment.fidelity, self.validation.fidelity)):
+            if fidelity.time_lapse > 1.0 and not self.task.growing:
+                raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v0")
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
         self.view.columns(self.task)
         spread_contexts(self.validation.contexts, self.validation.limit)
+        if self.learning.get("batch_size", 2) < 2:
+            raise PydanticCustomError(
+                "batch", f"learning.batch_size = {self.learning['batch_size']!r} must be 2 or more"
+            )
         if self.imitation is not None:
             try:
                 make_policy(self.imitation.teacher, self.shown_task)

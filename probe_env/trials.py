@@ -50,6 +50,7 @@ class Trial:
         radial_rms, root_tension: (N, p).
         deep: (N, p) whether so much is inserted that lost drive counts.
         lost_drive, diverged: (N,) whether it ended so.
+        inspected: (N,) what the sensor saw to the end, where that was simulated.
     """
 
     widths: FloatArray
@@ -60,6 +61,7 @@ class Trial:
     deep: BoolArray
     lost_drive: BoolArray
     diverged: BoolArray
+    inspected: FloatArray | None = None
 
 
 def try_sections(
@@ -163,8 +165,9 @@ def try_insertions(
             info = step.infos[k]
             for name, flags in ended.items():
                 flags[k] |= info[name]
-            place = int(np.floor(info["inserted_length"] - guides[k] - SENSOR_START - 1e-6))
-            if 0 <= place < places and not info["diverged"]:
+            sensor = info["inserted_length"] - guides[k]
+            place = int(np.floor(sensor - SENSOR_START - 1e-6))
+            if place >= 0 and sensor <= SENSOR_END + 0.5 * config.period * info["feed_speed"] and not info["diverged"]:
                 travel = info["inspected_length"] - before[k]
                 sums["travel"][k, place] += travel
                 sums["seconds"][k, place] += config.period
@@ -172,11 +175,16 @@ def try_insertions(
                 sums["square"][k, place] += travel * info["radial_rms_m"] ** 2
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
-    return _gathered(sums, ended, guides, config)
+    inspected = np.array([tally.inspected for tally in episodes.tally])
+    return _gathered(sums, ended, guides, inspected, config)
 
 
 def _gathered(
-    sums: Mapping[str, FloatArray], ended: Mapping[str, BoolArray], guides: FloatArray, config: TaskConfig
+    sums: Mapping[str, FloatArray],
+    ended: Mapping[str, BoolArray],
+    guides: FloatArray,
+    inspected: FloatArray,
+    config: TaskConfig,
 ) -> Trial:
     travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)
     seen = sums["periods"] > 0.0
@@ -195,6 +203,7 @@ def _gathered(
         deep,
         ended["lost_drive"],
         ended["diverged"],
+        inspected,
     )
 
 
@@ -218,7 +227,9 @@ def judge(
     seconds = trial.widths / np.maximum(trial.feed_speed, 1e-9)
     squares = (trial.widths * np.minimum(ratio, config.ratio_cap) ** 2).sum(axis=1)
     time, air = seconds.sum(axis=1), (seconds * trial.air_supply_rate).sum(axis=1)
-    inspected = np.maximum(helix_length - guides - SENSOR_START - missed, 0.0)
+    inspected = trial.inspected
+    if inspected is None:
+        inspected = np.maximum(helix_length - guides - SENSOR_START - missed, 0.0)
     terms = {
         "progress": config.progress_weight * inspected,
         "vibration": -config.vibration_weight * squares,

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.agent_results import gain_fraction, load_curves, markdown, relative_change, throughput, verdicts
+from agents.agent_results import difference, gain_fraction, load_curves, markdown, relative_change, throughput, verdicts
 from agents.statistics import grouped, interquartile_mean, over_seeds
 
 
@@ -57,6 +57,18 @@ def test_share_of_the_gain_and_relative_changes():
     assert "length out of the limit -50 % [-50, -50]" in words[0]
     assert words[1].startswith("`ppo` reaches 70 [70, 70] %")
     assert "| `ppo` | 1 | 9 [" in markdown(table, ["ppo", "sched"])
+
+
+def test_seeds_that_differ_widen_the_interval_of_a_difference():
+    """The same mean of five seeds, scattered by 5 or not at all, on tubes that do not scatter."""
+    close = {f"a@{k}": [1.0] * 8 for k in range(5)} | {"b": [0.0] * 8}
+    apart = {f"a@{k}": [1.0 + 5.0 * (k - 2)] * 8 for k in range(5)} | {"b": [0.0] * 8}
+    narrow, wide = (difference(table_of(values), "a", "b", "reward") for values in (close, apart))
+    assert (narrow.mean, wide.mean) == pytest.approx((1.0, 1.0))
+    assert narrow.high - narrow.low == pytest.approx(0.0)
+    assert wide.high - wide.low > 5.0
+    with pytest.raises(ValueError, match="not run on the same contexts"):
+        difference(table_of({"a": [1.0, 2.0], "b": [1.0]}), "a", "b", "reward")
 
 
 def test_curves_and_throughput(tmp_path):

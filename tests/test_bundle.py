@@ -108,6 +108,11 @@ def test_poisoned_files_are_refused_and_not_executed(tmp_path):
     bare.write_bytes(pickle.dumps(Poison(victim)))
     with pytest.raises(ValueError, match="not a bundle"):
         load_bundle(bare)
+    array = tmp_path / "array.npz"
+    with array.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(ValueError, match="not a bundle"):
+        load_bundle(array)
     assert not victim.exists()
     pickle.loads(bare.read_bytes()).close()
     assert victim.exists()  # so the poison would have worked

@@ -197,7 +197,7 @@ def test_whole_insertions_are_judged_over_the_same_span():
     terms, kpis = judge(designs, trial, CONFIG)
     assert trial.widths.sum(axis=1) == pytest.approx(SPAN)
     assert kpis["inspection_time_s"] == pytest.approx(SPAN / 0.2, rel=0.01)
-    assert kpis["inspected_m"] == pytest.approx([55.0, 47.5])
+    assert kpis["inspected_m"] == pytest.approx([55.0, 47.5], abs=0.01)  # the sensor's own way, not the span
     assert (kpis["drive_margin_n"] > 0.0).all()
     assert set(terms) == {"progress", "vibration", "time", "air", "uninspected", "diverged"}
     env = DesignEnv(fidelity=coarse, full=True, feed=STUDY_FEED)

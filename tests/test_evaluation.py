@@ -182,7 +182,7 @@ def test_the_report_is_one_page_without_a_network(tmp_path):
         ((["constant"], "validation", 99, 1), "limit = 99"),
         ((["constant"], "validation", 0, 0), "seeds = 0"),
         (([], "validation", 0, 1), "at least one is needed"),
-        ((["pi", "pi"], "validation", 0, 1), "none twice"),
+        ((["pi", "pi"], "validation", 0, 1), "no name twice"),
         ((["fastest"], "validation", 0, 1), "policy = 'fastest'"),
     ],
 )

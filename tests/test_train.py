@@ -43,10 +43,10 @@ def equal(first, second):
 @pytest.mark.parametrize("settings", [IMITATING, RECURRENT, SAC], ids=["ppo", "recurrent-ppo", "sac"])
 def test_resumed_equals_never_stopped(settings, tmp_path):
     """Half of the phases, then the rest by resuming, gives the weights and the curve of one go."""
-    one_go = train_all(Training(**settings), tmp_path / "whole", resume=False, jobs=1)
+    one_go = train_all(Training(**settings), tmp_path / "whole", resume=False)
     half = Training(**settings | {"phases": 1})
-    train_all(half, tmp_path / "parts", resume=False, jobs=1)
-    resumed = train_all(Training(**settings), tmp_path / "parts", resume=True, jobs=1)
+    train_all(half, tmp_path / "parts", resume=False)
+    resumed = train_all(Training(**settings), tmp_path / "parts", resume=True)
     columns = ["phase", "steps", "reward", "inspection_time_s", "share_within_limit"]
     assert (one_go[columns] == resumed[columns]).all(axis=None)
     assert equal(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
@@ -56,7 +56,7 @@ def test_resumed_equals_never_stopped(settings, tmp_path):
 
 
 def _train(folder, resume):
-    train_all(Training(**IMITATING), folder, resume=resume, jobs=1)
+    train_all(Training(**IMITATING), folder, resume=resume)
 
 
 def test_killed_at_any_moment_it_goes_on(tmp_path):
@@ -79,13 +79,17 @@ def test_killed_at_any_moment_it_goes_on(tmp_path):
 
 def test_an_existing_run_is_not_overwritten_nor_mixed(tmp_path):
     training = Training(**PPO | {"phases": 1})
-    train_all(training, tmp_path, resume=False, jobs=1)
+    train_all(training, tmp_path, resume=False)
     before = (tmp_path / "seed-0" / CHECKPOINT).read_bytes()
     with pytest.raises(ValueError, match="give --resume"):
-        train_all(training, tmp_path, resume=False, jobs=1)
+        train_all(training, tmp_path, resume=False)
+    both = Training(**PPO | {"phases": 1, "seeds": (7, 0)})
+    with pytest.raises(ValueError, match="give --resume"):
+        train_all(both, tmp_path, resume=False)
+    assert not (tmp_path / "seed-7").exists()
     other = Training(**PPO | {"learning": {"n_steps": 16, "batch_size": 16}})
     with pytest.raises(ValueError, match=r"other settings \(learning\)"):
-        train_all(other, tmp_path, resume=True, jobs=1)
+        train_all(other, tmp_path, resume=True)
     assert (tmp_path / "seed-0" / CHECKPOINT).read_bytes() == before
 
 
@@ -101,6 +105,10 @@ BROKEN = {
     "colour = 1": "colour",
     "[learning]\nmomentum = 1": "learning.momentum is not one of ppo's",
     "[learning]\npolicy = 1": "learning.policy",
+    "[learning]\nuse_sde = true": "learning.use_sde",
+    "[learning]\nbatch_size = 1": "learning.batch_size = 1",
+    "[environment]\nenv_id = 'probe_env/Snapshot-v0'": "needs a growing probe",
+    "[network]\nnet_arch = [1000000]": "network.net_arch",
     "[environment]\nnum_envs = 0": "environment.num_envs",
     "[environment]\nfidelity = 'fastest'": "fidelity = 'fastest'",
     "[environment]\nfidelity = { time_lapse = 16.0 }": "not a whole number",
@@ -137,7 +145,7 @@ def test_smoke_training_beats_the_study_s_constant(tmp_path):
         learning={"n_steps": 64, "batch_size": 128, "n_epochs": 8, "learning_rate": 2e-3, "gamma": 0.98},
         validation={"limit": 4, "fidelity": COARSE},
     )  # fmt: skip
-    train_all(training, tmp_path, resume=False, jobs=1)
+    train_all(training, tmp_path, resume=False)
     config = TaskConfig(**task)
     policies = {"agent": load_bundle(tmp_path / "seed-0" / BEST, config), "constant": Constant(config)}
     plan = Plan(policies, load_contexts("test")[:6], (0,), config, COARSE)

@@ -135,4 +135,11 @@ def test_wandering_holds_for_a_segment_and_differs_between_episodes():
 
 def test_the_map_was_fitted_on_training_tubes_alone():
     quality = load_quality()
+    assert quality["contexts"] == "train"
     assert quality["episodes"] % len(load_contexts("train")) == 0
+
+
+def test_what_a_map_policy_is_depends_on_the_map(monkeypatch):
+    before = Privileged(CONFIG).describe()
+    monkeypatch.setattr("agents.map_policies._map_hash", lambda: "another")
+    assert Privileged(CONFIG).describe() != before

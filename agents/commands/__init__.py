@@ -1,0 +1,1 @@
+"""The subcommands of ``probe-env``: one dataclass each, tyro makes the options from them."""

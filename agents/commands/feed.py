@@ -1,0 +1,181 @@
+"""Commands of feed control: evaluate, search, train, film."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from agents.workers import Workers
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate policies on the same contexts: KPIs with intervals, paired differences, a table and a report."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
+    """Built-in policies, schedule files (.csv, .toml) or agents' bundles (.npz); NAME=FILE names one, NAME@K=FILE the
+    training seeds of one method."""
+    against: str | None = None
+    """Policy that the others are compared with; default: the first."""
+    output: Path = Path("output/evaluation")
+    """Folder of the tables and the report; what is there already is not run again."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of contexts."""
+    limit: int = 0
+    """Take so many contexts of the list only, evenly spread; 0: all."""
+    seeds: int = 1
+    """Seeds of sensor noise and start for every context."""
+    fidelity: Literal["study", "standard", "fast"] = "standard"
+    """How closely to simulate."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+    check_fidelity: Literal["no", "half-step", "all"] = "no"
+    """Repeat at half the time step; "all": and a sample with the study's scheme, which takes an hour."""
+
+    def run(self) -> None:
+        """Run what is missing, print, write the report."""
+        from agents.report import evaluate
+
+        evaluate(
+            self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity,
+            self.against, self.workers,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write the report of a stored evaluation again: one HTML page that needs no network."""
+
+    folder: tyro.conf.Positional[Path] = Path("results/evaluation")
+    """Folder of the evaluation's tables."""
+
+    def run(self) -> None:
+        """Write report.html and summary.csv beside the tables."""
+        from agents.report import write_report
+
+        print(f"written: {write_report(self.folder)}")
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Sweep one parameter of every policy family: the front of inspection time against vibration."""
+
+    families: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow-down", "on-off", "pi", "tension-scheduled")
+    """Families to sweep."""
+    output: Path = Path("output/tradeoff")
+    """Folder of the tables and the figure; what is there already is not run again."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of contexts."""
+    beside: tuple[str, ...] = ()
+    """Single policies to draw beside the fronts: schedules, agents."""
+    limit: int = 12
+    """Take so many contexts of the list only, evenly spread; 0: all."""
+    fidelity: Literal["study", "standard", "fast"] = "fast"
+    """How closely to simulate."""
+
+    def run(self) -> None:
+        """Run what is missing, store, print."""
+        from agents.tradeoff import run_tradeoff
+
+        run_tradeoff(self.families, self.output, self.contexts, self.limit, self.fidelity, self.beside)
+
+
+@dataclass(frozen=True)
+class Map:
+    """Wander on the training tubes and fit how loud the probe is over length, feed, air and tube."""
+
+    seeds: int = 2
+    """Insertions on each of the 96 training tubes."""
+    output: Path = Path("output/map")
+    """Folder of the insertions; what is there already is not run again."""
+
+    def run(self) -> None:
+        """Run what is missing, fit, store in agents/data/."""
+        from agents.vibration_map import make_map
+
+        make_map(self.seeds, self.output)
+
+
+@dataclass(frozen=True)
+class Optimise:
+    """Find the best constant feed or the best schedule over length for the training tubes, by CMA-ES on the map."""
+
+    families: tyro.conf.Positional[tuple[str, ...]] = ()
+    """What to search: best-constant, best-schedule, best-schedule-dDIAMETER; none: all."""
+    trials: int = 1200
+    """Schedules tried in each search."""
+    output: Path = Path("agents/data")
+    """Folder of the schedules, their trials and how they were made."""
+    work: Path = Path("output/optimise")
+    """Folder of the searches themselves, from which an interrupted one goes on."""
+
+    def run(self) -> None:
+        """Search, simulate on the validation tubes, store, print."""
+        from agents.optimise import FAMILIES, run_search
+
+        for family in self.families:
+            if family not in FAMILIES:
+                raise ValueError(f"family = {family!r} is not one of {', '.join(FAMILIES)}")
+        for family in self.families or FAMILIES:
+            run_search(family, self.trials, self.output, self.work)
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train agents with Stable-Baselines3: checkpoints, validation, the best agent of each seed as a bundle."""
+
+    config_file: tyro.conf.Positional[Path]
+    """Training file (TOML), see configs/train/."""
+    output: Path | None = None
+    """Folder of the runs, seed-K in it; default: output/train/NAME-OF-THE-FILE."""
+    seeds: tuple[int, ...] = ()
+    """Seeds instead of the file's."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+    resume: bool = False
+    """Go on from the last checkpoints in the folder."""
+
+    def run(self) -> None:
+        """Train, print the learning curves."""
+        from agents.train import print_curves, train_all
+        from agents.train_config import Training
+
+        training = Training.from_toml(self.config_file)
+        if self.seeds:
+            training = training.model_copy(update={"seeds": self.seeds})
+        output = self.output or Path("output/train") / self.config_file.stem
+        print_curves(train_all(training, output, self.resume, self.workers))
+        print(f"written: {output}/seed-*/ (agent.npz: the best by validation, learning.csv, run.json, logs)")
+
+
+@dataclass(frozen=True)
+class Render:
+    """Film an episode under a policy: the helix with the probe in it, feed, air, vibration, reward."""
+
+    output: Path = Path("output/insertion.gif")
+    """File to write: .gif, .mp4, or .png for the last picture alone."""
+    env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
+    """Which environment."""
+    policy: str = "constant"
+    """Built-in policy, schedule file or agent's bundle."""
+    fidelity: Literal["study", "standard", "fast"] = "standard"
+    """How closely to simulate; fast is for Insertion-v0 alone."""
+    contexts: Literal["random", "train", "validation", "test"] = "random"
+    """Where the tube's properties are drawn from."""
+    every: int = 4
+    """Control periods a frame."""
+    seed: int = 0
+    """Of the context and the sensors' noise."""
+
+    def run(self) -> None:
+        """Simulate, draw, write."""
+        from agents.render import render_episode
+
+        kpis = render_episode(
+            self.env_id, self.output, self.policy, self.every, self.seed,
+            fidelity=self.fidelity, contexts=self.contexts,
+        )  # fmt: skip
+        for name, value in kpis.items():
+            print(f"{name:40s} {value:.6g}")
+        print(f"written: {self.output}")

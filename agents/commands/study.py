@@ -1,0 +1,126 @@
+"""Commands of the simulator: single scenes, the study's claims, speed, stability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from probe_env import Scene, Simulator
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate one scene: statistics as a table; scene, results, signals and figures in a folder."""
+
+    scene_file: tyro.conf.Positional[Path]
+    """Scene file (TOML); single fields can be changed with the --scene options."""
+    scene: Scene = field(default_factory=Scene)
+    method: Literal["newmark", "wilson"] = "newmark"
+    time_step: float = 1e-4
+    """Time step [s]."""
+    nodes_per_pitch: int = 4
+    """Nodes in one float pitch."""
+    solver: Literal["ticm", "banded", "transfer-matrix"] = "ticm"
+    """Linear solver of a step."""
+    duration: float = 8.0
+    """Simulated time [s]."""
+    statistics_from: float = 2.0
+    """Start of the statistics [s]; before it the start's transient decays."""
+    output: Path | None = None
+    """Output folder; default: output/NAME-OF-THE-SCENE."""
+
+    def run(self) -> None:
+        """Simulate, store and print."""
+        from agents.simulate import print_statistics, simulate_scene
+
+        name = self.scene_file.stem
+        output = self.output or Path("output") / name
+        simulator = Simulator(self.scene, self.method, self.time_step, self.nodes_per_pitch, solver=self.solver)
+        print(
+            f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {self.time_step:g} s"
+            f" (known to hold up to {simulator.stable_time_step:.2g} s)"
+        )
+        statistics = simulate_scene(simulator, self.duration, self.statistics_from, output, name)
+        print_statistics(statistics, f"{name}, t = {self.statistics_from:g} to {self.duration:g} s")
+        print(f"written: {output}/ (scene.toml, results.json, signals.npz, figures)")
+
+
+@dataclass(frozen=True)
+class Study:
+    """Run the study's scenes and print its claims beside what was found. Stored runs are not repeated."""
+
+    scenes: Path = Path("configs/scenes")
+    """Folder of the scene files."""
+    output: Path = Path("output/study")
+    """Folder of ensemble.csv and provenance.json."""
+    members: int = 1
+    """Perturbed runs a case."""
+    duration: float = 8.0
+    """Simulated time of a run [s]."""
+    subset: bool = False
+    """Five cases instead of all."""
+    jobs: int = 2
+    """Runs at the same time."""
+
+    def run(self) -> None:
+        """Run what is missing, print the table."""
+        from agents import study
+        from agents.claims import print_findings
+
+        for name, low, high in (("members", 1, 1000), ("jobs", 1, 256), ("duration", 0.5, 1e4)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"{name} = {value!r} is outside the accepted range {low} to {high:g}")
+        names = study.SUBSET if self.subset else ()
+        table = study.run_study(self.scenes, self.output, self.members, self.duration, names, self.jobs)
+        print_findings(table, self.scenes)
+        print(f"written: {self.output}/ensemble.csv")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure the kernels' speed as ratios within one run, and store the table."""
+
+    output: Path = Path("output/bench")
+    """Folder of bench.json."""
+    repeats: int = 7
+    """Repeats of every timing, the best of which counts."""
+
+    def run(self) -> None:
+        """Measure, store, print."""
+        from agents.bench import run_bench
+
+        if not 1 <= self.repeats <= 1000:
+            raise ValueError(f"repeats = {self.repeats!r} is outside the accepted range 1 to 1000")
+        run_bench(self.output, self.repeats)
+
+
+@dataclass(frozen=True)
+class Timelapse:
+    """Measure what time-lapse changes in the vibration profile of a full insertion, with intervals."""
+
+    output: Path = Path("output/timelapse")
+    """Folder of profile.csv, summary.csv and profile.png."""
+
+    def run(self) -> None:
+        """Run, store, print."""
+        from agents.timelapse import run_timelapse
+
+        run_timelapse(self.output)
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Map which time steps hold, over method, contact stiffness and length."""
+
+    output: Path = Path("output/stability")
+    """Folder of map.csv and map.png."""
+
+    def run(self) -> None:
+        """Run, store, print."""
+        from agents.stability_map import run_map
+
+        run_map(self.output)
