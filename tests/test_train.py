@@ -65,7 +65,7 @@ def test_killed_at_any_moment_it_goes_on(tmp_path):
     for attempt in range(40):
         process = multiprocessing.get_context("fork").Process(target=_train, args=(tmp_path / "killed", attempt > 0))
         process.start()
-        process.join(rng.uniform(0.05, 1.5) if killed < 5 else None)
+        process.join(rng.uniform(0.02, 0.3) if killed < 5 else None)
         if process.exitcode == 0:
             break
         killed += 1
