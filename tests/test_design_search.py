@@ -53,7 +53,7 @@ def _killed(path):
 
 
 def test_killed_ten_times_no_trial_is_lost_or_wrong(tmp_path):
-    """Once in some runs one point of a killed search differed from the whole one's, so equal fronts are not asserted."""
+    """In rare runs one point of a killed search differs from the unbroken one's, so equal fronts are not asserted."""
     (tmp_path / "killed").mkdir()
     rng, kills = np.random.default_rng(0), 0
     for _ in range(200):
