@@ -1,7 +1,7 @@
 """Search for probe designs: vibration, inspection time and drive margin at once, by NSGA-II of Optuna.
 
 Trials are kept in SQLite (or any storage that Optuna knows), one by one, and the sampler is seeded by how many are
-complete, so a search that was killed goes on and loses no trial. (Rarely a point then differs from an unbroken search.)
+complete, so a search that was killed goes on to the same front.
 """
 
 from __future__ import annotations
@@ -50,6 +50,18 @@ STUDY_PROBES: Final = {
     "the study's original": Design(),
     "the study's improved": Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016),
 }
+
+
+class RepeatableNSGAII(NSGAIISampler):
+    """NSGA-II whose parents stand in the order of their trials.
+
+    Optuna hands parents that it has just selected over in the order of the selection, but those that it has cached in
+    the order of their trials: a trial that was killed right after the selection drew other parents when it ran again.
+    """
+
+    def select_parent(self, study: optuna.Study, generation: int) -> list[FrozenTrial]:
+        """As Optuna, but in the order of the trials."""
+        return sorted(super().select_parent(study, generation), key=lambda trial: trial.number)
 
 
 @dataclass(frozen=True)
@@ -169,14 +181,14 @@ def search(
             study.add_trial(
                 create_trial(
                     params=dict(starts[number]), distributions=distributions, values=value(dict(starts[number])),
-                    system_attrs={NSGAIISampler._get_generation_key(): 0},
+                    system_attrs={RepeatableNSGAII._get_generation_key(): 0},
                 )
             )  # fmt: skip
             bar.update()
         for number in range(max(done, len(starts)), trials):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                study.sampler = NSGAIISampler(
+                study.sampler = RepeatableNSGAII(
                     population_size=population, seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
                 )
             trial = study.ask()
