@@ -60,7 +60,7 @@ evaluation: setup
 designs: setup
 	$(BIN)/probe-env compare $(foreach name,original longer-guide larger-guide-floats smaller-carrier-floats improved,configs/design/$(name).toml) --output results/design/countermeasures
 	$(BIN)/probe-env design --feed constant --trials 160 --output results/design/search
-	$(BIN)/probe-env compare configs/design/original.toml configs/design/improved.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
+	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
 
 tradeoff: setup
 	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 12 --output results/tradeoff

@@ -139,16 +139,7 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
             arrays = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise
-    except (
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        TypeError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except UNREADABLE as error:
         raise ValueError(f"{path}: not a bundle of plain arrays: {error}") from error
     if not {"description", "hash"} <= set(arrays) or not _plain(arrays):
         raise ValueError(f"{path}: not a bundle: it must hold a description, a hash and weights, all plain arrays")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import inspect
-import tomllib
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.bundle import ALGORITHMS, Algorithm, Network
@@ -19,7 +17,7 @@ from probe_env.contexts import Split, spread_contexts
 from probe_env.env import task_config
 from probe_env.episodes import Contexts
 from probe_env.fidelity import Fidelity, resolve_fidelity
-from probe_env.scene import Model, explain, quantity
+from probe_env.scene import Model, quantity
 from probe_env.task import TaskConfig
 
 OURS = (
@@ -130,31 +128,3 @@ class Training(Model):
             averages=self.averages,
             friction_estimate=self.friction_estimate,
         )
-
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read a training file.
-
-        Raises:
-            FileNotFoundError: no such file.
-            ValueError: not TOML, or not a valid training; names the file and every offending field.
-        """
-        path = Path(path)
-        with path.open("rb") as file:
-            try:
-                data = tomllib.load(file)
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-                raise ValueError(f"{path}: not a TOML file: {error}") from error
-        try:
-            return cls.model_validate(_tuples(data))
-        except ValidationError as error:
-            raise ValueError(f"{path}: {explain(error)}") from error
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-
-
-def _tuples(value: Any) -> Any:
-    """TOML's lists as the tuples that frozen models hold."""
-    if isinstance(value, dict):
-        return {key: _tuples(entry) for key, entry in value.items()}
-    return tuple(_tuples(entry) for entry in value) if isinstance(value, list) else value

@@ -6,17 +6,14 @@ projections. The other ranges, around table 2's cable, are assumptions of what c
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 import tomli_w
-from pydantic import ValidationError
 
 from probe_env.chain import FloatArray
-from probe_env.scene import Model, Probe, explain, quantity
+from probe_env.scene import Model, Probe, quantity
 
 RANGES: Final[dict[str, tuple[float, float, str]]] = {
     "guide_length": (1.0, 10.0, "m"),
@@ -69,25 +66,6 @@ class Design(Model):
     def probe(self, base: Probe | None = None) -> Probe:
         """The probe as it is built; what the design does not name is ``base``'s (default: table 2's)."""
         return (base or Probe()).model_copy(update=self.built.model_dump())
-
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read a design file.
-
-        Raises:
-            FileNotFoundError: no such file.
-            ValueError: not TOML, or not a valid design; names the file and every offending field.
-        """
-        path = Path(path)
-        with path.open("rb") as file:
-            try:
-                data = tomllib.load(file)
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-                raise ValueError(f"{path}: not a TOML file: {error}") from error
-        try:
-            return cls.model_validate(data)
-        except ValidationError as error:
-            raise ValueError(f"{path}: {explain(error)}") from error
 
     def to_toml(self) -> str:
         """The design as TOML text, with every field."""

@@ -46,9 +46,30 @@ def _not_returning(value: float) -> float:
 
 
 class Model(BaseModel):
-    """Base of all scene models: frozen, strict about types, no unknown keys."""
+    """Base of all models that files describe: frozen, strict about types, no unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, validate_default=True)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a TOML file.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: not TOML, or not valid; names the file and every offending field.
+        """
+        path = Path(path)
+        with path.open("rb") as file:
+            try:
+                data = tomllib.load(file)
+            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+                raise ValueError(f"{path}: not a TOML file: {error}") from error
+        try:
+            return cls.model_validate(_tuples(data))
+        except ValidationError as error:
+            raise ValueError(f"{path}: {explain(error)}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Copy with changed fields, validated (pydantic's own copy is not); mappings update sub-models."""
@@ -158,25 +179,6 @@ class Scene(Model):
             )
         return self
 
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read a scene file.
-
-        Raises:
-            FileNotFoundError: no such file.
-            ValueError: not TOML, or not a valid scene; names the file and every offending field.
-        """
-        path = Path(path)
-        with path.open("rb") as file:
-            try:
-                data = tomllib.load(file)
-            except tomllib.TOMLDecodeError as error:
-                raise ValueError(f"{path}: not a TOML file: {error}") from error
-        try:
-            return cls.model_validate(data)
-        except ValidationError as error:
-            raise ValueError(f"{path}: {explain(error)}") from error
-
     def to_toml(self, path: str | Path | None = None) -> str:
         """The scene as TOML text, with every field; written to ``path`` if given."""
         text = tomli_w.dumps(self.model_dump())
@@ -197,3 +199,10 @@ def explain(error: ValidationError) -> str:
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {item['input']!r})"
         lines.append(f"{field}: {item['msg']}{value}" if field else item["msg"])
     return "; ".join(lines)
+
+
+def _tuples(value: Any) -> Any:
+    """TOML's lists as the tuples that frozen models hold."""
+    if isinstance(value, dict):
+        return {key: _tuples(entry) for key, entry in value.items()}
+    return tuple(_tuples(entry) for entry in value) if isinstance(value, list) else value
