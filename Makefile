@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
+.PHONY: setup demo test lint types study bench timelapse stability chart peers policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
 
 setup: $(STAMP)
 
@@ -40,6 +40,18 @@ timelapse: setup
 stability: setup
 	$(BIN)/probe-env stability --output results/stability
 
+chart: setup
+	$(BIN)/probe-env chart --output results/chart
+	cp results/chart/measured_errors.csv probe_env/measured_errors.csv
+	$(BIN)/probe-env readme
+
+# an environment of its own: the other packages are no dependency
+PEERS := .venv-peers
+peers:
+	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --constraint constraints-peers.txt --editable '.[peers]'
+	$(PEERS)/bin/probe-env peers --output results/chart
+
 policies: setup
 	$(BIN)/probe-env map --output results/map
 	$(BIN)/probe-env optimise
@@ -63,10 +75,10 @@ designs: setup
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
 
 tradeoff: setup
-	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 12 --output results/tradeoff
+	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 6 --output results/tradeoff
 
 fidelity: setup
-	$(BIN)/probe-env evaluate constant pi best-schedule --limit 8 --fidelity fast --check-fidelity half-step --output results/fidelity
+	$(BIN)/probe-env evaluate best-schedule tension-scheduled ppo=results/agents/ppo/seed-0/agent.npz --limit 8 --fidelity fast --check-fidelity all --output results/fidelity
 
 # an environment of its own: RLlib pins gymnasium 1.2.2
 RAY := .venv-ray
@@ -79,5 +91,5 @@ readme: setup
 	$(BIN)/probe-env readme
 
 clean:
-	rm -rf $(VENV) $(RAY) output
+	rm -rf $(VENV) $(RAY) $(PEERS) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

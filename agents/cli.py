@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import warnings
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 
 from agents.commands.design import Compare, DesignSearch
 from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
-from agents.commands.study import Bench, Simulate, Stability, Study, Timelapse
+from agents.commands.study import Bench, Chart, Peers, Simulate, Stability, Study, Timelapse
 from probe_env import Scene, SimulationError
 from probe_env.scene import explain
 
@@ -38,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
+        _show_choices()
         command = tyro.cli(_commands(arguments), args=arguments, prog="probe-env", description=__doc__)
         command.run()
     except ValidationError as error:
@@ -51,6 +53,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _show_choices() -> None:
+    """Print what "auto" picks and why."""
+    logger = logging.getLogger("probe_env")
+    if not logger.handlers:
+        logger.addHandler(logging.StreamHandler(sys.stderr))
+        logger.setLevel(logging.INFO)
+
+
 def _commands(arguments: Sequence[str]) -> Any:
     """The subcommands; the scene file named on the command line gives the defaults of --scene options."""
     simulate = tyro.conf.subcommand("simulate")
@@ -62,6 +72,8 @@ def _commands(arguments: Sequence[str]) -> Any:
         Annotated[kind, tyro.conf.subcommand(name)]
         for name, kind in (
             ("study", Study),
+            ("chart", Chart),
+            ("peers", Peers),
             ("bench", Bench),
             ("timelapse", Timelapse),
             ("stability", Stability),

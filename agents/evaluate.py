@@ -149,11 +149,15 @@ def _lines(
     if workers.here:
         yield from _run_units(plan, missing, batch, threads)
         return
-    size = max(min(batch, len(missing) // (2 * workers.jobs)), 1)
-    units = list(missing)
+    size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
     for _, lines in workers.map(partial(_portion, plan), portions):
         yield from lines
+
+
+def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
+    """Episodes that a worker does side by side: a whole batch, or fewer so that each has two portions at least."""
+    return max(min(batch, episodes // (2 * jobs)), 1)
 
 
 def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> list[str]:

@@ -13,7 +13,6 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from scipy.signal import welch
 
@@ -137,22 +136,6 @@ def profiles(curves: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> Pa
     return _save(figure, path)
 
 
-def stability_map(table: pd.DataFrame, path: Path) -> Path:
-    """Which steps held, a panel a method, a row a stiffness and length."""
-    methods = list(dict.fromkeys(table["method"]))
-    figure, axes = plt.subplots(1, len(methods), figsize=(13, 3.4), sharey=True, layout="constrained")
-    for axis, method in zip(axes, methods, strict=True):
-        part = table[table["method"] == method].assign(held=lambda rows: rows["diverged_at_s"].isna())
-        grid = part.pivot_table("held", ["stiffness_n_per_m", "length_m"], "ratio")
-        axis.imshow(grid.to_numpy(), aspect="auto", cmap=ListedColormap([RED, BLUE]), vmin=0, vmax=1, origin="lower")
-        axis.set_xticks(range(grid.shape[1]), [f"{ratio:g}" for ratio in grid.columns], fontsize=8)
-        axis.set_yticks(range(grid.shape[0]), [f"{k:.0e} N/m, {length:.0f} m" for k, length in grid.index], fontsize=8)
-        axis.set_xlabel("step / named limit")
-        axis.set_title(method)
-    figure.suptitle("held (blue) or diverged (red)")
-    return _save(figure, path)
-
-
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
     """Inspection time against the share of length out of the limit, a point a policy with both intervals."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
@@ -261,7 +244,8 @@ def design_front(table: pd.DataFrame, references: pd.DataFrame, path: Path) -> P
         axis.set(xlabel=label, yscale="log")
         axis.grid(**GRID)
     axes[0].set_ylabel("mean of (radial rms / limit)$^2$")
-    axes[1].legend(fontsize=8)
+    handles, names = axes[1].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return _save(figure, path)
 
 

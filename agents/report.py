@@ -24,7 +24,7 @@ from agents.provenance import write_atomically, write_json
 from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
 from agents.workers import HERE, Workers
 from probe_env.contexts import Split, spread_contexts
-from probe_env.fidelity import resolve_fidelity
+from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.task import TaskConfig
 
 
@@ -135,8 +135,9 @@ def write_report(folder: Path) -> Path:
         made=(
             f"Command: {made['command']}. Commit {made['commit']}, {made['machine']['cores']} cores"
             f" ({made['machine']['processor']}), {', '.join(f'{k} {v}' for k, v in made['packages'].items())}."
-            f" Fidelity: {setting['fidelity']}. Policies: {made['policies']}."
+            f" Fidelity: {setting['fidelity']}."
         ),
+        settings=json.dumps(made["policies"], indent=1),
     )
     path = folder / "report.html"
     write_atomically(path, page)

@@ -1,13 +1,14 @@
-"""Where each method holds: method, step, contact stiffness and length, run and not assumed.
+"""Where each method holds and where it is wrong though it holds: step, contact stiffness, length and friction, run.
 
 Steps are given as multiples of the step that ``Simulator.stable_time_step`` names for the method; those of
-``implicit``, which has no limit, as multiples of Newmark's.
+``implicit``, which has no limit, as multiples of Newmark's. A step that holds is wrong if bounces off a contact spring
+of that stiffness lose or gain as much as 5 % of critical damping would take.
 """
 
 from __future__ import annotations
 
-import io
 import warnings
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,21 +18,27 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from agents import errors_of_step, figures
+from agents.chart import stability_figures as draw
+from agents.chart.one_mass import bounce, run_one_mass
+from agents.chart.passive import run_digits, run_energy
 from agents.provenance import provenance, write_atomically, write_json
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.stability import stable_time_step
 
 METHODS = ("newmark", "wilson", "imex", "explicit", "implicit")
-RATIOS = (0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
+RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
 STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
 LENGTHS = (10.0, 50.0)  # [m]
+FRICTIONS = (0.05, 0.15, 0.3)
+WRONG = 0.05
+"""Numerical damping ratio of the contact, lost or gained."""
 DURATION = {"explicit": 0.1}  # [s], else 0.5
 
 
-def run_cell(method: str, stiffness: float, length: float, ratio: float) -> dict[str, Any]:
+def run_cell(method: str, stiffness: float, length: float, friction: float, ratio: float) -> dict[str, Any]:
     """One run from rest: the step, omega dt of a float on its contact spring, and when it diverged (NaN: it held)."""
-    scene = Scene.model_validate({"carrier_length": length, "contact": {"stiffness": stiffness}})
+    contact = {"stiffness": stiffness, "friction": friction}
+    scene = Scene.model_validate({"carrier_length": length, "contact": contact})
     limit = stable_time_step(scene, 4, "newmark" if method == "implicit" else method)
     time_step = ratio * limit
     steps = int(np.ceil(DURATION.get(method, 0.5) / time_step))
@@ -48,6 +55,7 @@ def run_cell(method: str, stiffness: float, length: float, ratio: float) -> dict
         "method": method,
         "stiffness_n_per_m": stiffness,
         "length_m": length,
+        "friction": friction,
         "ratio": ratio,
         "time_step_s": time_step,
         "omega_dt": time_step * np.sqrt(stiffness / mass),
@@ -56,28 +64,49 @@ def run_cell(method: str, stiffness: float, length: float, ratio: float) -> dict
 
 
 def run_map(output: Path) -> pd.DataFrame:
-    """All cells, two at a time, and the errors of every step; stores map.csv, map.png, errors.csv, provenance.json."""
-    cells = list(product(METHODS, STIFFNESSES, LENGTHS, RATIOS))
+    """All cells, two at a time, then one mass, passive chains and the transfer matrix; stores tables and figures."""
+    cells = list(product(METHODS, STIFFNESSES, LENGTHS, FRICTIONS, RATIOS))
     work = Parallel(n_jobs=2, prefer="threads", return_as="generator")(delayed(run_cell)(*cell) for cell in cells)
     table = pd.DataFrame(tqdm(work, total=len(cells), desc="stability", unit="run"))
-    buffer = io.StringIO()
-    table.to_csv(buffer, index=False, float_format="%.5g")
-    write_atomically(output / "map.csv", buffer.getvalue())
+    table["bounce_damping"] = [_bounce_damping(*row) for row in table[["method", "omega_dt"]].itertuples(index=False)]
+    tables = {"map": table, "one_mass": run_one_mass(), "energy": run_energy(), "digits": run_digits()}
+    for name, part in tables.items():
+        write_atomically(output / f"{name}.csv", part.to_csv(index=False, float_format="%.5g"))
     write_json(output / "provenance.json", provenance())
-    figures.stability_map(table, output / "map.png")
+    draw.stability_map(verdicts(table), output / "map.png")
+    draw.one_mass(tables["one_mass"], output / "one_mass.png")
+    draw.digits(tables["digits"], output / "digits.png")
     print(markdown(table))
-    print(errors_of_step.markdown(errors_of_step.run_errors(output)))
-    print(f"written: {output}/ (map.csv, map.png, errors.csv)")
+    print(f"written: {output}/ ({', '.join(f'{name}.csv' for name in tables)}, map.png, one_mass.png, digits.png)")
     return table
 
 
+@lru_cache(maxsize=1024)
+def _bounce_damping(method: str, omega_dt: float) -> float:
+    return bounce(method, omega_dt)[1]
+
+
+def verdicts(table: pd.DataFrame) -> pd.DataFrame:
+    """With a column ``verdict``: unstable, wrong (held, but the contact's damping is off by 5 %) or stable."""
+    wrong = ~(table["bounce_damping"].abs() <= WRONG)
+    verdict = np.where(table["diverged_at_s"].notna(), "unstable", np.where(wrong, "wrong", "stable"))
+    return table.assign(verdict=verdict)
+
+
 def markdown(table: pd.DataFrame) -> str:
-    """For every method the steps that held everywhere, somewhere and nowhere, as a Markdown table."""
-    lines = ["| method | limit named | held in all runs | held in some | held in none |", "|---|---|---|---|---|"]
+    """For every method the steps that held everywhere, somewhere and nowhere, and those that are wrong all the same."""
+    lines = [
+        "| method | limit named | held in all runs | held in some | held in none | held, but wrong in some |",
+        "|---|---|---|---|---|---|",
+    ]
+    table = verdicts(table)
     named = {"explicit": "computed, damping included", "implicit": "none; multiples of Newmark's"}
     for method in METHODS:
         held = table[table["method"] == method].groupby("ratio")["diverged_at_s"].apply(lambda at: at.isna().mean())
         cells = (held[held == 1.0], held[(held > 0.0) & (held < 1.0)], held[held == 0.0])
-        ratios = (", ".join(f"{ratio:g}" for ratio in cell.index) or "-" for cell in cells)
+        wrong = (
+            table[(table["method"] == method) & (table["verdict"] == "wrong")]["ratio"].drop_duplicates().sort_values()
+        )
+        ratios = (", ".join(f"{ratio:g}" for ratio in cell) or "-" for cell in (*(c.index for c in cells), wrong))
         lines.append(f"| {method} | {named.get(method, 'dt √(k/m) = 1.8')} | " + " | ".join(ratios) + " |")
     return "\n".join(lines)

@@ -146,8 +146,9 @@ def sentences(table: pd.DataFrame, reference: str) -> list[str]:
             continue
         time = paired_difference(table, policy, reference, "inspection_time_s")
         share = paired_difference(table, policy, reference, "share_within_limit")
+        longer = "as long as" if time.low == time.high == 0.0 else f"{_in_words(time, 1.0, ' s')} than"
         lines.append(
-            f"{policy} takes {_in_words(time, 1.0, ' s')} than {reference} and keeps"
+            f"{policy} takes {longer} {reference} and keeps"
             f" {_in_words(share, 100.0, ' % of the length')} within the limit."
         )
     return lines

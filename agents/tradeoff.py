@@ -22,7 +22,7 @@ from agents.policies import PI, Constant, FixedPolicy, OnOff, SlowDown
 from agents.provenance import write_atomically
 from agents.statistics import Interval, by_context, grouped, mean_interval, method_and_seed
 from probe_env.contexts import Split, spread_contexts
-from probe_env.fidelity import resolve_fidelity
+from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.task import TaskConfig
 
 REFERENCE: Final = (900.0, 1.0)

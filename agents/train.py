@@ -38,7 +38,7 @@ from agents.view import ViewVecEnv
 from agents.workers import HERE, Workers
 from probe_env import lane_group
 from probe_env.contexts import spread_contexts
-from probe_env.fidelity import resolve_fidelity
+from probe_env.fidelity_choice import resolve_fidelity
 
 CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
 BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

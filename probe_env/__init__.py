@@ -13,6 +13,7 @@ from probe_env.contexts import Context, load_contexts
 from probe_env.design import Design
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity
+from probe_env.fidelity_choice import choose_fidelity
 from probe_env.run import Run
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
 from probe_env.simulator import Simulator
@@ -34,6 +35,7 @@ __all__ = [
     "TaskConfig",
     "Tube",
     "Window",
+    "choose_fidelity",
     "load_contexts",
 ]
 

@@ -12,7 +12,8 @@ from probe_env.contexts import Context
 from probe_env.design import RANGES, Design
 from probe_env.env import Observation, task_config
 from probe_env.episodes import Contexts, drawn_context
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import Fidelity
+from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
 from probe_env.task import PRIVILEGED, TaskConfig
@@ -87,7 +88,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v0 with options")
         self.config, self.scene = task_config({}, config), scene or Scene()
-        self.fidelity, self.contexts = resolve_fidelity(fidelity), contexts
+        self.fidelity, self.contexts = resolve_fidelity(fidelity, self.scene, full), contexts
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
         if not full and not isinstance(self.feed, Schedule):
             raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")

@@ -17,7 +17,8 @@ from probe_env.batch import SimulatorBatch, Window
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
 from probe_env.contexts import Context, Split, draw_context, load_contexts
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import Fidelity
+from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.kpis import Tally
 from probe_env.scene import Scene
 from probe_env.simulator import Simulator
@@ -71,7 +72,8 @@ class Episodes:
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         drawn_context(contexts, np.random.default_rng(0), {})  # names a list that is not there
-        self.config, self.base_scene, self.fidelity = config, scene or Scene(), resolve_fidelity(fidelity)
+        self.config, self.base_scene = config, scene or Scene()
+        self.fidelity = resolve_fidelity(fidelity, self.base_scene, config.growing)
         self.contexts: Contexts = contexts
         self.start_action = config.action(feed_speed, air_supply_rate)
         self.start_targets = (feed_speed, air_supply_rate)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -21,21 +20,7 @@ class Fidelity(Model):
 
 PRESETS: Final[dict[str, Fidelity]] = {
     "study": Fidelity(method="newmark", time_step=1e-4),
+    "reference": Fidelity(time_step=5e-5),
     "standard": Fidelity(),
     "fast": Fidelity(time_lapse=4.0),
 }
-
-
-def resolve_fidelity(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
-    """A preset by name, or settings of one's own.
-
-    Raises:
-        ValueError: no such preset, or settings that are not valid.
-    """
-    if isinstance(fidelity, Fidelity):
-        return fidelity
-    if isinstance(fidelity, str):
-        if fidelity not in PRESETS:
-            raise ValueError(f"fidelity = {fidelity!r} is not one of {', '.join(PRESETS)}, nor a mapping of settings")
-        return PRESETS[fidelity]
-    return Fidelity.model_validate(dict(fidelity))

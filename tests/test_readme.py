@@ -43,7 +43,7 @@ def test_the_commands_exist(capsys):
 
     commands = set(re.findall(r"^probe-env (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE))
     every = {"simulate", "study", "bench", "timelapse", "stability", "render", "evaluate", "optimise", "map", "train"}
-    assert commands == every | {"report", "tradeoff", "readme", "compare", "design"}
+    assert commands == every | {"report", "tradeoff", "readme", "compare", "design", "chart"}
     for command in commands:
         with pytest.raises(SystemExit) as done:
             main([command, "--help"])

@@ -25,8 +25,8 @@ class Compare:
     """Shipped list of contexts."""
     limit: int = 0
     """Take so many contexts of the list only, evenly spread; 0: all."""
-    fidelity: Literal["study", "standard", "fast"] = "standard"
-    """How closely to simulate; fast saves time in whole insertions only."""
+    fidelity: str = "standard"
+    """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/compare")
     """Folder of designs.csv and summary.csv; what is there already is not run again."""
 
@@ -35,7 +35,7 @@ class Compare:
         from agents.design_compare import Comparison, compare, print_comparison
         from probe_env import Design
         from probe_env.contexts import spread_contexts
-        from probe_env.fidelity import resolve_fidelity
+        from probe_env.fidelity_choice import resolve_fidelity
 
         designs = {path.stem: Design.from_toml(path) for path in self.designs}
         if len(designs) != len(self.designs):

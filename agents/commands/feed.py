@@ -28,8 +28,8 @@ class Evaluate:
     """Take so many contexts of the list only, evenly spread; 0: all."""
     seeds: int = 1
     """Seeds of sensor noise and start for every context."""
-    fidelity: Literal["study", "standard", "fast"] = "standard"
-    """How closely to simulate."""
+    fidelity: str = "standard"
+    """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "all"] = "no"
     """Repeat at half the time step; "all": and a sample with the study's scheme, which takes an hour."""
@@ -72,8 +72,8 @@ class Tradeoff:
     """Single policies to draw beside the fronts: schedules, agents."""
     limit: int = 12
     """Take so many contexts of the list only, evenly spread; 0: all."""
-    fidelity: Literal["study", "standard", "fast"] = "fast"
-    """How closely to simulate."""
+    fidelity: str = "fast"
+    """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
 
     def run(self) -> None:
         """Run what is missing, store, print."""
@@ -159,8 +159,8 @@ class Render:
     """Which environment."""
     policy: str = "constant"
     """Built-in policy, schedule file or agent's bundle."""
-    fidelity: Literal["study", "standard", "fast"] = "standard"
-    """How closely to simulate; fast is for Insertion-v0 alone."""
+    fidelity: str = "standard"
+    """How closely to simulate: study, reference, standard, fast (for Insertion-v0 alone) or auto."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
     """Where the tube's properties are drawn from."""
     every: int = 4

@@ -124,3 +124,34 @@ class Stability:
         from agents.stability_map import run_map
 
         run_map(self.output)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Chart accuracy against cost: every method before chaos and in it, mesh and model choices. Stored runs stay."""
+
+    output: Path = Path("output/chart")
+    """Folder of smooth.csv, ensembles.csv, insertions.csv, costs.csv and the figures."""
+
+    def run(self) -> None:
+        """Run what is missing, draw, print."""
+        from agents.chart.report import run_chart
+
+        run_chart(self.output)
+
+
+@dataclass(frozen=True)
+class Peers:
+    """Put other packages beside ours on a scene that all can run: PyElastica, MuJoCo, Exudyn, as far as installed."""
+
+    output: Path = Path("output/chart")
+    """Folder of peers.csv and peers.png."""
+
+    def run(self) -> None:
+        """Run, draw, print."""
+        from agents.chart import peers
+
+        table = peers.run_peers(self.output)
+        peers.draw(table, self.output / "peers.png")
+        print(peers.markdown(table))
+        print(f"written: {self.output}/ (peers.csv, peers.png)")

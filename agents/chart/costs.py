@@ -1,0 +1,54 @@
+"""Processor time of a node-step, all methods within one run of one machine, with full lanes and one thread."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pandas as pd
+from tqdm import tqdm
+
+from agents.chart.ensembles import Setting
+from agents.provenance import provenance, write_atomically, write_json
+from probe_env.lanes import LANES
+
+METHODS = ("newmark", "wilson", "imex", "implicit", "explicit")
+NODES = {"imex": (1, 2, 4, 8, 16)}
+LENGTHS = (10.0, 30.0, 50.0)  # [m]
+TIMED = {"newmark": 500, "wilson": 500, "implicit": 500, "imex": 4000, "explicit": 4000}
+TIME_STEP = {"explicit": 5e-6}  # [s], else 1e-4
+REPEATS = 5
+
+
+def run_costs(output: Path) -> pd.DataFrame:
+    """Rows of method, nodes_per_pitch, length, ns_per_node_step in costs.csv; the best of ``REPEATS`` counts.
+
+    Always measured anew as a whole, since only ratios within one run mean something.
+    """
+    cells = [(m, nodes, length) for m in METHODS for nodes in NODES.get(m, (4,)) for length in LENGTHS]
+    rows = []
+    for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
+        setting = Setting(method, TIME_STEP.get(method, 1e-4), nodes, length)
+        batch = setting.batch(LANES, threads=1)
+        steps = TIMED[method]
+        batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)  # warm, and in contact
+        spent = []
+        for _ in range(REPEATS):
+            begin = time.process_time()
+            batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)
+            spent.append(time.process_time() - begin)
+        node_steps = LANES * steps * (length + 2.5) / 0.1 * nodes
+        rows.append((method, nodes, length, min(spent) / node_steps * 1e9))
+    table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "length", "ns_per_node_step"])
+    write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
+    write_json(output / "costs-provenance.json", provenance())
+    return table
+
+
+def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
+    """Processor time [s] of one probe for a simulated second, for rows with the columns of a ``Setting``."""
+    keys = ["method", "nodes_per_pitch", "length"]
+    node_step = settings[keys].merge(costs, how="left", on=keys)["ns_per_node_step"].to_numpy()
+    nodes = (settings["length"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
+    seconds: pd.Series = nodes / settings["time_step"] * node_step * 1e-9
+    return seconds

@@ -1,0 +1,132 @@
+"""The chaotic regime: statistics of ensembles at constant length, for every method, step, mesh and model choice.
+
+Beyond about 30 m no two trajectories agree for long, so what is compared are the statistics of many runs that differ
+by a start perturbation of 0.1 micrometre. All runs of one setting share a batch; a row is one run.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from tqdm import tqdm
+
+from agents.chart.store import Store
+from agents.study import PERTURBATION
+from probe_env import Scene, SimulatorBatch, StabilityWarning
+from probe_env.signals import dominant_frequencies
+
+SETTLE, DURATION = 2.0, 6.0  # [s]
+SAMPLE_PERIOD = 1e-3  # [s]
+STATISTICS = (
+    "radial_rms_m", "radial_p99_m", "lift_off_share", "axial_rms_m", "axial_mean_m",
+    "radial_acceleration_rms_m_per_s2", "tension_mean_n",
+)  # fmt: skip
+PEAK = "axial_peak_hz"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to simulate table 2's probe at a constant length, and what is changed of the scene itself."""
+
+    method: str = "imex"
+    time_step: float = 2e-4
+    nodes_per_pitch: int = 4
+    length: float = 50.0
+    """Carrier length [m]."""
+    stiffness: float = 1e5
+    """Of the contact [N/m]."""
+    friction: float = 0.15
+    walls: str = "both"
+    members: int = 16
+
+    @property
+    def scene(self) -> Scene:
+        """What is simulated."""
+        contact = {"stiffness": self.stiffness, "friction": self.friction, "walls": self.walls}
+        return Scene.model_validate({"carrier_length": self.length, "contact": contact})
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """Everything but the number of members, as columns."""
+        return {name: value for name, value in asdict(self).items() if name != "members"}
+
+    def batch(self, count: int, threads: int | None = None) -> SimulatorBatch:
+        """So many runs of it, from slightly different starts."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are the point
+            return SimulatorBatch(
+                [self.scene] * count, self.method, self.time_step, self.nodes_per_pitch,
+                threads=threads, perturbation=PERTURBATION,
+            )  # fmt: skip
+
+
+LENGTHS = (10.0, 30.0, 50.0)  # [m]
+STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
+REFERENCE_STEP = 2.5e-5  # [s], of imex
+STEPS = (1e-4, 1.25e-4, 2e-4, 2.5e-4, 5e-4)
+MODEL_STEP = 1e-4  # [s], at which model choices are compared with each other
+NODES = (1, 2, 8, 16)
+CHANGES: tuple[dict[str, Any], ...] = (
+    {"walls": "inner"}, {"stiffness": 5e4}, {"stiffness": 2e5}, {"friction": 0.14}, {"friction": 0.16},
+)  # fmt: skip
+
+
+def step_settings() -> Iterator[Setting]:
+    """Every step on table 2's mesh: what the discretisation in time does. The slow methods' runs are the study's."""
+    for stiffness in STIFFNESSES:
+        members = 32 if stiffness == Setting.stiffness else 16
+        for length in LENGTHS:
+            for time_step in (REFERENCE_STEP, 5e-5, *STEPS):
+                yield Setting(time_step=time_step, length=length, stiffness=stiffness, members=members)
+    for length in LENGTHS[1:]:
+        yield Setting("implicit", MODEL_STEP, length=length, members=8)
+
+
+def model_settings() -> Iterator[Setting]:
+    """Mesh and model choices at one step of imex."""
+    for length in LENGTHS[1:]:
+        for nodes in NODES:
+            yield Setting(time_step=MODEL_STEP, nodes_per_pitch=nodes, length=length)
+        for change in CHANGES:
+            yield Setting(**({"time_step": MODEL_STEP, "length": length} | change))
+
+
+def run_setting(setting: Setting) -> list[dict[str, Any]]:
+    """A row a member: its statistics, none where it diverged."""
+    batch = setting.batch(setting.members)
+    batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
+    window = batch.advance(None, None, DURATION, SAMPLE_PERIOD, keep_samples=True)
+    assert window.axial is not None
+    rows = []
+    for member in range(setting.members):
+        row: dict[str, Any] = setting.key | {"member": member, "diverged": bool(window.diverged[member])}
+        if not window.diverged[member]:
+            row |= {name: float(window.statistics[name][member]) for name in STATISTICS}
+            peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
+            row[PEAK] = peaks[0] if peaks else float("nan")
+        rows.append(row)
+    return rows
+
+
+def run_ensembles(output: Path) -> pd.DataFrame:
+    """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
+    store = Store(output / "ensembles.csv", (*Setting().key, "member"))
+    todo = [s for s in (*step_settings(), *model_settings()) if not store.has(*s.key.values(), s.members - 1)]
+    todo.sort(key=_work)
+    with tqdm(total=sum(map(_work, todo)), desc="chaos", unit="Gnode-step", unit_scale=1e-9, disable=not todo) as bar:
+        for setting in todo:
+            store.add(*run_setting(setting))
+            bar.update(_work(setting))
+    return store.table
+
+
+def _work(setting: Setting) -> float:
+    """Node-steps of all members, weighted by what a method's cost."""
+    weight = {"imex": 1.0, "explicit": 1.0, "newmark": 25.0, "wilson": 25.0, "implicit": 30.0}[setting.method]
+    nodes = (setting.length + 2.5) / 0.1 * setting.nodes_per_pitch
+    return weight * nodes * (SETTLE + DURATION) / setting.time_step * setting.members

@@ -1,0 +1,137 @@
+"""From ensembles to errors: ratios of means to a reference's, with 95 % bootstrap intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import bootstrap
+
+from agents.chart.costs import cpu_seconds
+from agents.chart.ensembles import LENGTHS, MODEL_STEP, PEAK, REFERENCE_STEP, STATISTICS, STIFFNESSES, Setting
+from agents.chart.insertions import END, FEED_SPEED, REFERENCE, START, STRETCH
+from agents.study import CASES
+
+FLOORS = {
+    "radial_rms_m": 1e-6, "radial_p99_m": 1e-6, "lift_off_share": 0.01, PEAK: 1.0, "axial_rms_m": 1e-5,
+    "radial_acceleration_rms_m_per_s2": 0.1,
+}  # fmt: skip
+"""Outputs, with what is too little to matter: an error of something smaller is relative to this."""
+OUTPUTS = tuple(FLOORS)
+KEYS = list(Setting().key)
+BANDS = ((20.0, 40.0), (40.0, 60.0))
+"""[m] stretches of the insertion over which runs are compared; before 20 m it is all but silent."""
+
+
+def ratio_interval(values: np.ndarray, reference: np.ndarray) -> tuple[float, float, float]:
+    """Ratio of means and its 95 % interval (BCa), of two independent samples; NaN without members."""
+    values, reference = values[np.isfinite(values)], reference[np.isfinite(reference)]
+    if min(len(values), len(reference)) < 2 or reference.mean() == 0.0:
+        return (float("nan"),) * 3
+    ratio = float(values.mean() / reference.mean())
+    if np.ptp(values) == 0.0 and np.ptp(reference) == 0.0:
+        return ratio, ratio, ratio
+
+    def of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
+
+    interval = bootstrap((values, reference), of_means, rng=np.random.default_rng(0)).confidence_interval
+    if not np.isfinite(interval).all():  # BCa fails where nearly all values are the same, as frequencies can be
+        rng = np.random.default_rng(0)
+        interval = bootstrap((values, reference), of_means, rng=rng, method="percentile").confidence_interval
+    return ratio, float(interval.low), float(interval.high)
+
+
+def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
+    """The study's stored ensemble at l = 10, 30 and 50 m, all methods, in the columns of ensembles.csv."""
+    parts = []
+    for case in CASES:
+        length = float(case.scene.removeprefix("fig11_l")) if case.scene.startswith("fig11_l") else 0.0
+        plain = case.walls == "both" and not case.settles and not case.root_offset
+        if length in LENGTHS and plain and case.method != "imex":
+            setting = Setting(case.method, case.time_step, length=length)
+            rows = ensemble[ensemble["case"] == case.name]
+            part = rows[["member", *STATISTICS, PEAK]].assign(diverged=rows["diverged_at_s"].notna(), **setting.key)
+            parts.append(part)
+    return pd.concat(parts, ignore_index=True)
+
+
+def constant_length(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Errors of every setting at a constant length.
+
+    Steps and methods are measured against imex at the reference step, mesh and model choices against table 2's mesh
+    at ``MODEL_STEP``. Columns: those of ``Setting``, members, diverged (share), cpu_s (for a simulated second), and for
+    every output ratio, low, high.
+    """
+    groups = dict(list(members.groupby(KEYS)))
+    rows = []
+    for key, part in groups.items():
+        setting = dict(zip(KEYS, key, strict=True))
+        base = groups.get(tuple(_reference(setting).values()))
+        row: dict[str, Any] = setting | {"members": len(part), "diverged": float(part["diverged"].astype(bool).mean())}
+        rows.append(row | (_compared(part, base) if base is not None else {}))
+    table = pd.DataFrame(rows)
+    return table.assign(cpu_s=cpu_seconds(costs, table))
+
+
+def _reference(setting: Mapping[Any, Any]) -> dict[str, Any]:
+    """The setting that one is compared with: its own scene, finely; for a changed model table 2's at the same step."""
+    plain = Setting().key | {"length": setting["length"], "time_step": MODEL_STEP}
+    changed = [name for name in ("nodes_per_pitch", "walls", "friction") if setting[name] != plain[name]]
+    if changed or setting["stiffness"] not in STIFFNESSES:
+        return plain
+    return plain | {"stiffness": setting["stiffness"], "time_step": REFERENCE_STEP}
+
+
+def insertion(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Errors of whole insertions in two bands of length, and ``cpu_s``, processor time of one insertion.
+
+    A member's value in a band is the root mean square (of an rms) or the mean over its stretches.
+    """
+    rows = []
+    keys = ["method", "time_step", "time_lapse"]
+    for low, high in BANDS:
+        band = members[members["from_m"].between(low, high, inclusive="left")]
+        of_member = band.groupby([*keys, "member"])[list(OUTPUTS)].agg(_pooled).reset_index()
+        chosen = (of_member[keys] == [REFERENCE.method, REFERENCE.time_step, REFERENCE.time_lapse]).all(axis=1)
+        for key, part in of_member.groupby(keys):
+            row: dict[str, Any] = dict(zip(keys, key, strict=True)) | {
+                "from_m": low,
+                "to_m": high,
+                "members": len(part),
+            }
+            rows.append(row | _compared(part, of_member[chosen]))
+    table = pd.DataFrame(rows)
+    return table.assign(cpu_s=[insertion_cost(row, costs) for row in table.to_dict("records")])
+
+
+def _pooled(values: pd.Series) -> float:
+    return float(np.sqrt((values**2).mean())) if str(values.name).endswith("rms_m") else float(values.mean())
+
+
+def insertion_cost(row: Mapping[Any, Any], costs: pd.DataFrame) -> float:
+    """Processor time of a whole insertion of one probe [s], from the cost of a node-step."""
+    node_step = costs[(costs["method"] == row["method"]) & (costs["nodes_per_pitch"] == 4)]["ns_per_node_step"].mean()
+    nodes = np.arange(START, END, STRETCH) + 0.5 * STRETCH
+    steps = STRETCH / FEED_SPEED / row["time_lapse"] / row["time_step"]
+    return float((nodes / 0.1 * 4 * steps).sum() * node_step * 1e-9)
+
+
+def _compared(part: pd.DataFrame, reference: pd.DataFrame) -> dict[str, float]:
+    """For every output the reference's mean, and ratio, low and high of the means' ratio."""
+    row: dict[str, float] = {}
+    for output in OUTPUTS:
+        values, base = (frame[output].to_numpy(dtype=float) for frame in (part, reference))
+        row[f"{output}:reference"] = float(np.nanmean(base)) if np.isfinite(base).any() else float("nan")
+        interval = ratio_interval(values, base)
+        row |= {f"{output}:{name}": value for name, value in zip(("ratio", "low", "high"), interval, strict=True)}
+    return row
+
+
+def bound(row: Mapping[Any, Any], output: str) -> float:
+    """Largest error that the 95 % interval leaves room for, relative to the reference's mean or its ``FLOORS``."""
+    reference = abs(row[f"{output}:reference"])  # pressed on the wall, even a 99th percentile is negative
+    relative = max(abs(row[f"{output}:low"] - 1.0), abs(row[f"{output}:high"] - 1.0))
+    return float(relative * reference / max(reference, FLOORS[output]))

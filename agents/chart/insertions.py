@@ -1,0 +1,79 @@
+"""The whole insertion, 5 to 60 m at 0.2 m/s: statistics over length for time-lapse, step and method."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.chart.ensembles import PEAK, SAMPLE_PERIOD, STATISTICS
+from agents.chart.store import Store
+from agents.study import PERTURBATION
+from probe_env import Scene, SimulatorBatch
+from probe_env.signals import dominant_frequencies
+
+FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]
+STRETCH = 5.0  # [m] a row
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """One way to simulate it."""
+
+    method: str = "imex"
+    time_step: float = 2e-4
+    time_lapse: float = 1.0
+    members: int = 8
+
+
+INSERTIONS = (
+    *(Insertion(time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
+    Insertion(time_step=1e-4, time_lapse=4.0),
+    Insertion(time_step=5e-5),
+    Insertion("newmark", 1e-4, 4.0, members=4),
+)
+REFERENCE = Insertion(time_step=5e-5)
+"""Which of them the others are compared with."""
+
+
+def run_insertions(output: Path) -> pd.DataFrame:
+    """A row a stretch of length and member in insertions.csv; insertions that are stored are not run again.
+
+    Raises:
+        RuntimeError: a probe diverged.
+    """
+    keys = ("method", "time_step", "time_lapse")
+    store = Store(output / "insertions.csv", (*keys, "member", "from_m"))
+    for insertion in INSERTIONS:
+        key = tuple(asdict(insertion)[name] for name in keys)
+        if not store.has(*key, insertion.members - 1, END - STRETCH):
+            store.add(*_insert(insertion))
+    return store.table
+
+
+def _insert(insertion: Insertion) -> list[dict[str, Any]]:
+    scene = Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)
+    batch = SimulatorBatch(
+        [scene] * insertion.members, insertion.method, insertion.time_step,
+        growing=True, time_lapse=insertion.time_lapse, perturbation=PERTURBATION,
+    )  # fmt: skip
+    rows: list[dict[str, Any]] = []
+    name = f"{insertion.method} {insertion.time_step:g} s, time-lapse {insertion.time_lapse:g}"
+    for stretch in tqdm(np.arange(START, END, STRETCH), desc=name, unit="stretch"):
+        window = batch.advance(
+            None, None, STRETCH / FEED_SPEED / insertion.time_lapse, SAMPLE_PERIOD, keep_samples=True
+        )
+        if window.diverged.any():
+            raise RuntimeError(f"{name}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
+        assert window.axial is not None
+        for member in range(insertion.members):
+            row = {key: value for key, value in asdict(insertion).items() if key != "members"}
+            row |= {"member": member, "from_m": float(stretch)}
+            row |= {key: float(window.statistics[key][member]) for key in STATISTICS}
+            peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
+            rows.append(row | {PEAK: peaks[0] if peaks else float("nan")})
+    return rows

@@ -1,0 +1,114 @@
+"""What a method must keep: the energy of a passive chain over 100,000 steps, and the digits of a linear solution."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from agents.chart.smooth import plain_chain
+from probe_env import Scene, banded, ticm, transfer_matrix
+from probe_env.chain import Chain, build_chain
+from probe_env.drive import Drive
+from probe_env.linear_part import node_matrices
+from probe_env.methods import Sampling, build_method
+from probe_env.schemes import State, at_rest, newmark, workspace
+
+STEPS: Final = 100_000
+ELEMENTS: Final = 40
+STIFFNESS, GAP, FLOAT_RADIUS = 1e5, 5.2e-3, 9.5e-3  # [N/m], [m], [m]
+OMEGA: Final = math.sqrt(STIFFNESS / (0.111 * 0.025))
+METHODS: Final = {
+    "newmark": (1e-4, 1.8 / OMEGA),
+    "wilson": (1e-4, 1.8 / OMEGA),
+    "imex": (2e-4, 1.8 / OMEGA),
+    "implicit": (2.5e-5, 1e-3),
+    "explicit": (5e-6, 5.6e-6),
+}
+"""Steps [s]: the usual one and the largest that is named as holding (implicit has none)."""
+DAMPING: Final = (0.0, 5e-5)  # [s]
+SOLVED: Final = (1, 2, 5, 10, 20, 40, 100, 200, 400)  # elements
+SOLVED_STEP: Final = 1e-3  # [s]
+
+
+def run_energy() -> pd.DataFrame:
+    """Energy after 100,000 steps over that at the start, of a frictionless chain thrown about with and without walls.
+
+    Columns method, time_step_s, damping_time_s, walls, ratio (infinite where it diverged).
+    """
+    rows = []
+    for (method, steps), damping_time, walls in product(METHODS.items(), DAMPING, (False, True)):
+        for time_step in steps:
+            chain = _shaken(damping_time, walls)
+            row = {"method": method, "time_step_s": time_step, "damping_time_s": damping_time, "walls": walls}
+            rows.append(row | {"ratio": _energy_ratio(method, chain, time_step)})
+    return pd.DataFrame(rows)
+
+
+def _shaken(damping_time: float, walls: bool) -> Chain:
+    sin_phi = 0.025 / 1.2
+    chain = plain_chain(ELEMENTS, sin_phi=sin_phi, cos_phi=math.sqrt(1.0 - sin_phi**2), damping_time=damping_time)
+    if not walls:
+        return chain
+    floats = np.arange(ELEMENTS + 1) % 4 == 0
+    return chain._replace(
+        contact_stiffness=np.where(floats, STIFFNESS, 0.0), outer_gap=np.full(ELEMENTS + 1, GAP),
+        lever=np.full(ELEMENTS + 1, FLOAT_RADIUS),
+    )  # fmt: skip
+
+
+def _energy_ratio(method: str, chain: Chain, time_step: float) -> float:
+    advance = build_method(method, "ticm", chain, time_step, 0, 4)
+    state = at_rest(ELEMENTS + 1)
+    state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
+    before = energy(chain, state)
+    inputs = Drive(0.0, 0.0).inputs_of_steps(STEPS, time_step, chain.element_length, 0)
+    sampling = Sampling(
+        STEPS, STEPS, np.zeros(1, np.int64), np.zeros((1, 1, 4)), np.zeros(ELEMENTS + 1), np.zeros(2, np.int64)
+    )
+    status, *_ = advance(inputs, ELEMENTS, state, sampling)
+    after = energy(chain, state)
+    return after / before if status == ticm.OK and math.isfinite(after) else math.inf
+
+
+def energy(chain: Chain, state: State) -> float:
+    """Kinetic, elastic and contact energy [J]."""
+    n = chain.node_count - 1
+    tip, inner, ahead, behind = node_matrices(chain)
+    d, v = state.d, state.v
+    force = d[:n] @ inner.T
+    force[0] = tip @ d[0]
+    force[1:] += d[: n - 1] @ behind.T
+    force += d[1:] @ ahead.T
+    mass = np.array([chain.mass, chain.mass, chain.inertia])
+    depth = np.maximum(-d[:n, 1], 0.0) + np.maximum(d[:n, 1] - chain.outer_gap[:n], 0.0)
+    wall = 0.5 * (chain.contact_stiffness[:n] * depth**2).sum()
+    return float(0.5 * ((v[:n] ** 2) * mass).sum() + 0.5 * ((d[:n] * force) * mass).sum() + wall)
+
+
+def run_digits() -> pd.DataFrame:
+    """Relative difference of one step's solution to LAPACK's, for the TICM and the transfer matrix, over elements.
+
+    A probe at table 2's values with all floats in the wall, a step of 1 ms.
+    """
+    scheme, rows = newmark(SOLVED_STEP), []
+    for elements in SOLVED:
+        full = build_chain(Scene())
+        nodal = {name: part[: elements + 1] for name, part in full._asdict().items() if isinstance(part, np.ndarray)}
+        chain = full._replace(**nodal)  # type: ignore[arg-type]
+        start = at_rest(elements + 1)
+        start.d[:-1, 1] = -1e-5 * np.random.default_rng(1).random(elements)
+        inputs = Drive(0.2, 50.0).inputs_of_steps(1, SOLVED_STEP, chain.element_length, 0)[0]
+        work = workspace(elements + 1)
+        exact, by_ticm, by_transfer = (State(*(part.copy() for part in start)) for _ in range(3))
+        banded.stepper(chain, scheme)(inputs, elements, exact, work)
+        ticm.ticm_step(chain, scheme, inputs, elements, by_ticm, work)
+        transfer_matrix.step(chain, scheme, inputs, elements, by_transfer, work)
+        scale = np.abs(exact.d).max()
+        for solver, state in (("ticm", by_ticm), ("transfer-matrix", by_transfer)):
+            error = float(np.abs(state.d - exact.d).max() / scale)
+            rows.append({"solver": solver, "elements": elements, "error": error})
+    return pd.DataFrame(rows)

@@ -1,0 +1,55 @@
+"""The chart as a whole: runs what is missing, then draws and prints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from agents.chart import errors, figures, tables
+from agents.chart.costs import run_costs
+from agents.chart.ensembles import run_ensembles
+from agents.chart.insertions import run_insertions
+from agents.chart.smooth import run_smooth
+from agents.provenance import write_atomically
+
+STUDY = Path("results/study/ensemble.csv")
+"""The slow methods' runs: `probe-env study` made them."""
+
+
+def run_chart(output: Path) -> None:
+    """Everything that is missing; what is timed comes last, when the machine has nothing else to do."""
+    run_ensembles(output)
+    run_insertions(output)
+    run_smooth(output)
+    run_costs(output)
+    draw_chart(output)
+
+
+def draw_chart(output: Path) -> None:
+    """Tables of errors, figures, and ``measured_errors.csv``, what ``fidelity="auto"`` goes by, from stored runs."""
+    constant, inserted = error_tables(output)
+    costs = pd.read_csv(output / "costs.csv")
+    write_atomically(output / "errors.csv", constant.to_csv(index=False, float_format="%.4g"))
+    write_atomically(output / "insertion-errors.csv", inserted.to_csv(index=False, float_format="%.4g"))
+    measured = tables.measured_errors(constant, inserted)
+    write_atomically(output / "measured_errors.csv", measured.to_csv(index=False, float_format="%.4g"))
+    smooth = pd.read_csv(output / "smooth.csv")
+    chosen = tables.choices(constant, inserted)
+    figures.smooth(smooth, output / "smooth.png")
+    figures.chaos(constant, inserted, output / "chaos.png")
+    figures.model(chosen, output / "model.png")
+    presets = tables.presets(constant, inserted, costs)
+    for part in (tables.smooth(smooth), tables.choices_markdown(chosen), presets):
+        print(part + "\n")
+    print(f"written: {output}/ (errors.csv, insertion-errors.csv, smooth.png, chaos.png, model.png)")
+
+
+def error_tables(output: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Errors at constant length and over insertions, see ``errors``, from stored runs."""
+    costs = pd.read_csv(output / "costs.csv")
+    members = [pd.read_csv(output / "ensembles.csv")]
+    if STUDY.exists():
+        members.append(errors.study_members(pd.read_csv(STUDY)))
+    constant = errors.constant_length(pd.concat(members, ignore_index=True), costs)
+    return constant, errors.insertion(pd.read_csv(output / "insertions.csv"), costs)

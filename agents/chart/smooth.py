@@ -1,0 +1,217 @@
+"""Error against cost where trajectories can be compared: linear chains, an impact, and contact before chaos.
+
+Every scene runs on the kernels of the methods themselves. The error is the largest over the run of one displacement,
+over its largest value; the cost is processor time of one thread for a simulated second, and, what no machine changes,
+the number of sweeps over the chain.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.chart import closed_forms
+from agents.chart.store import Store
+from probe_env import Scene
+from probe_env.chain import Chain, FloatArray, air_speed, build_chain, sensor_node
+from probe_env.drive import Drive
+from probe_env.methods import Sampling, build_method
+from probe_env.schemes import State, at_rest
+from probe_env.ticm import OK
+
+LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
+REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
+"""Of the scene without a closed form."""
+LAPACK, LAPACK_STEPS = "newmark (LAPACK)", 3
+"""Newmark with the banded solver of LAPACK, five times as slow: the longest steps are enough."""
+LEAST_TIMED = 0.2  # [s] of processor time, repeats included
+METHODS = ("newmark", "wilson", "imex", "implicit", "explicit", LAPACK)
+AXIAL, RADIAL = 0, 1
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene before chaos; ``exact`` gives the observed displacement at the sample times, None: two references."""
+
+    title: str
+    chain: Chain
+    duration: float
+    sample_period: float
+    point: tuple[int, int]
+    """Node and component that are observed."""
+    exact: Callable[[FloatArray], FloatArray] | None
+    time_steps: tuple[float, ...] = LONG
+    sensor: int = 0
+    feed: float = 0.0
+    air: float = 0.0
+    d: FloatArray | None = None
+    v: FloatArray | None = None
+    a: FloatArray | None = None
+    """Acceleration at the start, for a start that is consistent; None: zero, as printed."""
+
+    def start(self, method: str, time_step: float) -> State:
+        """State at t = 0; the velocities of ``explicit`` live half a step earlier."""
+        state = at_rest(self.chain.node_count)
+        for target, values in zip((state.d, state.v, state.a), (self.d, self.v, self.a), strict=True):
+            if values is not None:
+                target[:-1] = values
+        if method == "explicit":
+            state.v[:] -= 0.5 * time_step * state.a
+        if method in ("explicit", "imex", "implicit"):
+            state.a[:] = 0.0  # not an acceleration there
+        return state
+
+
+def plain_chain(elements: int, **changes: Any) -> Chain:
+    """Table 2's cable, straight, with nothing but elasticity and damping."""
+    nodes = elements + 1
+    scene = Scene.model_validate({"tube": {"helix_diameter": 1e4, "helix_length": 1000.0}, "carrier_length": 0.1})
+    none = np.zeros(nodes)
+    plain = build_chain(scene)._replace(
+        cos_phi=1.0, sin_phi=0.0, curvature=0.0, couple_length=0.0, frame_inertia=0.0, friction=0.0,
+        contact_stiffness=none, outer_gap=np.full(nodes, np.inf), lever=none, drag=none,
+        support_stiffness=np.zeros((nodes, 3)), load=np.zeros((nodes, 3)),
+    )  # fmt: skip
+    return plain._replace(**changes)
+
+
+def _linear(consistent: bool) -> Case:
+    """Half a metre of cable, bent as in the helix, let go from a smooth shape."""
+    elements = 20
+    sin_phi = 0.025 / 1.2
+    chain = plain_chain(elements, sin_phi=sin_phi, cos_phi=np.sqrt(1.0 - sin_phi**2))
+    place = np.linspace(1.0, 0.0, elements + 1)[:-1, None]
+    load = np.zeros((elements, 3))
+    load[:, 1:2] = 1e-3 * np.sin(0.5 * np.pi * place) ** 4
+    shape = closed_forms.linear_chain(chain, np.zeros(1), load, 0.0 * load)[0]
+    a = -load / np.array([chain.mass, chain.mass, chain.inertia])  # what the load held back
+    return Case(
+        "linear chain, smooth start" if consistent else "linear chain, printed start",
+        chain, 0.05, 1e-3, (0, RADIAL),
+        lambda times: closed_forms.linear_chain(chain, times, load, 0.0 * load)[:, 0, RADIAL],
+        d=shape, a=a if consistent else None,
+    )  # fmt: skip
+
+
+def _step_load() -> Case:
+    """Five metres of cable, pulled at all floats from t = 0 on: a wind so fast that its force does not change."""
+    elements, force, wind = 200, 0.01, 1e6
+    nodes = np.arange(elements + 1)
+    chain = plain_chain(elements, drag=np.where(nodes % 4 == 0, force / wind**2, 0.0))
+    load = np.zeros((elements, 3))
+    load[::4, AXIAL] = force
+    return Case(
+        "axial step load", chain, 0.05, 1e-3, (0, AXIAL),
+        lambda times: closed_forms.linear_chain(chain, times, 0.0 * load, load)[:, 0, AXIAL],
+        air=wind,
+    )  # fmt: skip
+
+
+def _impact() -> Case:
+    """A mass of one node that flies at the wall's spring: 0.1 mm away, at 0.1 m/s."""
+    stiffness, height, speed = 1e5, 1e-4, 0.1
+    free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e6)
+    chain = plain_chain(1, contact_stiffness=np.array([stiffness, 0.0]), coupling_compliance=0.0, **free)
+    return Case(
+        "impact on the wall's spring", chain, 4e-3, 4e-4, (0, RADIAL),
+        lambda times: closed_forms.impact(chain.mass, stiffness, height, speed, times),
+        time_steps=(4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6),
+        d=np.array([[0.0, height, 0.0]]), v=np.array([[0.0, -speed, 0.0]]),
+    )  # fmt: skip
+
+
+def _contact() -> Case:
+    """The study's scene at l = 10 m, the first 0.2 s."""
+    scene = Scene(carrier_length=10.0)
+    sensor = sensor_node(scene, 4)
+    return Case(
+        "contact and friction, l = 10 m", build_chain(scene), 0.2, 1e-3, (sensor, AXIAL), None,
+        sensor=sensor, feed=scene.feed_speed, air=air_speed(scene, scene.air_supply_rate),
+    )  # fmt: skip
+
+
+@lru_cache
+def cases() -> dict[str, Case]:
+    """The scenes by name."""
+    return {
+        "linear": _linear(consistent=True),
+        "linear-printed": _linear(consistent=False),
+        "step-load": _step_load(),
+        "impact": _impact(),
+        "contact": _contact(),
+    }
+
+
+def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | None, float, float]:
+    """Observed displacement (k,) [m] or None where it diverges, processor time [s] and sweeps for a simulated second.
+
+    The run is repeated until ``LEAST_TIMED`` of processor time is used; the fastest counts.
+    """
+    scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
+    advance = build_method(scheme, solver, case.chain, time_step, case.sensor, 4)
+    steps, every = round(case.duration / time_step), round(case.sample_period / time_step)
+    inputs = Drive(case.feed, case.air).inputs_of_steps(steps, time_step, case.chain.element_length, 0)
+    used, fastest = 0.0, float("inf")
+    while used < LEAST_TIMED:
+        state, counts = case.start(scheme, time_step), np.zeros(2, dtype=np.int64)
+        samples = np.zeros((steps // every, 1, 4))
+        node = np.array([case.point[0]], dtype=np.int64)
+        sampling = Sampling(every, every, node, samples, np.zeros(case.chain.node_count), counts)
+        begin = time.thread_time()
+        status, done, *_ = advance(inputs, case.chain.node_count - 1, state, sampling)
+        spent = time.thread_time() - begin
+        used, fastest = used + spent, min(fastest, spent)
+        if status != OK or not np.isfinite(state.d).all():
+            return None, float("nan"), float("nan")
+    sweeps = max(done, int(counts[0])) / case.duration
+    return samples[:, 0, case.point[1]], fastest / case.duration, sweeps
+
+
+def run_smooth(output: Path) -> pd.DataFrame:
+    """Rows of scene, method, time_step_s, error (NaN: diverged), cpu_s and sweeps, both for a simulated second.
+
+    The scene without a closed form has a row "references": the difference of the two. Stored rows of the same kernels
+    are not run again.
+    """
+    store = Store(output / "smooth.csv", ("scene", "method", "time_step_s"))
+    todo = [
+        (name, method, dt)
+        for name, case in cases().items()
+        for method in METHODS
+        for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
+    ]
+    missing = [cell for cell in todo if not store.has(*cell)]
+    truth: dict[str, FloatArray] = {}
+    for name, method, time_step in tqdm(missing, desc="before chaos", unit="run", disable=not missing):
+        case = cases()[name]
+        if name not in truth:
+            truth[name] = _truth(name, case, store)
+        integrate(case, method, case.time_steps[0])  # compiled and warm
+        signal, cpu, sweeps = integrate(case, method, time_step)
+        error = float("nan") if signal is None else _difference(signal, truth[name])
+        row = {"scene": name, "method": method, "time_step_s": time_step, "error": error}
+        store.add(row | {"cpu_s": cpu, "sweeps": sweeps})
+    return store.table
+
+
+def _truth(name: str, case: Case, store: Store) -> FloatArray:
+    if case.exact is not None:
+        count = round(case.duration / case.sample_period)
+        return case.exact(case.sample_period * np.arange(1, count + 1))
+    first, second = (integrate(case, method, dt)[0] for method, dt in REFERENCES)
+    assert first is not None
+    assert second is not None
+    store.add({"scene": name, "method": "references", "time_step_s": 0.0, "error": _difference(second, first)})
+    return first
+
+
+def _difference(signal: FloatArray, truth: FloatArray) -> float:
+    return float(np.abs(signal - truth).max() / np.abs(truth).max())

@@ -1,0 +1,196 @@
+"""The chart's tables, as Markdown for the README and docs, and the one that ``fidelity="auto"`` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import linregress
+
+from agents.chart.ensembles import MODEL_STEP, Setting
+from agents.chart.errors import OUTPUTS, bound, insertion_cost
+from agents.chart.figures import resolved
+from agents.chart.smooth import LAPACK, METHODS, REFERENCES, cases
+from probe_env.fidelity import PRESETS
+
+Row = Mapping[Any, Any]
+CHOICES: dict[str, dict[str, Any]] = {
+    "1 node a pitch": {"nodes_per_pitch": 1},
+    "2 nodes a pitch": {"nodes_per_pitch": 2},
+    "8 nodes a pitch": {"nodes_per_pitch": 8},
+    "16 nodes a pitch": {"nodes_per_pitch": 16},
+    "inner wall only": {"walls": "inner"},
+    "contact half as stiff": {"stiffness": 5e4},
+    "contact twice as stiff": {"stiffness": 2e5},
+    "friction 0.14": {"friction": 0.14},
+    "friction 0.16": {"friction": 0.16},
+}
+
+
+def smooth(table: pd.DataFrame) -> str:
+    """Fitted slopes by scene and method, and what the references differ by."""
+    names = list(cases())
+    lines = ["| method | " + " | ".join(cases()[name].title for name in names) + " |", "|---" * (len(names) + 1) + "|"]
+    for method in METHODS:
+        if method != LAPACK:
+            lines.append(f"| {method} | " + " | ".join(_slope(resolved(table, name), method) for name in names) + " |")
+    difference = float(table.loc[table["method"] == "references", "error"].iloc[0])
+    told = " and ".join(f"{method} at {dt:g} s" for method, dt in REFERENCES)
+    return "\n".join(lines) + f"\n\nThe references of the last column, {told}, differ by {100.0 * difference:.2g} %."
+
+
+def _slope(rows: pd.DataFrame, method: str) -> str:
+    part = rows[(rows["method"] == method) & rows["error"].notna()].sort_values("time_step_s")
+    part = part[part["error"] > 1e-8].head(4)  # the finest steps that rounding does not reach
+    if len(part) < 3:
+        return "-" if part.empty else f"error {part['error'].iloc[0]:.1e} at {part['time_step_s'].iloc[0]:g} s"
+    fit = linregress(np.log(part["time_step_s"]), np.log(part["error"]))
+    return f"{fit.slope:.1f}, error {part['error'].iloc[0]:.1e} at {part['time_step_s'].iloc[0]:g} s"
+
+
+def choices(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
+    """What each mesh and model choice changes in the radial rms at 30 and 50 m; cost relative to table 2's mesh."""
+    rows = []
+    for length in (30.0, 50.0):
+        plain = Setting(time_step=MODEL_STEP, length=length).key
+        cost = float(_rows(constant, plain)["cpu_s"].iloc[0])
+        told = CHOICES | {"step 2e-4 s": {"time_step": 2e-4}, "step 2.5e-4 s": {"time_step": 2.5e-4}}
+        for choice, change in told.items():
+            for row in _rows(constant, plain | change).to_dict("records"):
+                rows.append(_choice(choice, length, row, row["cpu_s"] / cost))
+        band = inserted[(inserted["from_m"] <= length) & (length < inserted["to_m"])]
+        whole = float(band[(band["time_step"] == 2e-4) & (band["time_lapse"] == 1.0)]["cpu_s"].iloc[0])
+        for row in band[(band["time_lapse"] > 1.0) & (band["time_step"] == 2e-4)].to_dict("records"):
+            name = f"time-lapse {row['time_lapse']:g} (insertion)"
+            rows.append(_choice(name, length, row, row["cpu_s"] / whole))
+    return pd.DataFrame(rows)
+
+
+def _choice(choice: str, length: float, row: Row, cost: float) -> dict[str, object]:
+    return {"choice": choice, "length": length, "cost": cost} | {
+        part: row[f"radial_rms_m:{part}"] for part in ("ratio", "low", "high")
+    }
+
+
+def _rows(table: pd.DataFrame, key: Row) -> pd.DataFrame:
+    return table[(table[list(key)] == list(key.values())).all(axis=1)]
+
+
+def choices_markdown(rows: pd.DataFrame) -> str:
+    """The same as a table."""
+    lines = ["| choice | radial rms at 30 m | at 50 m | cost |", "|---|---|---|---|"]
+    for choice, part in rows.groupby("choice", sort=False):
+        by_length = {row["length"]: row for row in part.to_dict("records")}
+        cells = [_interval(by_length[length]) if length in by_length else "-" for length in (30.0, 50.0)]
+        lines.append(f"| {choice} | {cells[0]} | {cells[1]} | {part['cost'].mean():.2g} |")
+    return "\n".join(lines)
+
+
+def _interval(row: Row) -> str:
+    if np.isnan(row["ratio"]):
+        return "diverges"
+    return f"{row['ratio']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
+
+
+def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
+    """What ``probe_env.fidelity_choice`` reads: error bound of every setting and output, and its cost.
+
+    Length NaN stands for a whole insertion (stiffness of table 2); cost is processor time for a simulated second of a
+    node on table 2's mesh [s], error the largest relative one that the 95 % interval leaves room for.
+    """
+    plain = (constant["nodes_per_pitch"] == 4) & (constant["walls"] == "both") & (constant["friction"] == 0.15)
+    rows = []
+    for row in constant[plain].to_dict("records"):
+        if row["stiffness"] in (1e4, 1e5, 1e6) and row["diverged"] == 0.0:
+            nodes = (row["length"] + 2.5) / 0.1 * 4.0
+            rows += _errors(row, 1.0, row["length"], row["stiffness"], row["cpu_s"] / nodes)
+    per_node = {(r["method"], r["time_step"]): r["cost_s"] for r in rows}
+    for row in inserted.to_dict("records"):
+        cost = per_node[row["method"], row["time_step"]] / row["time_lapse"]
+        rows += _errors(row, row["time_lapse"], float("nan"), 1e5, cost)
+    table = pd.DataFrame(rows)
+    keys = ["method", "time_step", "time_lapse", "length", "stiffness", "output"]
+    return table.groupby(keys, dropna=False, as_index=False).agg({"error": "max", "cost_s": "mean"})
+
+
+def _errors(row: Row, time_lapse: float, length: float, stiffness: float, cost: float) -> list[dict[str, object]]:
+    setting = {"method": row["method"], "time_step": row["time_step"], "time_lapse": time_lapse}
+    place = {"length": length, "stiffness": stiffness, "cost_s": cost}
+    return [
+        setting | place | {"output": output, "error": bound(row, output)}
+        for output in OUTPUTS
+        if np.isfinite(row[f"{output}:ratio"])
+    ]
+
+
+def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame) -> str:
+    """Measured ratio of every preset to the reference at 30 and 50 m and over the insertion, and its cost."""
+    lines = [
+        "| preset | what it is | radial rms at 30 m | at 50 m | insertion, 20-40 m | 40-60 m | cost of an insertion |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, preset in PRESETS.items():
+        key: dict[str, Any] = {"method": preset.method, "time_step": preset.time_step}
+        cells = [
+            _interval(_plain(row))
+            for length in (30.0, 50.0)
+            for row in _rows(constant, Setting(**key, length=length).key).to_dict("records")
+        ]
+        lapses = inserted[(inserted[list(key)] == list(key.values())).all(axis=1)]
+        nearest = (lapses["time_lapse"] - preset.time_lapse).abs()
+        rows = lapses[nearest == nearest.min()].sort_values("from_m").to_dict("records")
+        note = "" if nearest.min() == 0.0 else f" (time-lapse {rows[0]['time_lapse']:g})"
+        cells += [_interval(_plain(row)) + note for row in rows]
+        cost = insertion_cost(key | {"time_lapse": preset.time_lapse}, costs)
+        lapse = f", time-lapse {preset.time_lapse:g}" if preset.time_lapse > 1.0 else ""
+        told = f"`{name}` | {preset.method}, {preset.time_step:g} s{lapse}"
+        lines.append(f"| {told} | " + " | ".join(cells) + f" | {cost:.2g} s |")
+    return "\n".join(lines) + f"\n\n{_against_newmark(constant)}"
+
+
+def _against_newmark(constant: pd.DataFrame) -> str:
+    """What a simulated second at 50 m costs beside the study's scheme, with the error that goes with it."""
+    plain = Setting(length=50.0)
+    ((newmark,),) = _rows(constant, replace(plain, method="newmark", time_step=1e-4).key)[["cpu_s"]].to_numpy()
+    parts = []
+    for time_step in (2e-4, 1e-4):
+        (row,) = _rows(constant, replace(plain, time_step=time_step).key).to_dict("records")
+        rms = _interval(_plain(row))
+        parts.append(
+            f"at {time_step:g} s {newmark / row['cpu_s']:.0f} times less (radial rms {rms} of the reference's)"
+        )
+    return f"A simulated second of `imex` at l = 50 m costs, beside the study's scheme, {' and '.join(parts)}."
+
+
+def _plain(row: Row) -> Row:
+    return {part: row[f"radial_rms_m:{part}"] for part in ("ratio", "low", "high")}
+
+
+def outputs(constant: pd.DataFrame) -> str:
+    """Every output of every method and step at l = 50 m over the reference's."""
+    names = [name.removesuffix("_m").removesuffix("_m_per_s2").replace("_", " ") for name in OUTPUTS]
+    lines = ["| method | step | " + " | ".join(names) + " | CPU s/s |", "|---" * (len(OUTPUTS) + 3) + "|"]
+    plain = Setting().key
+    del plain["method"], plain["time_step"]
+    rows = _rows(constant, plain).sort_values(["method", "time_step"])
+    for row in rows.to_dict("records"):
+        cells = [_interval({part: row[f"{name}:{part}"] for part in ("ratio", "low", "high")}) for name in OUTPUTS]
+        lines.append(
+            f"| {row['method']} | {row['time_step']:.3g} s | " + " | ".join(cells) + f" | {row['cpu_s']:.2g} |"
+        )
+    return "\n".join(lines)
+
+
+def energy(table: pd.DataFrame) -> str:
+    """Energy after 100,000 steps by method and step."""
+    columns = [(damping, walls) for damping in sorted(table["damping_time_s"].unique()) for walls in (False, True)]
+    head = [f"{'damped' if damping else 'undamped'}{', between walls' if walls else ''}" for damping, walls in columns]
+    lines = ["| method | step | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|"]
+    for (method, step), part in table.groupby(["method", "time_step_s"], sort=False):
+        ratios = {(row["damping_time_s"], row["walls"]): row["ratio"] for row in part.to_dict("records")}
+        cells = [f"{ratios[c]:.2g}" if np.isfinite(ratios[c]) else "diverges" for c in columns]
+        lines.append(f"| {method} | {step:.2g} s | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
