@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability chart peers policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
+.PHONY: setup demo test lint types study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
 
 setup: $(STAMP)
 
@@ -39,6 +39,9 @@ timelapse: setup
 
 stability: setup
 	$(BIN)/probe-env stability --output results/stability
+
+scaling: setup
+	$(BIN)/probe-env scaling --output results/scaling
 
 chart: setup
 	$(BIN)/probe-env chart --output results/chart
@@ -78,7 +81,7 @@ tradeoff: setup
 	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 6 --output results/tradeoff
 
 fidelity: setup
-	$(BIN)/probe-env evaluate best-schedule tension-scheduled ppo=results/agents/ppo/seed-0/agent.npz --limit 8 --fidelity fast --check-fidelity all --output results/fidelity
+	$(BIN)/probe-env evaluate best-schedule tension-scheduled --limit 8 --fidelity fast --check-fidelity all --output results/fidelity
 
 # an environment of its own: RLlib pins gymnasium 1.2.2
 RAY := .venv-ray

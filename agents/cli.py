@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from agents.commands.design import Compare, DesignSearch
 from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
-from agents.commands.study import Bench, Chart, Peers, Simulate, Stability, Study, Timelapse
+from agents.commands.study import Bench, Chart, Peers, Scaling, Simulate, Stability, Study, Timelapse
 from probe_env import Scene, SimulationError
 from probe_env.scene import explain
 
@@ -75,6 +75,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("chart", Chart),
             ("peers", Peers),
             ("bench", Bench),
+            ("scaling", Scaling),
             ("timelapse", Timelapse),
             ("stability", Stability),
             ("render", Render),

@@ -15,7 +15,7 @@ from agents.provenance import write_atomically
 from agents.readme_blocks import MAKERS, RESULTS, TRIED
 from agents.study import load_rows
 
-README, ACCURACY = Path("README.md"), Path("docs/accuracy.md")
+README, ACCURACY, CLUSTER = Path("README.md"), Path("docs/accuracy.md"), Path("docs/cluster.md")
 
 
 def rewrite_readme() -> None:
@@ -71,4 +71,5 @@ def _pages() -> dict[Path, tuple[str, ...]]:
             "fidelity", "presets", "choices",
         ),
         ACCURACY: ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
+        CLUSTER: ("scaling",),
     }  # fmt: skip

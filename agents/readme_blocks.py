@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from agents import agent_results, design_compare, stability_map, timelapse
+from agents import agent_results, design_compare, scaling, stability_map, timelapse
 from agents.catalogue import DATA
 from agents.chart import peers
 from agents.chart import tables as chart
@@ -261,6 +261,20 @@ def _energy() -> str:
     return f"{chart.energy(pd.read_csv(folder / 'energy.csv'))}\n\n{_source(folder / 'provenance.json')}"
 
 
+def _scaling() -> str:
+    folder = RESULTS / "scaling"
+    portions, jobs = (pd.read_csv(folder / f"{name}.csv") for name in ("portions", "jobs"))
+    seconds = portions.set_index("size")["seconds_an_insertion"]
+    told = ", ".join(f"{value:.1f} s in portions of {size}" for size, value in seconds.items())
+    one, more = jobs.iloc[0], jobs.iloc[-1]
+    return (
+        f"{scaling.markdown(pd.read_csv(folder / 'projection.csv'))}\n\n"
+        f"Measured: an insertion costs {told} (one thread);"
+        f" {scaling.MEASURED} insertions take {one['seconds']:.0f} s with one worker,"
+        f" {more['seconds']:.0f} s with {more['jobs']:.0f}, their start included. {_source(folder / 'provenance.json')}"
+    )
+
+
 def _peers() -> str:
     folder = RESULTS / "chart"
     return f"{peers.markdown(pd.read_csv(folder / 'peers.csv'))}\n\n{_source(folder / 'peers-provenance.json')}"
@@ -285,5 +299,6 @@ MAKERS: dict[str, Callable[[], str]] = {
     "presets": _presets,
     "outputs": _outputs,
     "energy": _energy,
+    "scaling": _scaling,
     "peers": _peers,
 }

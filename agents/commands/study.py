@@ -155,3 +155,17 @@ class Peers:
         peers.draw(table, self.output / "peers.png")
         print(peers.markdown(table))
         print(f"written: {self.output}/ (peers.csv, peers.png)")
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Measure what insertions cost in portions of several sizes, and project a thousand of them onto more cores."""
+
+    output: Path = Path("output/scaling")
+    """Folder of the tables."""
+
+    def run(self) -> None:
+        """Measure, store, print."""
+        from agents.scaling import run_scaling
+
+        run_scaling(self.output)
