@@ -15,6 +15,7 @@ from agents import agent_results, design_compare, scaling, stability_map, timela
 from agents.catalogue import DATA
 from agents.chart import peers
 from agents.chart import tables as chart
+from agents.chart.costs import REPEATS
 from agents.chart.report import error_tables
 from agents.claims import markdown
 from agents.fidelity_check import words
@@ -249,6 +250,11 @@ def _choices() -> str:
 def _presets() -> str:
     costs = pd.read_csv(RESULTS / "chart" / "costs.csv")
     table = chart.presets(*_chart_errors(), costs)
+    bench = json.loads((RESULTS / "bench" / "bench.json").read_text())["fast"]["imex, 4 lanes"]
+    table += (
+        f" (Best of {REPEATS} in one run; the bench, another run, has {bench['simulated_second_ratio']:.0f} at 2e-4 s:"
+        " such ratios move by as much from run to run.)"
+    )
     return f"{table}\n\n{_source(RESULTS / 'chart' / 'insertions-provenance.json')}"
 
 

@@ -12,7 +12,7 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any, Final, NamedTuple
@@ -128,7 +128,10 @@ def choose_fidelity(
         raise ValueError(f"needed = {list(needed)!r}: must be some of {', '.join(outputs())}")
     if not 0.0 < tolerance < math.inf:
         raise ValueError(f"tolerance = {tolerance!r} is outside the accepted range above 0")
-    relevant = [row for row in measured() if row.output in needed and _relevant(row, scene, growing)]
+    stiffnesses, lengths = _stiffnesses(scene), _lengths(scene, growing)
+    relevant = [
+        row for row in measured() if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
+    ]
     most = MOST_TIME_LAPSE if growing else 1.0
     candidates = dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most)
     rated = []
@@ -152,31 +155,32 @@ def choose_fidelity(
     return Choice(chosen, error, cost, reason)
 
 
-def _relevant(row: Measured, scene: Scene, growing: bool) -> bool:
-    """Whether a measurement tells something about the scene."""
-    rows = measured()
-    near = row.stiffness in _neighbours({r.stiffness for r in rows}, scene.contact.stiffness, "contact.stiffness", NEAR)
-    if row.length is None:
-        return growing and near
-    lengths = {r.length for r in rows if r.length is not None}
+def _stiffnesses(scene: Scene) -> list[float]:
+    """Measured contact stiffnesses that tell of the scene's: one within ``NEAR``, or the two around it."""
+    known = sorted({row.stiffness for row in measured()})
+    wanted = scene.contact.stiffness
+    near = [value for value in known if max(value / wanted, wanted / value) <= NEAR]
+    if not near and not known[0] <= wanted <= known[-1]:
+        raise ValueError(f"contact.stiffness = {wanted:g} is outside what was measured, {known[0]:g} to {known[-1]:g}")
+    return near or _around(known, wanted)
+
+
+def _lengths(scene: Scene, growing: bool) -> list[float | None]:
+    """Measured carrier lengths that tell of the scene's; of a growing probe's all, and the insertions (None)."""
+    known = sorted({row.length for row in measured() if row.length is not None})
     if growing:
-        return near and row.length <= min(v for v in (*lengths, math.inf) if v >= min(_end(scene), max(lengths)))
-    return near and row.length in _neighbours(lengths, min(max(scene.carrier_length, min(lengths)), max(lengths)))
+        return [*(value for value in known if value <= _around(known, _end(scene))[-1]), None]
+    return list(_around(known, scene.carrier_length))
 
 
 def _end(scene: Scene) -> float:
     return scene.tube.helix_length - scene.probe.guide_length
 
 
-def _neighbours(values: Iterable[float], wanted: float, name: str = "", near: float = 1.0) -> list[float]:
-    """The measured value near the wanted one, or the two around it."""
-    ordered = sorted(values)
-    close = [v for v in ordered if max(v / wanted, wanted / v) <= near * (1.0 + 1e-9)]
-    if close:
-        return close[:1]
-    if not ordered[0] <= wanted <= ordered[-1]:
-        raise ValueError(f"{name} = {wanted:g} is outside what was measured, {ordered[0]:g} to {ordered[-1]:g}")
-    return [max(v for v in ordered if v < wanted), min(v for v in ordered if v > wanted)]
+def _around(known: Sequence[float], wanted: float) -> list[float]:
+    """The measured value itself or the two around it; beyond the ends the nearest."""
+    wanted = min(max(wanted, known[0]), known[-1])
+    return sorted({max(v for v in known if v <= wanted), min(v for v in known if v >= wanted)})
 
 
 def _complete(own: Sequence[Measured], relevant: Sequence[Measured], fidelity: Fidelity) -> bool:

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from agents.chart.chains import linear_matrix, masses
 from probe_env.chain import Chain, FloatArray
-from probe_env.linear_part import node_matrices
 
 
 def linear_chain(chain: Chain, times: FloatArray, before: FloatArray, load: FloatArray) -> FloatArray:
@@ -22,25 +22,15 @@ def linear_chain(chain: Chain, times: FloatArray, before: FloatArray, load: Floa
         before: (n, 3) load until then [N], [N m].
         load: (n, 3) load from then on.
     """
-    n = chain.node_count - 1
-    tip, inner, ahead, behind = node_matrices(chain)
-    flexibility = np.zeros((3 * n, 3 * n))
-    for i in range(n):
-        rows = slice(3 * i, 3 * i + 3)
-        flexibility[rows, rows] = inner if i else tip
-        if i:
-            flexibility[rows, 3 * i - 3 : 3 * i] = behind
-        if i < n - 1:
-            flexibility[rows, 3 * i + 3 : 3 * i + 6] = ahead
-    root_mass = np.sqrt(np.tile([chain.mass, chain.mass, chain.inertia], n))
-    symmetric = root_mass[:, None] * flexibility / root_mass
+    root_mass = np.sqrt(masses(chain))
+    symmetric = root_mass[:, None] * linear_matrix(chain) / root_mass
     squares, modes = np.linalg.eigh(0.5 * (symmetric + symmetric.T))
     start, at_rest = (modes.T @ (force.ravel() / root_mass) / squares for force in (before, load))
     discriminant = np.sqrt((chain.damping_time * squares).astype(complex) ** 2 - 4.0 * squares)
     slow, fast = (0.5 * (sign * discriminant - chain.damping_time * squares) for sign in (1.0, -1.0))
     amplitude = (start - at_rest) / (slow - fast)
     moving = amplitude * (slow * np.exp(np.outer(times, fast)) - fast * np.exp(np.outer(times, slow)))
-    return np.asarray(((at_rest + moving.real) @ modes.T / root_mass).reshape(len(times), n, 3))
+    return np.asarray(((at_rest + moving.real) @ modes.T / root_mass).reshape(len(times), -1, 3))
 
 
 def impact(mass: float, stiffness: float, height: float, speed: float, times: FloatArray) -> FloatArray:

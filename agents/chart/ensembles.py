@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from agents.chart.store import Store
 from agents.study import PERTURBATION
-from probe_env import Scene, SimulatorBatch, StabilityWarning
+from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.signals import dominant_frequencies
 
 SETTLE, DURATION = 2.0, 6.0  # [s]
@@ -70,10 +70,18 @@ STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
 REFERENCE_STEP = 2.5e-5  # [s], of imex
 STEPS = (1e-4, 1.25e-4, 2e-4, 2.5e-4, 5e-4)
 MODEL_STEP = 1e-4  # [s], at which model choices are compared with each other
-NODES = (1, 2, 8, 16)
-CHANGES: tuple[dict[str, Any], ...] = (
-    {"walls": "inner"}, {"stiffness": 5e4}, {"stiffness": 2e5}, {"friction": 0.14}, {"friction": 0.16},
-)  # fmt: skip
+CHOICES: dict[str, dict[str, Any]] = {
+    "1 node a pitch": {"nodes_per_pitch": 1},
+    "2 nodes a pitch": {"nodes_per_pitch": 2},
+    "8 nodes a pitch": {"nodes_per_pitch": 8},
+    "16 nodes a pitch": {"nodes_per_pitch": 16},
+    "inner wall only": {"walls": "inner"},
+    "contact half as stiff": {"stiffness": 5e4},
+    "contact twice as stiff": {"stiffness": 2e5},
+    "friction 0.14": {"friction": 0.14},
+    "friction 0.16": {"friction": 0.16},
+}
+"""What is changed of table 2's mesh and model, one at a time."""
 
 
 def step_settings() -> Iterator[Setting]:
@@ -90,9 +98,7 @@ def step_settings() -> Iterator[Setting]:
 def model_settings() -> Iterator[Setting]:
     """Mesh and model choices at one step of imex."""
     for length in LENGTHS[1:]:
-        for nodes in NODES:
-            yield Setting(time_step=MODEL_STEP, nodes_per_pitch=nodes, length=length)
-        for change in CHANGES:
+        for change in CHOICES.values():
             yield Setting(**({"time_step": MODEL_STEP, "length": length} | change))
 
 
@@ -101,16 +107,19 @@ def run_setting(setting: Setting) -> list[dict[str, Any]]:
     batch = setting.batch(setting.members)
     batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
     window = batch.advance(None, None, DURATION, SAMPLE_PERIOD, keep_samples=True)
-    assert window.axial is not None
     rows = []
     for member in range(setting.members):
         row: dict[str, Any] = setting.key | {"member": member, "diverged": bool(window.diverged[member])}
-        if not window.diverged[member]:
-            row |= {name: float(window.statistics[name][member]) for name in STATISTICS}
-            peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
-            row[PEAK] = peaks[0] if peaks else float("nan")
-        rows.append(row)
+        rows.append(row | ({} if window.diverged[member] else member_statistics(window, member)))
     return rows
+
+
+def member_statistics(window: Window, member: int) -> dict[str, float]:
+    """``STATISTICS`` and ``PEAK`` (NaN for one at rest) of one run of a batch; the window must hold the samples."""
+    assert window.axial is not None
+    peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
+    values = {name: float(window.statistics[name][member]) for name in STATISTICS}
+    return values | {PEAK: peaks[0] if peaks else float("nan")}
 
 
 def run_ensembles(output: Path) -> pd.DataFrame:

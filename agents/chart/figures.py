@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from agents.chart.smooth import LAPACK, cases
+from agents.chart.chains import LAPACK
+from agents.chart.smooth import cases
 from agents.figures import GREY, GRID
 
 COLOURS = {

@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart.ensembles import PEAK, SAMPLE_PERIOD, STATISTICS
+from agents.chart.ensembles import SAMPLE_PERIOD, member_statistics
 from agents.chart.store import Store
 from agents.study import PERTURBATION
 from probe_env import Scene, SimulatorBatch
-from probe_env.signals import dominant_frequencies
 
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]
 STRETCH = 5.0  # [m] a row
@@ -69,11 +68,8 @@ def _insert(insertion: Insertion) -> list[dict[str, Any]]:
         )
         if window.diverged.any():
             raise RuntimeError(f"{name}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
-        assert window.axial is not None
         for member in range(insertion.members):
             row = {key: value for key, value in asdict(insertion).items() if key != "members"}
             row |= {"member": member, "from_m": float(stretch)}
-            row |= {key: float(window.statistics[key][member]) for key in STATISTICS}
-            peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
-            rows.append(row | {PEAK: peaks[0] if peaks else float("nan")})
+            rows.append(row | member_statistics(window, member))
     return rows

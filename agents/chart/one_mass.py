@@ -14,12 +14,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from agents.chart.smooth import plain_chain
+from agents.chart.chains import AXIAL, RADIAL, plain_chain, run_chain
 from probe_env.chain import Chain, FloatArray
-from probe_env.drive import Drive
-from probe_env.methods import Sampling, build_method
 from probe_env.schemes import at_rest
-from probe_env.ticm import OK
 
 METHODS: Final = ("newmark", "wilson", "imex", "implicit", "explicit")
 SPRINGS: Final = ("elastic", "contact")
@@ -34,20 +31,16 @@ def one_mass(spring: str, stiffness: float = STIFFNESS, gap: float = math.inf) -
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
     if spring == "elastic":
         free["axial_compliance"] = 1.0 / stiffness
-        return plain_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), 0
+        return plain_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), AXIAL
     walls = {"contact_stiffness": np.array([stiffness, 0.0]), "outer_gap": np.array([gap, np.inf])}
-    return plain_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), 1
+    return plain_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), RADIAL
 
 
 def _step(method: str, chain: Chain, time_step: float, start: FloatArray, component: int) -> FloatArray:
     """Displacement, velocity and acceleration of the mass after a step; NaN if it diverged."""
-    advance = build_method(method, "ticm", chain, time_step, 0, 4)
     state = at_rest(2)
     state.d[0, component], state.v[0, component], state.a[0, component] = start
-    inputs = Drive(0.0, 0.0).inputs_of_steps(1, time_step, chain.element_length, 0)
-    nothing = Sampling(1, 1, np.zeros(1, np.int64), np.zeros((1, 1, 4)), np.zeros(2), np.zeros(2, np.int64))
-    status, *_ = advance(inputs, 1, state, nothing)
-    if status != OK:
+    if not run_chain(method, chain, time_step, state, 1, 1).held:
         return np.full(3, np.nan)
     return np.array([state.d[0, component], state.v[0, component], state.a[0, component]])
 
@@ -85,15 +78,11 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     time_step = omega_dt / omega
     period = GAP / SPEED + math.pi / omega
     steps = math.ceil(BOUNCES * period / time_step)
-    advance = build_method(method, "ticm", chain, time_step, 0, 4)
     state = at_rest(2)
     state.d[0, component], state.v[0, component] = 0.4321 * GAP, -SPEED
-    inputs = Drive(0.0, 0.0).inputs_of_steps(steps, time_step, chain.element_length, 0)
-    samples = np.zeros((steps, 1, 4))
-    sampling = Sampling(1, 1, np.zeros(1, np.int64), samples, np.zeros(2), np.zeros(2, np.int64))
-    status, *_ = advance(inputs, 1, state, sampling)
-    y = samples[:, 0, component]
-    if status != OK or not np.isfinite(y).all():
+    run = run_chain(method, chain, time_step, state, steps, 1)
+    y = run.samples[:, component]
+    if not run.held:
         return float("nan"), float("nan")
     # speeds of free flights: steps whose both ends are between the walls
     inside = (y > 0.0) & (y < GAP)

@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from agents.chart.smooth import plain_chain
+from agents.chart.chains import bent_chain, linear_matrix, masses, run_chain
 from probe_env import Scene, banded, ticm, transfer_matrix
 from probe_env.chain import Chain, build_chain
 from probe_env.drive import Drive
-from probe_env.linear_part import node_matrices
-from probe_env.methods import Sampling, build_method
 from probe_env.schemes import State, at_rest, newmark, workspace
 
 STEPS: Final = 100_000
@@ -49,8 +47,7 @@ def run_energy() -> pd.DataFrame:
 
 
 def _shaken(damping_time: float, walls: bool) -> Chain:
-    sin_phi = 0.025 / 1.2
-    chain = plain_chain(ELEMENTS, sin_phi=sin_phi, cos_phi=math.sqrt(1.0 - sin_phi**2), damping_time=damping_time)
+    chain = bent_chain(ELEMENTS, damping_time=damping_time)
     if not walls:
         return chain
     floats = np.arange(ELEMENTS + 1) % 4 == 0
@@ -61,32 +58,20 @@ def _shaken(damping_time: float, walls: bool) -> Chain:
 
 
 def _energy_ratio(method: str, chain: Chain, time_step: float) -> float:
-    advance = build_method(method, "ticm", chain, time_step, 0, 4)
     state = at_rest(ELEMENTS + 1)
     state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
     before = energy(chain, state)
-    inputs = Drive(0.0, 0.0).inputs_of_steps(STEPS, time_step, chain.element_length, 0)
-    sampling = Sampling(
-        STEPS, STEPS, np.zeros(1, np.int64), np.zeros((1, 1, 4)), np.zeros(ELEMENTS + 1), np.zeros(2, np.int64)
-    )
-    status, *_ = advance(inputs, ELEMENTS, state, sampling)
-    after = energy(chain, state)
-    return after / before if status == ticm.OK and math.isfinite(after) else math.inf
+    held = run_chain(method, chain, time_step, state, STEPS, STEPS).held
+    return energy(chain, state) / before if held else math.inf
 
 
 def energy(chain: Chain, state: State) -> float:
     """Kinetic, elastic and contact energy [J]."""
     n = chain.node_count - 1
-    tip, inner, ahead, behind = node_matrices(chain)
-    d, v = state.d, state.v
-    force = d[:n] @ inner.T
-    force[0] = tip @ d[0]
-    force[1:] += d[: n - 1] @ behind.T
-    force += d[1:] @ ahead.T
-    mass = np.array([chain.mass, chain.mass, chain.inertia])
-    depth = np.maximum(-d[:n, 1], 0.0) + np.maximum(d[:n, 1] - chain.outer_gap[:n], 0.0)
-    wall = 0.5 * (chain.contact_stiffness[:n] * depth**2).sum()
-    return float(0.5 * ((v[:n] ** 2) * mass).sum() + 0.5 * ((d[:n] * force) * mass).sum() + wall)
+    d, v, mass, y = state.d[:n].ravel(), state.v[:n].ravel(), masses(chain), state.d[:n, 1]
+    depth = np.maximum(-y, 0.0) + np.maximum(y - chain.outer_gap[:n], 0.0)
+    wall = (chain.contact_stiffness[:n] * depth**2).sum()
+    return float(0.5 * (mass @ v**2 + (mass * d) @ (linear_matrix(chain) @ d) + wall))
 
 
 def run_digits() -> pd.DataFrame:

@@ -18,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 
 from agents.chart import smooth
+from agents.chart.chains import RADIAL, linear_matrix, masses, plain_chain
 from probe_env.chain import Chain, FloatArray
-from probe_env.linear_part import node_matrices
 
 LENGTH, LINE_DENSITY, EI, EA, DIAMETER = 1.0, 0.111, 4.8e-2, 1.1e5, 8.35e-3
 AMPLITUDE: Final = 1e-3
@@ -75,17 +75,13 @@ def _checked(signal: list[float]) -> FloatArray:
 
 def _our_start(elements: int) -> tuple[Chain, FloatArray, FloatArray]:
     """Chain, displacements (n, 3) at rest, M^-1 K of the free nodes (3 n, 3 n)."""
-    chain = smooth.plain_chain(elements)._replace(damping_time=0.0)
+    chain = plain_chain(elements, damping_time=0.0)
     d = np.zeros((elements, 3))
     place = chain.element_length * np.arange(elements, 0.0, -1.0)
     d[:, 1], d[:, 2] = mode(place, place[0])
     # axial motion decouples here and would stay exactly zero beyond the step that it allows: a trace of it
     d[:, 0] = 1e-9 * place / place[0]
-    tip, inner, ahead, behind = node_matrices(chain)
-    linear = np.kron(np.eye(elements), inner) + np.kron(np.eye(elements, k=1), ahead)
-    linear += np.kron(np.eye(elements, k=-1), behind)
-    linear[:3, :3] = tip
-    return chain, d, linear
+    return chain, d, linear_matrix(chain)
 
 
 def run_ours(method: str, elements: int, time_step: float, samples: int) -> Recorded:
@@ -93,7 +89,7 @@ def run_ours(method: str, elements: int, time_step: float, samples: int) -> Reco
     chain, d, linear = _our_start(elements)
     a = -(linear @ d.ravel()).reshape(d.shape)
     case = smooth.Case(
-        "cantilever", chain, samples * SAMPLE_PERIOD, SAMPLE_PERIOD, (0, smooth.RADIAL), None, d=d, a=a
+        "cantilever", chain, samples * SAMPLE_PERIOD, SAMPLE_PERIOD, (0, RADIAL), None, d=d, a=a
     )  # fmt: skip
     signal, cpu, _ = smooth.integrate(case, method, time_step)
     if signal is None:
@@ -104,7 +100,7 @@ def run_ours(method: str, elements: int, time_step: float, samples: int) -> Reco
 def exact_ours(method: str, elements: int) -> FloatArray:
     """The chain's own modes."""
     chain, d, linear = _our_start(elements)
-    mass = np.tile([chain.mass, chain.mass, chain.inertia], elements)
+    mass = masses(chain)
     return _free_motion(np.diag(mass), mass[:, None] * linear, d.ravel(), np.eye(3 * elements)[1])
 
 

@@ -7,34 +7,29 @@ the number of sweeps over the chain.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
 from agents.chart import closed_forms
+from agents.chart.chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
 from agents.chart.store import Store
 from probe_env import Scene
 from probe_env.chain import Chain, FloatArray, air_speed, build_chain, sensor_node
-from probe_env.drive import Drive
-from probe_env.methods import Sampling, build_method
 from probe_env.schemes import State, at_rest
-from probe_env.ticm import OK
 
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
 REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
 """Of the scene without a closed form."""
-LAPACK, LAPACK_STEPS = "newmark (LAPACK)", 3
-"""Newmark with the banded solver of LAPACK, five times as slow: the longest steps are enough."""
+LAPACK_STEPS = 3
+"""LAPACK's solver is five times as slow: the longest steps are enough."""
 LEAST_TIMED = 0.2  # [s] of processor time, repeats included
 METHODS = ("newmark", "wilson", "imex", "implicit", "explicit", LAPACK)
-AXIAL, RADIAL = 0, 1
 
 
 @dataclass(frozen=True)
@@ -70,24 +65,10 @@ class Case:
         return state
 
 
-def plain_chain(elements: int, **changes: Any) -> Chain:
-    """Table 2's cable, straight, with nothing but elasticity and damping."""
-    nodes = elements + 1
-    scene = Scene.model_validate({"tube": {"helix_diameter": 1e4, "helix_length": 1000.0}, "carrier_length": 0.1})
-    none = np.zeros(nodes)
-    plain = build_chain(scene)._replace(
-        cos_phi=1.0, sin_phi=0.0, curvature=0.0, couple_length=0.0, frame_inertia=0.0, friction=0.0,
-        contact_stiffness=none, outer_gap=np.full(nodes, np.inf), lever=none, drag=none,
-        support_stiffness=np.zeros((nodes, 3)), load=np.zeros((nodes, 3)),
-    )  # fmt: skip
-    return plain._replace(**changes)
-
-
 def _linear(consistent: bool) -> Case:
     """Half a metre of cable, bent as in the helix, let go from a smooth shape."""
     elements = 20
-    sin_phi = 0.025 / 1.2
-    chain = plain_chain(elements, sin_phi=sin_phi, cos_phi=np.sqrt(1.0 - sin_phi**2))
+    chain = bent_chain(elements)
     place = np.linspace(1.0, 0.0, elements + 1)[:-1, None]
     load = np.zeros((elements, 3))
     load[:, 1:2] = 1e-3 * np.sin(0.5 * np.pi * place) ** 4
@@ -155,24 +136,17 @@ def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | N
 
     The run is repeated until ``LEAST_TIMED`` of processor time is used; the fastest counts.
     """
-    scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
-    advance = build_method(scheme, solver, case.chain, time_step, case.sensor, 4)
     steps, every = round(case.duration / time_step), round(case.sample_period / time_step)
-    inputs = Drive(case.feed, case.air).inputs_of_steps(steps, time_step, case.chain.element_length, 0)
     used, fastest = 0.0, float("inf")
     while used < LEAST_TIMED:
-        state, counts = case.start(scheme, time_step), np.zeros(2, dtype=np.int64)
-        samples = np.zeros((steps // every, 1, 4))
-        node = np.array([case.point[0]], dtype=np.int64)
-        sampling = Sampling(every, every, node, samples, np.zeros(case.chain.node_count), counts)
-        begin = time.thread_time()
-        status, done, *_ = advance(inputs, case.chain.node_count - 1, state, sampling)
-        spent = time.thread_time() - begin
-        used, fastest = used + spent, min(fastest, spent)
-        if status != OK or not np.isfinite(state.d).all():
+        run = run_chain(
+            method, case.chain, time_step, case.start(method, time_step), steps, every,
+            node=case.point[0], sensor=case.sensor, feed=case.feed, air=case.air,
+        )  # fmt: skip
+        if not run.held:
             return None, float("nan"), float("nan")
-    sweeps = max(done, int(counts[0])) / case.duration
-    return samples[:, 0, case.point[1]], fastest / case.duration, sweeps
+        used, fastest = used + run.cpu, min(fastest, run.cpu)
+    return run.samples[:, case.point[1]], fastest / case.duration, run.sweeps / case.duration
 
 
 def run_smooth(output: Path) -> pd.DataFrame:

@@ -10,24 +10,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import linregress
 
-from agents.chart.ensembles import MODEL_STEP, Setting
+from agents.chart.chains import LAPACK
+from agents.chart.ensembles import CHOICES, MODEL_STEP, Setting
 from agents.chart.errors import OUTPUTS, bound, insertion_cost
 from agents.chart.figures import resolved
-from agents.chart.smooth import LAPACK, METHODS, REFERENCES, cases
+from agents.chart.smooth import METHODS, REFERENCES, cases
 from probe_env.fidelity import PRESETS
 
 Row = Mapping[Any, Any]
-CHOICES: dict[str, dict[str, Any]] = {
-    "1 node a pitch": {"nodes_per_pitch": 1},
-    "2 nodes a pitch": {"nodes_per_pitch": 2},
-    "8 nodes a pitch": {"nodes_per_pitch": 8},
-    "16 nodes a pitch": {"nodes_per_pitch": 16},
-    "inner wall only": {"walls": "inner"},
-    "contact half as stiff": {"stiffness": 5e4},
-    "contact twice as stiff": {"stiffness": 2e5},
-    "friction 0.14": {"friction": 0.14},
-    "friction 0.16": {"friction": 0.16},
-}
 
 
 def smooth(table: pd.DataFrame) -> str:
@@ -46,7 +36,7 @@ def _slope(rows: pd.DataFrame, method: str) -> str:
     part = rows[(rows["method"] == method) & rows["error"].notna()].sort_values("time_step_s")
     part = part[part["error"] > 1e-8].head(4)  # the finest steps that rounding does not reach
     if len(part) < 3:
-        return "-" if part.empty else f"error {part['error'].iloc[0]:.1e} at {part['time_step_s'].iloc[0]:g} s"
+        return "rounding" if part.empty else f"error {part['error'].iloc[0]:.1e} at {part['time_step_s'].iloc[0]:g} s"
     fit = linregress(np.log(part["time_step_s"]), np.log(part["error"]))
     return f"{fit.slope:.1f}, error {part['error'].iloc[0]:.1e} at {part['time_step_s'].iloc[0]:g} s"
 
