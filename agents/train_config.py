@@ -75,6 +75,8 @@ class Training(Model):
     network: Network = Network()
     averages: tuple[float, ...] = (5.0, 20.0)
     friction_estimate: bool = False
+    least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
+    """The agent never blows less; 0: the task's own least."""
     learning: dict[str, int | float | bool] = Field(default_factory=dict)
     imitation: Imitation | None = None
     validation: Validation = Validation()
@@ -128,4 +130,5 @@ class Training(Model):
             observations=tuple(self.task.observations),
             averages=self.averages,
             friction_estimate=self.friction_estimate,
+            least_air_supply_rate=self.least_air_supply_rate,
         )

@@ -38,12 +38,14 @@ class View(Model):
 
     ``friction_estimate`` adds the friction that steady sliding would need for the measured root tension. Averages are
     the memory that a controller needs to guess friction from noisy windows. Feed speed spans a factor of 20, so equal
-    steps of an action are equal ratios of speed.
+    steps of an action are equal ratios of speed. The agent's air action spans what the task allows, but nothing below
+    ``least_air_supply_rate`` [m3/s]: too little air loses the drive, which is rare enough for training to miss.
     """
 
     observations: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(OBSERVATIONS)
     averages: tuple[TimeConstant, ...] = (5.0, 20.0)
     friction_estimate: bool = False
+    least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
@@ -67,12 +69,17 @@ class View(Model):
         """Places of its observations among the task's.
 
         Raises:
-            ValueError: the task does not show one of them.
+            ValueError: the task does not show one of them, or blows less than ``least_air_supply_rate`` at most.
         """
         names = list(config.observations)
         missing = [name for name in self.observations if name not in names]
         if missing:
             raise ValueError(f"observations = {', '.join(missing)} are not shown by this task: {', '.join(names)}")
+        if self.least_air_supply_rate >= config.air_supply_rates[1]:
+            raise ValueError(
+                f"least_air_supply_rate = {self.least_air_supply_rate!r} m3/s must be below the task's "
+                f"air_supply_rates[1] = {config.air_supply_rates[1]!r} m3/s"
+            )
         return [names.index(name) for name in self.observations]
 
     def features(
@@ -104,14 +111,24 @@ class View(Model):
         share = 0.5 * (np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0) + 1.0)
         feed = low * (high / low) ** share[:, 0]
         linear = 2.0 * (feed - low) / (high - low) - 1.0
-        return np.clip(np.column_stack([linear, 2.0 * share[:, 1] - 1.0]), -1.0, 1.0).astype(np.float32)
+        floor = self._air_floor(config)
+        blown = floor + (1.0 - floor) * share[:, 1]
+        return np.clip(np.column_stack([linear, 2.0 * blown - 1.0]), -1.0, 1.0).astype(np.float32)
 
     def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
-        """(N, 2) the inverse of ``env_actions``."""
+        """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
         low, high = config.feed_speeds
         feed = low + 0.5 * (np.asarray(actions[:, 0], dtype=np.float64) + 1.0) * (high - low)
         logarithmic = 2.0 * np.log(feed / low) / np.log(high / low) - 1.0
-        return np.column_stack([np.clip(logarithmic, -1.0, 1.0), actions[:, 1]]).astype(np.float32)
+        floor = self._air_floor(config)
+        blown = (0.5 * (np.asarray(actions[:, 1], dtype=np.float64) + 1.0) - floor) / (1.0 - floor)
+        acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, 2.0 * blown - 1.0]).astype(np.float32)
+        return np.clip(acted, -1.0, 1.0)
+
+    def _air_floor(self, config: TaskConfig) -> float:
+        """The least air as a share of the task's range."""
+        low, high = config.air_supply_rates
+        return max(self.least_air_supply_rate - low, 0.0) / (high - low)
 
 
 class ViewVecEnv(VecEnvWrapper):

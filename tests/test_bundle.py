@@ -172,6 +172,21 @@ def test_view_averages_and_logarithmic_feed():
     assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
 
 
+def test_an_agent_never_blows_less_than_its_least_air():
+    """Its air action spans from there to the task's most; a teacher's lower air becomes the least."""
+    least = 45.0 / 3600.0
+    view = View(least_air_supply_rate=least)
+    spread = np.column_stack([np.zeros(3), [-1.0, 0.0, 1.0]])
+    most = TASK.air_supply_rates[1]
+    blown = TASK.targets(view.env_actions(TASK, spread))[:, 1]
+    assert blown == pytest.approx([least, 0.5 * (least + most), most], rel=1e-6)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
+    assert view.agent_actions(TASK, np.array([[0.0, -1.0]]))[0, 1] == -1.0
+    with pytest.raises(ValueError, match=r"least_air_supply_rate = 0.1 m3/s must be below"):
+        View(least_air_supply_rate=0.1).columns(TASK)
+
+
 def test_a_view_of_what_is_not_shown_is_named():
     with pytest.raises(ValueError, match="observations = moon are not shown"):
         View(observations=("moon",)).columns(TASK)
