@@ -16,6 +16,7 @@ from tqdm import tqdm
 from agents.vec_env import ProbeVecEnv
 from probe_env import Scene, lane_group
 from probe_env.episodes import Episodes
+from probe_env.fidelity import Fidelity
 from probe_env.task import TaskConfig
 
 ENV_ID, LENGTH = "probe_env/Snapshot-v0", 27.5  # carrier length [m]: half of an insertion
@@ -75,7 +76,8 @@ def _share_outside_kernel() -> float:
     action = np.zeros((16, 2), dtype=np.float32)
     batch.step(action)
     inside = 0.0
-    kernel = lane_group.KERNELS["imex"]
+    method = Fidelity().method
+    kernel = lane_group.KERNELS[method]
 
     def timed(*arguments: Any) -> Any:
         nonlocal inside
@@ -84,14 +86,14 @@ def _share_outside_kernel() -> float:
         inside += time.perf_counter() - start
         return result
 
-    lane_group.KERNELS["imex"] = timed
+    lane_group.KERNELS[method] = timed
     try:
         start = time.perf_counter()
         for _ in range(3):
             batch.step(action)
         total = time.perf_counter() - start
     finally:
-        lane_group.KERNELS["imex"] = kernel
+        lane_group.KERNELS[method] = kernel
     return 1.0 - inside / total
 
 

@@ -169,7 +169,7 @@ def _method(e: Ensemble) -> Iterator[Finding]:
 
 
 def _ours(e: Ensemble) -> Iterator[Finding]:
-    steps = {"imex": "2e-4", "explicit": "5e-6", "implicit": "2.5e-5"}
+    steps = {"imex": "2e-4", "imex32": "2e-4", "explicit": "5e-6", "implicit": "2.5e-5"}
     for (method, step), length in itertools.product(steps.items(), ("l30", "l50")):
         name, acceleration = f"{length}-{method}", "radial_acceleration_rms_m_per_s2"
         if e.has(name, length):

@@ -38,6 +38,7 @@ from agents.workers import HERE, Workers
 from probe_env import Context, Design
 from probe_env.contexts import spread_contexts
 from probe_env.design import RANGES
+from probe_env.fidelity import Fidelity
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
 from probe_env.trials import SPAN, judge, try_sections
@@ -103,7 +104,7 @@ class DesignProblem:
         """
         feed = None if self.feed == "best-constant" else make_policy(self.feed, self.config).describe()
         tubes = [context.model_dump() for context in self.contexts]
-        parts = [self.axes, tubes, feed, self.full, self.config.model_dump(mode="json"), kernel_hash("imex")]
+        parts = [self.axes, tubes, feed, self.full, self.config.model_dump(mode="json"), kernel_hash(Fidelity().method)]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 
     def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:

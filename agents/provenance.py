@@ -21,12 +21,13 @@ import probe_env
 COMMON_SOURCES = ("chain.py", "drive.py")
 STUDY_SOURCES = ("schemes.py", "ticm.py")
 IMPLICIT_SOURCES = (*STUDY_SOURCES, "implicit.py", "linear_part.py")
-LANE_SOURCES = ("imex.py", "lane_group.py", "lanes.py", "linear_part.py")
+LANE_SOURCES = ("imex.py", "lane_group.py", "lanes.py", "linear_part.py", "single_precision.py")
 KERNEL_SOURCES = {
     "newmark": STUDY_SOURCES,
     "wilson": STUDY_SOURCES,
     "implicit": IMPLICIT_SOURCES,
     "imex": LANE_SOURCES,
+    "imex32": LANE_SOURCES,
     "explicit": LANE_SOURCES,
 }
 PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")

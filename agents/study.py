@@ -51,6 +51,8 @@ CASES = (
     Case("l50-dt5e-4", "fig11_l50", time_step=5e-4),
     Case("l30-imex", "fig11_l30", method="imex", time_step=2e-4),
     Case("l50-imex", "fig11_l50", method="imex", time_step=2e-4),
+    Case("l30-imex32", "fig11_l30", method="imex32", time_step=2e-4),
+    Case("l50-imex32", "fig11_l50", method="imex32", time_step=2e-4),
     *(Case(f"l{length}-explicit", f"fig11_l{length}", method="explicit", time_step=5e-6) for length in (30, 50)),
     *(Case(f"l{length}-implicit", f"fig11_l{length}", method="implicit", time_step=2.5e-5) for length in (30, 50)),
     Case("l30-offset", "fig11_l30", root_offset=2),

@@ -20,7 +20,9 @@ from tqdm import tqdm
 from agents import figures
 from agents.provenance import provenance, write_atomically, write_json
 from probe_env import Scene, SimulatorBatch
+from probe_env.fidelity import PRESETS
 
+FAST = PRESETS["fast"]
 FACTORS = (1, 2, 4, 10)
 PROBES, FEED_SPEED, START = 8, 0.2, 5.0  # [m/s], inserted length at the start [m]
 WINDOW = 1.0  # [m] of insertion
@@ -32,7 +34,9 @@ def run_timelapse(output: Path) -> pd.DataFrame:
     rows = []
     for factor in FACTORS:
         scene = Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)
-        batch = SimulatorBatch([scene] * PROBES, growing=True, time_lapse=float(factor), perturbation=1e-7)
+        batch = SimulatorBatch(
+            [scene] * PROBES, FAST.method, FAST.time_step, growing=True, time_lapse=float(factor), perturbation=1e-7
+        )
         for _ in tqdm(range(round((60.0 - START) / WINDOW)), desc=f"time-lapse {factor}", unit="m"):
             before = batch.simulators[0].inserted_length
             window = batch.advance(None, None, WINDOW / FEED_SPEED / factor)

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
 from probe_env.errors import SimulationError
-from probe_env.lane_group import KERNELS, Lane, advance_group
-from probe_env.lanes import LANES
+from probe_env.lane_group import LANES, Lane, advance_group
 from probe_env.methods import Sampling
 from probe_env.scene import Scene
 from probe_env.signals import window_statistics
@@ -54,7 +53,8 @@ class SimulatorBatch:
 
     Args:
         scenes: one a probe; they may differ in everything.
-        method: as for ``Simulator``; "imex" and "explicit" run four probes side by side in vector registers.
+        method: as for ``Simulator``; "imex" and "explicit" run four probes side by side in
+            vector registers, "imex32" eight.
         time_step: [s].
         nodes_per_pitch: nodes in one float pitch.
         threads: at most so many; default: the cores of this process.
@@ -145,7 +145,7 @@ class SimulatorBatch:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
         running.sort(key=lambda k: self.simulators[k].root)
-        width = LANES if self.method in KERNELS else 1
+        width = LANES.get(self.method, 1)
         groups = [running[start : start + width] for start in range(0, len(running), width)]
         with ThreadPoolExecutor(self.threads) as pool:
             list(pool.map(lambda group: self._advance_group(group, steps, every, signals), groups))
@@ -154,8 +154,8 @@ class SimulatorBatch:
         return self._window(signals, running, every, keep_samples)
 
     def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> None:
-        """Advance up to four probes; sensor x, y and root V go to ``signals`` after the two samples before."""
-        if self.method not in KERNELS:
+        """Advance the probes of a group; sensor x, y and root V go to ``signals`` after the two samples before."""
+        if self.method not in LANES:
             self._advance_one(group[0], steps, every, signals)
             return
         members = [self.simulators[k] for k in group]

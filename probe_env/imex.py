@@ -16,8 +16,9 @@ distance from the tip alone, converge after some dozen nodes, and serve probes o
 what is explicit, second in the rest. ``explicit`` takes K (d + delta v) into the kick instead: no system to
 solve, but a step some forty times smaller.
 
-Four probes run side by side in the lanes of vector registers (see lanes.py). A lane has its own parameters,
-factors, length and inputs; lanes share nothing but the step size, the nodes a pitch and the number of steps.
+Probes run side by side in the lanes of vector registers (see lanes.py): four in double precision (imex), eight
+in single (imex32); the arrays decide. A lane has its own parameters, factors, length and inputs; lanes share
+nothing but the step size, the nodes a pitch and the number of steps.
 """
 
 from __future__ import annotations
@@ -27,29 +28,29 @@ from numba import njit
 
 from probe_env.chain import Chain, FloatArray
 from probe_env.drive import AIR, APPEND, SLOPE, SPEED
-from probe_env.lanes import LANES, load, splat, store, where_less
+from probe_env.lanes import load, splat, store, where_less
 
 DIVERGED_RADIAL = 1.0  # [m]
 
-# parameters of a lane, as offsets into [parameter, lane]; forces are per mass, moments per inertia
+# rows of the parameters; forces are per mass, moments per inertia
 (
     ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
     GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK,
-) = range(0, 18 * LANES, LANES)  # fmt: skip
+) = range(18)  # fmt: skip
 PARAMETERS = 18
-# fields of a node, as offsets into [node, field, lane]: displacement, velocity, partial solution, axial force
-X, Y, T, VX, VY, VT, GX, GY, GT, V = range(0, 10 * LANES, LANES)
+# fields of a node, rows of its state: displacement, velocity, partial solution, axial force
+X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
 FIELDS = 10
-# three matrices of a node as offsets into [node, entry, lane]: E, F, U of imex, own, down, up of explicit
+# three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
 FACTORS = 27
-_NODE, _FACTOR, _INPUT = FIELDS * LANES, FACTORS * LANES, 4 * LANES
-A, B, C = 0, 9 * LANES, 18 * LANES
+A, B, C = 0, 9, 18
+INPUTS = 4
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
     """(18,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
-    values = np.zeros(PARAMETERS * LANES)
+    values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor
     values[CURVATURE] = chain.curvature
     values[STIFFNESS] = chain.contact_stiffness[0] / chain.mass
@@ -62,21 +63,32 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[COUPLE] = chain.couple_length / chain.inertia
     values[MASS_RATIO] = chain.mass / chain.inertia
     values[DAMPING] = chain.damping_time
-    return values[::LANES].copy()
+    return values
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _abs(value):
-    return where_less(value, splat(0.0), splat(0.0) - value, value)
+    zero = splat(value, 0.0)
+    return where_less(value, zero, zero - value, value)
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def _product(factors, f, x, y, t):
     """(3, 3) matrix at ``f`` times (x, y, t)."""
     return (
-        load(factors, f) * x + load(factors, f + LANES) * y + load(factors, f + 2 * LANES) * t,
-        load(factors, f + 3 * LANES) * x + load(factors, f + 4 * LANES) * y + load(factors, f + 5 * LANES) * t,
-        load(factors, f + 6 * LANES) * x + load(factors, f + 7 * LANES) * y + load(factors, f + 8 * LANES) * t,
+        load(factors, f) * x + load(factors, f + 1) * y + load(factors, f + 2) * t,
+        load(factors, f + 3) * x + load(factors, f + 4) * y + load(factors, f + 5) * t,
+        load(factors, f + 6) * x + load(factors, f + 7) * y + load(factors, f + 8) * t,
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _less_product(a, b, c, factors, f, x, y, t):
+    """(a, b, c) less the (3, 3) matrix at ``f`` times (x, y, t)."""
+    return (
+        ((a - load(factors, f + 2) * t) - load(factors, f + 1) * y) - load(factors, f) * x,
+        ((b - load(factors, f + 5) * t) - load(factors, f + 4) * y) - load(factors, f + 3) * x,
+        ((c - load(factors, f + 8) * t) - load(factors, f + 7) * y) - load(factors, f + 6) * x,
     )
 
 
@@ -87,7 +99,7 @@ def _inertia(kappa, couple, forward, vy, t, axial_force, dt):
     The couple is a spring of stiffness V l, taken linearly implicit: explicit, a tension above 4 J / (l dt^2),
     640 N at 2e-4 s, makes neighbouring nodes turn against each other without bound; a hard start gets there.
     """
-    zero = splat(0.0)
+    zero = splat(t, 0.0)
     spring = couple * axial_force
     stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
     return -2.0 * kappa * forward * vy, kappa * forward * forward, zero - spring * t / stiff
@@ -96,7 +108,7 @@ def _inertia(kappa, couple, forward, vy, t, axial_force, dt):
 @njit(nogil=True, error_model="numpy", inline="always")
 def _float(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn):
     """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
-    zero = splat(0.0)
+    zero = splat(y, 0.0)
     relative = air - forward
     inner = where_less(y, zero, zero - y, zero)  # depth in the inner and in the outer wall
     beyond = y - gap
@@ -125,9 +137,9 @@ def imex_advance(
     tension,
     failed,
 ):
-    """Steps of four lanes by imex; see ``_after_step`` for sampling and failure. Returns the steps done."""
-    zero = splat(0.0)
-    last = len(factors) // _FACTOR - 1
+    """Steps of all lanes by imex; see ``_after_step`` for sampling and failure. Returns the steps done."""
+    zero = splat(parameters, 0.0)
+    last = len(factors) // FACTORS - 1
     delta = load(parameters, DAMPING)
     theta = 0.5 + 0.5 * dt * delta / (delta * delta + dt * dt)
     tau = delta + dt * (1.0 - theta)
@@ -145,23 +157,23 @@ def imex_advance(
     sine = load(parameters, AXIAL) * load(parameters, SIN)
     row, due = 0, first
     for step in range(len(tops)):
-        k = step * _INPUT
+        k = step * INPUTS
         speed, slope, air = (
-            load(inputs, k + SPEED * LANES),
-            load(inputs, k + SLOPE * LANES),
-            load(inputs, k + AIR * LANES),
+            load(inputs, k + SPEED),
+            load(inputs, k + SLOPE),
+            load(inputs, k + AIR),
         )
         gx, gy, gt = zero, zero, zero
         top, to_float, peak = tops[step], 0, zero
         for i in range(top + 1):  # to the root: kick and elimination; the root itself is kicked for its release
-            q, f = i * _NODE, min(i, last) * _FACTOR
+            q, f = i * FIELDS, min(i, last) * FACTORS
             x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
             vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
             forward = speed + vx
             ax, ay, at = _inertia(kappa, couple, forward, vy, t, load(state, q + V), dt)
             if to_float == 0:
                 to_float = per_pitch
-                place = splat(float(i) - 0.5)
+                place = splat(parameters, float(i) - 0.5)
                 lever = where_less(place, sensor, guide_lever, carrier_lever)
                 gap = where_less(place, sensor, guide_gap, carrier_gap)
                 drag = where_less(place, sensor, guide_drag, carrier_drag)
@@ -175,8 +187,7 @@ def imex_advance(
             ax, at = ax - slope, at + kappa * ax
             vx, vy, vt = vx + dt * ax, vy + dt * ay, vt + dt * at
             ex, ey, et = _product(factors, f + A, x + tau * vx, y + tau * vy, t + tau * vt)
-            fx, fy, ft = _product(factors, f + B, gx, gy, gt)
-            gx, gy, gt = ex - fx, ey - fy, et - ft
+            gx, gy, gt = _less_product(ex, ey, et, factors, f + B, gx, gy, gt)
             store(state, q + VX, vx)
             store(state, q + VY, vy)
             store(state, q + VT, vt)
@@ -189,12 +200,13 @@ def imex_advance(
         bottom = bottoms[step]
         for back in range(top - bottom + 1):
             i = top - back
-            q = i * _NODE
-            node = splat(float(i))
-            ux, uy, ut = _product(factors, min(i, last) * _FACTOR + C, wx, wy, wt)
-            ux = where_less(node, held, load(state, q + GX) - ux, zero)
-            uy = where_less(node, held, load(state, q + GY) - uy, zero)
-            ut = where_less(node, held, load(state, q + GT) - ut, zero)
+            q = i * FIELDS
+            node = splat(parameters, float(i))
+            gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
+            ux, uy, ut = _less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            ux = where_less(node, held, ux, zero)
+            uy = where_less(node, held, uy, zero)
+            ut = where_less(node, held, ut, zero)
             store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
             ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
@@ -208,9 +220,9 @@ def imex_advance(
             store(state, q + VT, where_less(node, held, bounce * ut - reflection * load(state, q + VT), zero))
         for back in range(bottom):
             i = bottom - 1 - back
-            q = i * _NODE
-            ux, uy, ut = _product(factors, min(i, last) * _FACTOR + C, wx, wy, wt)
-            ux, uy, ut = load(state, q + GX) - ux, load(state, q + GY) - uy, load(state, q + GT) - ut
+            q = i * FIELDS
+            gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
+            ux, uy, ut = _less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
             store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
             ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
@@ -250,8 +262,8 @@ def explicit_advance(
     tension,
     failed,
 ):
-    """Steps of four lanes by central differences; the arguments are those of ``imex_advance``."""
-    zero = splat(0.0)
+    """Steps of all lanes by central differences; the arguments are those of ``imex_advance``."""
+    zero = splat(parameters, 0.0)
     delta = load(parameters, DAMPING)
     kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
     stiffness, coefficient, ratio = (
@@ -265,11 +277,11 @@ def explicit_advance(
     cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
     row, due = 0, first
     for step in range(len(tops)):
-        k = step * _INPUT
+        k = step * INPUTS
         speed, slope, air = (
-            load(inputs, k + SPEED * LANES),
-            load(inputs, k + SLOPE * LANES),
-            load(inputs, k + AIR * LANES),
+            load(inputs, k + SPEED),
+            load(inputs, k + SLOPE),
+            load(inputs, k + AIR),
         )
         held = load(parameters, ROOT)
         to_float, peak = 0, zero
@@ -278,16 +290,16 @@ def explicit_advance(
         vx, vy, vt = load(state, VX), load(state, VY), load(state, VT)
         ex, ey, et = x + delta * vx, y + delta * vy, t + delta * vt
         for i in range(tops[step]):
-            q, f = i * _NODE, min(i, 1) * _FACTOR
-            nx, ny, nt = load(state, q + _NODE + X), load(state, q + _NODE + Y), load(state, q + _NODE + T)
-            nvx, nvy, nvt = load(state, q + _NODE + VX), load(state, q + _NODE + VY), load(state, q + _NODE + VT)
+            q, f = i * FIELDS, min(i, 1) * FACTORS
+            nx, ny, nt = load(state, q + FIELDS + X), load(state, q + FIELDS + Y), load(state, q + FIELDS + T)
+            nvx, nvy, nvt = load(state, q + FIELDS + VX), load(state, q + FIELDS + VY), load(state, q + FIELDS + VT)
             aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
             force = axial * (cosine * (ex - aex) + sine * (ey + aey))
             forward = speed + vx
             ax, ay, at = _inertia(kappa, couple, forward, vy, t, force, dt)
             if to_float == 0:
                 to_float = per_pitch
-                place = splat(float(i) - 0.5)
+                place = splat(parameters, float(i) - 0.5)
                 lever = where_less(place, sensor, guide_lever, carrier_lever)
                 gap = where_less(place, sensor, guide_gap, carrier_gap)
                 drag = where_less(place, sensor, guide_drag, carrier_drag)
@@ -301,7 +313,7 @@ def explicit_advance(
             ox, oy, ot = _product(factors, f + A, ex, ey, et)
             px, py, pt = _product(factors, f + B, bx, by, bt)
             sx, sy, st = _product(factors, f + C, aex, aey, aet)
-            node = splat(float(i))
+            node = splat(parameters, float(i))
             vx = where_less(node, held, vx + dt * (ax - (ox + px + sx)), zero)
             vy = where_less(node, held, vy + dt * (ay - (oy + py + sy)), zero)
             vt = where_less(node, held, vt + dt * (at - (ot + pt + st)), zero)
@@ -334,23 +346,23 @@ def _after_step(parameters, state, inputs, k, step, due, row, points, roots, sam
     a lane diverged, counted from 1; 0 while it has not, -1 for an idle lane. ``roots`` (lanes,) grow.
     """
     running = 0
-    for lane in range(LANES):
+    for lane in range(len(failed)):
         if failed[lane] != 0:
             continue
-        if not (abs(state[Y + lane]) <= DIVERGED_RADIAL and parameters[PEAK + lane] <= DIVERGED_RADIAL):
+        if not (abs(state[Y, lane]) <= DIVERGED_RADIAL and parameters[PEAK, lane] <= DIVERGED_RADIAL):
             failed[lane] = step + 1
             continue
         running += 1
         if due == 0:
             for p in range(len(points)):
                 node = points[p, lane] if points[p, lane] >= 0 else roots[lane]
-                q = node * _NODE + lane
-                samples[row, p, 0, lane] = state[q + X]
-                samples[row, p, 1, lane] = state[q + Y]
-                samples[row, p, 2, lane] = state[q + T]
-                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * _NODE + V + lane]
+                q = node * FIELDS
+                samples[row, p, 0, lane] = state[q + X, lane]
+                samples[row, p, 1, lane] = state[q + Y, lane]
+                samples[row, p, 2, lane] = state[q + T, lane]
+                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * FIELDS + V, lane]
             for i in range(min(len(tension), roots[lane])):
-                tension[i, lane] += state[i * _NODE + V + lane]
-        roots[lane] += int(inputs[k + APPEND * LANES + lane])
-        parameters[ROOT + lane] = roots[lane]
+                tension[i, lane] += state[i * FIELDS + V, lane]
+        roots[lane] += int(inputs[k + APPEND, lane])
+        parameters[ROOT, lane] = roots[lane]
     return running == 0

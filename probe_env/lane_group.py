@@ -1,4 +1,4 @@
-"""Up to four probes of the fast scheme side by side: packed into lanes, advanced, unpacked.
+"""Probes of the fast scheme side by side, as many as there are lanes: packed, advanced, unpacked.
 
 State lives with the probes, not in the lanes, so that any probes can share a group from one call to the next
 and a probe's result does not depend on the company it keeps.
@@ -15,11 +15,20 @@ import numpy.typing as npt
 
 from probe_env import imex
 from probe_env.chain import Chain, FloatArray
-from probe_env.lanes import LANES
+from probe_env.lanes import lane_count
 from probe_env.linear_part import explicit_factors, imex_factors
 from probe_env.schemes import State
+from probe_env.single_precision import single_factors
 
-KERNELS: Final[dict[str, Callable[..., Any]]] = {"imex": imex.imex_advance, "explicit": imex.explicit_advance}
+KERNELS: Final[dict[str, Callable[..., Any]]] = {
+    "imex": imex.imex_advance, "imex32": imex.imex_advance, "explicit": imex.explicit_advance
+}  # fmt: skip
+FACTORS: Final[dict[str, Callable[[Chain, float], FloatArray]]] = {
+    "imex": imex_factors, "imex32": single_factors, "explicit": lambda chain, _: explicit_factors(chain)
+}  # fmt: skip
+PRECISIONS: Final = {"imex": np.float64, "imex32": np.float32, "explicit": np.float64}
+LANES: Final = {method: lane_count(precision) for method, precision in PRECISIONS.items()}
+"""Probes that share a group."""
 
 
 @dataclass
@@ -39,8 +48,7 @@ def lane_constants(
     method: str, chain: Chain, sensor: int, per_pitch: int, time_step: float
 ) -> tuple[FloatArray, FloatArray]:
     """Parameters and factors of a probe for a method of ``KERNELS``."""
-    factors = imex_factors(chain, time_step) if method == "imex" else explicit_factors(chain)
-    return imex.lane_parameters(chain, sensor, per_pitch), factors
+    return imex.lane_parameters(chain, sensor, per_pitch), FACTORS[method](chain, time_step)
 
 
 def advance_group(
@@ -55,7 +63,7 @@ def advance_group(
     samples: Sequence[FloatArray],
     tension_sum: FloatArray | None = None,
 ) -> list[int]:
-    """Advance 1 to 4 probes by the rows of their inputs.
+    """Advance as many probes as ``LANES`` of the method, or fewer, by the rows of their inputs.
 
     Args:
         method: a key of ``KERNELS``.
@@ -72,10 +80,10 @@ def advance_group(
     Returns:
         for each probe the step at which it diverged, counted from 1, or 0.
     """
-    steps, used = len(inputs[0]), len(lanes)
-    packed_inputs = np.zeros((steps, 4, LANES))
-    roots, failed = np.zeros(LANES, dtype=np.int64), np.full(LANES, -1, dtype=np.int64)
-    packed_points = np.zeros((len(points[0]), LANES), dtype=np.int64)
+    steps, used, width, precision = len(inputs[0]), len(lanes), LANES[method], PRECISIONS[method]
+    packed_inputs = np.zeros((steps, imex.INPUTS, width), dtype=precision)
+    roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
+    packed_points = np.zeros((len(points[0]), width), dtype=np.int64)
     for k, (lane, rows) in enumerate(zip(lanes, inputs, strict=True)):
         packed_inputs[:, :, k] = rows
         roots[k], failed[k] = lane.root, 0
@@ -85,24 +93,25 @@ def advance_group(
     tops, bottoms = held.max(axis=1), held.min(axis=1)
     nodes = int(max(lane.root + rows[:, 3].sum() for lane, rows in zip(lanes, inputs, strict=True))) + 2
 
-    parameters = np.zeros((imex.PARAMETERS, LANES))
-    parameters[imex.DAMPING // LANES] = 1.0  # idle lanes divide by it
-    factors = np.zeros((max(len(lane.factors) for lane in lanes), imex.FACTORS, LANES))
-    state = np.zeros((nodes, imex.FIELDS, LANES))
+    parameters = np.zeros((imex.PARAMETERS, width), dtype=precision)
+    parameters[imex.DAMPING] = 1.0  # idle lanes divide by it
+    factors = np.zeros((max(len(lane.factors) for lane in lanes), imex.FACTORS, width), dtype=precision)
+    state = np.zeros((nodes, imex.FIELDS, width), dtype=precision)
     for k, lane in enumerate(lanes):
         parameters[:, k] = lane.parameters
-        parameters[imex.ROOT // LANES, k] = lane.root
+        parameters[imex.ROOT, k] = lane.root
         factors[: len(lane.factors), :, k] = lane.factors
         factors[len(lane.factors) :, :, k] = lane.factors[-1]
         state[: lane.root, 0:3, k] = lane.state.d[: lane.root]
         state[: lane.root, 3:6, k] = lane.state.v[: lane.root]
         state[: lane.root, 6:9, k] = lane.state.a[: lane.root]
         state[: lane.root, 9, k] = lane.state.axial_force[: lane.root]
-    packed_samples = np.zeros((len(samples[0]), len(points[0]), 4, LANES))
-    packed_tension = np.zeros((0 if tension_sum is None else nodes, LANES))
+    packed_samples = np.zeros((len(samples[0]), len(points[0]), 4, width))
+    packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
     KERNELS[method](
-        parameters.ravel(), factors.ravel(), state.ravel(), packed_inputs.ravel(), tops, bottoms, time_step, per_pitch,
-        first_sample, sample_every, packed_points, roots, packed_samples, packed_tension, failed,
+        parameters, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
+        tops, bottoms, time_step, per_pitch, first_sample, sample_every, packed_points, roots, packed_samples,
+        packed_tension, failed,
     )  # fmt: skip
     for k, lane in enumerate(lanes):
         lane.root = int(roots[k])

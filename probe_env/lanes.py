@@ -1,8 +1,9 @@
-"""Numba values that hold one double for each of four probes and live in a vector register.
+"""Numba values that hold one number for each of several probes and live in a vector register.
 
 LLVM's own vectoriser gives up on the sweeps of the fast scheme (it cannot prove that factors and state do not
 overlap), so the vector type is made explicit: arithmetic on ``Lanes`` values compiles to vector instructions.
 Every lane sees the same instructions, so a probe's result does not depend on the lane or on its neighbours.
+A register of 256 bits holds four doubles or eight singles; the element type of the arrays decides.
 """
 
 from __future__ import annotations
@@ -10,69 +11,86 @@ from __future__ import annotations
 import operator
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, models, overload, register_model
 
-LANES = 4
+REGISTER = 32  # bytes
 _FLAGS = ("contract",)
-_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+_IR: dict[types.Type, ir.Type] = {types.float64: ir.DoubleType(), types.float32: ir.FloatType()}
+
+
+def lane_count(precision: npt.DTypeLike) -> int:
+    """Probes side by side with numbers of a precision."""
+    return REGISTER // np.dtype(precision).itemsize
 
 
 class LanesType(types.Type):
-    """Numba's type of a value with one double a lane."""
+    """Numba's type of a value with one number a lane."""
 
-    def __init__(self) -> None:
-        super().__init__(name=f"Lanes{LANES}")
-
-
-LANES_TYPE = LanesType()
+    def __init__(self, element: types.Type) -> None:
+        self.element = element
+        self.count = REGISTER * 8 // element.bitwidth
+        self.vector = ir.VectorType(_IR[element], self.count)
+        super().__init__(name=f"Lanes({element} x {self.count})")
 
 
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, type_: LanesType) -> None:
-        super().__init__(manager, type_, _VECTOR)
+        super().__init__(manager, type_, type_.vector)
 
 
-def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+def _address(context: Any, builder: Any, array_type: Any, array: Any, row: Any) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
+    pointer = builder.bitcast(data, LanesType(array_type.dtype).vector.as_pointer())
+    return builder.gep(pointer, [row])
+
+
+def _alignment(lanes: LanesType) -> int:
+    return int(lanes.element.bitwidth) // 8
 
 
 @intrinsic
-def load(typing_context: Any, array: Any, index: Any) -> Any:
-    """``load(array, index)``: the four doubles of a flat array from ``index`` on."""
+def load(typing_context: Any, array: Any, row: Any) -> Any:
+    """``load(array, row)``: a row of a contiguous (rows, lanes) array."""
+    lanes = LanesType(array.dtype)
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(_address(context, builder, signature.args[0], *arguments), align=8)
+        return builder.load(_address(context, builder, signature.args[0], *arguments), align=_alignment(lanes))
 
-    return LANES_TYPE(array, types.intp), code
+    return lanes(array, types.intp), code
 
 
 @intrinsic
-def store(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
-    """``store(array, index, value)``: write four doubles of a flat array from ``index`` on."""
+def store(typing_context: Any, array: Any, row: Any, value: Any) -> Any:
+    """``store(array, row, value)``: write a row of a contiguous (rows, lanes) array."""
+    lanes = LanesType(array.dtype)
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array_value, position, vector = arguments
-        builder.store(vector, _address(context, builder, signature.args[0], array_value, position), align=8)
+        address = _address(context, builder, signature.args[0], array_value, position)
+        builder.store(vector, address, align=_alignment(lanes))
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, LANES_TYPE), code
+    return types.void(array, types.intp, lanes), code
 
 
 @intrinsic
-def splat(typing_context: Any, value: Any) -> Any:
-    """``splat(value)``: the same double in every lane."""
+def splat(typing_context: Any, like: Any, value: Any) -> Any:
+    """``splat(like, value)``: the same number in every lane; ``like`` is a lanes value or an array of rows."""
+    lanes = like if isinstance(like, LanesType) else LanesType(like.dtype)
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = ir.Constant(_VECTOR, ir.Undefined)
-        for lane in range(LANES):
-            vector = builder.insert_element(vector, arguments[0], ir.Constant(ir.IntType(32), lane))
+        number = context.cast(builder, arguments[1], types.float64, lanes.element)
+        vector = ir.Constant(lanes.vector, ir.Undefined)
+        for lane in range(lanes.count):
+            vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), lane))
         return vector
 
-    return LANES_TYPE(types.float64), code
+    return lanes(like, types.float64), code
 
 
 @intrinsic
@@ -83,7 +101,7 @@ def where_less(typing_context: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
         first, second, chosen, other = arguments
         return builder.select(builder.fcmp_ordered("<", first, second), chosen, other)
 
-    return LANES_TYPE(LANES_TYPE, LANES_TYPE, LANES_TYPE, LANES_TYPE), code
+    return a(a, a, a, a), code
 
 
 def _arithmetic(symbol: Any, instruction: str) -> None:
@@ -92,16 +110,16 @@ def _arithmetic(symbol: Any, instruction: str) -> None:
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return getattr(builder, instruction)(*arguments, flags=_FLAGS)
 
-        return LANES_TYPE(LANES_TYPE, LANES_TYPE), code
+        return a(a, a), code
 
     @overload(symbol, inline="always")
     def operation(a, b):  # numba compares signatures: no annotations
         if isinstance(a, LanesType) and isinstance(b, LanesType):
             return lambda a, b: vector_operation(a, b)
         if isinstance(a, LanesType) and isinstance(b, types.Float):
-            return lambda a, b: vector_operation(a, splat(b))
+            return lambda a, b: vector_operation(a, splat(a, b))
         if isinstance(a, types.Float) and isinstance(b, LanesType):
-            return lambda a, b: vector_operation(splat(a), b)
+            return lambda a, b: vector_operation(splat(b, a), b)
         return None
 
 

@@ -20,7 +20,7 @@ from probe_env.lane_group import lane_constants
 from probe_env.methods import Advance, Sampling, build_method
 from probe_env.run import Run, point_name, shapes_of
 from probe_env.scene import Scene
-from probe_env.stability import stable_time_step
+from probe_env.stability import LEAST_STEP, stable_time_step
 
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
@@ -35,8 +35,10 @@ class Simulator:
     Args:
         scene: what to simulate; its carrier length is the one at the start.
         method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1; "imex", the fast
-            scheme; "implicit", which holds with any step; "explicit", central differences.
-        time_step: [s], > 0. Beyond ``stable_time_step`` a ``StabilityWarning`` is given, nothing refused.
+            scheme; "imex32", the same in single precision, for batches; "implicit", which holds with any step;
+            "explicit", central differences.
+        time_step: [s], > 0, for imex32 at least 5e-5. Beyond ``stable_time_step`` a ``StabilityWarning`` is given,
+            nothing refused.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         solver: of the linear system of a step: "ticm", "banded" (LAPACK) or "transfer-matrix".
         growing: feed the probe in: nodes are appended at the root as cable enters, up to the helix's end.
@@ -68,6 +70,11 @@ class Simulator:
         seed: int = 0,
     ) -> None:
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+        if time_step < LEAST_STEP.get(method, 0.0):
+            raise ValueError(
+                f"time_step = {time_step!r} s is below {LEAST_STEP[method]:g} s, where the rounding of {method} shows:"
+                " imex has no such limit"
+            )
         within("time_lapse", time_lapse, 1.0, 1000.0, "")
         within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
         within("air_lag", air_lag, 0.0, 1e3, "s")

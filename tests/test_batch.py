@@ -37,12 +37,12 @@ def signals(batch, windows=2):
     return [np.concatenate([getattr(part, name) for part in parts]) for name in ("axial", "radial", "tension")]
 
 
-@pytest.fixture(scope="module")
-def single():
-    """Samples of every scene run on its own by Simulator."""
+@pytest.fixture(scope="module", params=["imex", "imex32"])
+def single(request):
+    """Method, and the samples of every scene run on its own by Simulator."""
     results = []
     for seed, member in enumerate(SCENES):
-        simulator = Simulator(member, "imex", 2e-4, seed=seed, **OPTIONS)
+        simulator = Simulator(member, request.param, 2e-4, seed=seed, **OPTIONS)
         runs = [simulator.advance(0.3, 0.02, 0.2, points=("sensor", "root")) for _ in range(2)]
         results.append(
             [
@@ -51,16 +51,20 @@ def single():
                 np.concatenate([run.tension[1:, 1] for run in runs]),
             ]
         )
-    return results
+    return request.param, results
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4), (2, 2, 2, 2, 2), (4,), (3, 0)])
+ORDERS = [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4), (2, 2, 2, 2, 2), (4,), (3, 0), (1, 4, 1, 4, 1, 4, 0, 5, 2, 1)]
+
+
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("threads", [1, 2])
 def test_every_batch_equals_the_single_runs(order, threads, single):
-    batch = SimulatorBatch([SCENES[k] for k in order], seeds=order, threads=threads, **OPTIONS)
+    method, expected = single
+    batch = SimulatorBatch([SCENES[k] for k in order], method, seeds=order, threads=threads, **OPTIONS)
     for values, name in zip(signals(batch), range(3), strict=True):
         for column, k in enumerate(order):
-            assert (values[:, column] == single[k][name]).all()
+            assert (values[:, column] == expected[k][name]).all()
             assert np.abs(values[:, column]).max() > 0.0
 
 
@@ -83,19 +87,21 @@ def test_a_probe_that_diverges_is_reported_and_the_others_go_on():
 
 
 def test_an_inactive_probe_waits_and_the_others_do_not_notice(single):
-    batch = SimulatorBatch(SCENES, seeds=range(6), **OPTIONS)
+    method, expected = single
+    batch = SimulatorBatch(SCENES, method, seeds=range(6), **OPTIONS)
     active = np.array([True, False, True, True, False, True])
     first = batch.advance(0.3, 0.02, 0.2, active=active, keep_samples=True)
     assert (first.statistics["radial_rms_m"] > 0.0).tolist() == active.tolist()
-    assert (first.radial[:, 0] == single[0][1][:200]).all()
+    assert (first.radial[:, 0] == expected[0][1][:200]).all()
     late = batch.advance(0.3, 0.02, 0.2, active=~active, keep_samples=True)
-    assert (late.radial[:, 1] == single[1][1][:200]).all()
+    assert (late.radial[:, 1] == expected[1][1][:200]).all()
     assert (late.radial[:, 0] == 0.0).all()
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
-def test_a_copy_goes_on_equal(duplicate):
-    batch = SimulatorBatch(SCENES[:3], **OPTIONS)
+@pytest.mark.parametrize("method", ["imex", "imex32"])
+def test_a_copy_goes_on_equal(duplicate, method):
+    batch = SimulatorBatch(SCENES[:3], method, **OPTIONS)
     batch.advance(0.3, 0.02, 0.1)
     other = duplicate(batch)
     saved = batch.snapshot()
@@ -123,13 +129,14 @@ def test_statistics_of_consecutive_windows_join_their_differences():
 
 
 def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
+    method, expected = single
     broken = SCENES[0].model_copy(update={"contact": {"stiffness": 5e6}})  # far too stiff for 2e-4 s
     with pytest.warns(UserWarning, match="beyond the known stable limit"):
-        batch = SimulatorBatch([SCENES[3], broken, SCENES[0]], seeds=(3, 9, 0), **OPTIONS)
+        batch = SimulatorBatch([SCENES[3], broken, SCENES[0]], method, seeds=(3, 9, 0), **OPTIONS)
     parts = [batch.advance(0.3, 0.02, 0.2, keep_samples=True) for _ in range(2)]
     assert parts[-1].diverged.tolist() == [False, True, False]
     for column, k in ((0, 3), (2, 0)):
-        assert (np.concatenate([part.radial[:, column] for part in parts]) == single[k][1]).all()
+        assert (np.concatenate([part.radial[:, column] for part in parts]) == expected[k][1]).all()
     for values in parts[-1].statistics.values():
         assert np.isfinite(values).all()
     assert np.isfinite(parts[-1].radial).all()

@@ -1,5 +1,6 @@
 """imex and explicit against the study's scheme: same limit before chaos, same statistics in it, known edges."""
 
+import itertools
 import warnings
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from agents.study import load_rows
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.chain import build_chain
 from probe_env.linear_part import imex_factors, linear_weights, node_matrices
+from probe_env.single_precision import single_factors
 from probe_env.stability import explicit_time_step
 
 SHORT = Scene(carrier_length=10.0)
@@ -35,6 +37,46 @@ def test_all_methods_converge_to_one_trajectory_before_chaos():
     assert 0.7 < fit.slope < 2.2, f"slope {fit.slope:.2f} +- {fit.stderr:.2f}, errors {errors}"
     assert errors[0] < 0.05
     assert errors[-1] < 5e-3
+
+
+def test_single_precision_refuses_the_steps_at_which_its_rounding_shows():
+    """Before chaos it follows imex."""
+    difference = np.abs(sensor("imex32", 2e-4) - sensor("imex", 2e-4)).max()
+    assert 0.0 < difference < 5e-3 * np.abs(sensor("imex", 2e-4)).max()
+    with pytest.raises(ValueError, match=r"time_step = 2e-05 s is below 5e-05 s, where the rounding of imex32 shows"):
+        Simulator(SHORT, "imex32", 2e-5)
+
+
+def first_axial_frequency(factors, chain, time_step, nodes):
+    """Squared frequency [1/s2] of a free cable's first axial mode under a step's factors (its Rayleigh quotient)."""
+    shape, g, w = np.cos(0.5 * np.pi * np.arange(nodes) / nodes), np.zeros(3), np.zeros(3)
+    table = factors.reshape(-1, 3, 3, 3).astype(float)
+    kept = []
+    for i in range(nodes):
+        E, F, _ = table[min(i, len(table) - 1)]
+        g = E @ (shape[i], 0.0, 0.0) - F @ g
+        kept.append(g)
+    work = 0.0
+    for i in reversed(range(nodes)):
+        w = kept[i] - table[min(i, len(table) - 1)][2] @ w
+        work += shape[i] * w[0]
+    theta, tau = linear_weights(chain.damping_time, time_step)
+    return ((shape @ shape) / work - 1.0) / (theta * time_step * tau)
+
+
+def test_single_precision_keeps_60_m_of_cable_free_along_the_tube():
+    """Rounding ties every node to the frame: of table 2's cable it shifts the first axial mode by up to 8 %."""
+    nodes, lost, kept = 2400, [], []
+    for damping_time, time_step in itertools.product((0.0, 5e-5), (5e-5, 1e-4, 2e-4)):
+        chain = plain_chain(4, damping_time=damping_time)
+        exact = imex_factors(chain, time_step)
+        truth = first_axial_frequency(exact, chain, time_step, nodes)
+        wave = np.sqrt(1.1e5 / 0.111) * 0.5 * np.pi / (nodes * chain.element_length)
+        assert truth == pytest.approx(wave**2, rel=2e-3)
+        for factors, errors in ((exact.astype(np.float32), lost), (single_factors(chain, time_step), kept)):
+            errors.append(abs(first_axial_frequency(factors, chain, time_step, nodes) / truth - 1.0))
+    assert max(kept) < 5e-3
+    assert max(lost) > 0.05
 
 
 def test_the_factors_solve_the_linear_system():
@@ -83,18 +125,19 @@ def test_the_theta_rule_keeps_the_damping_of_slow_modes(time_step):
     assert np.abs(fast).max() <= 1.0
 
 
+@pytest.mark.parametrize("method", ["imex", "imex32"])
 @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6])
-def test_imex_holds_up_to_its_limit_and_not_beyond_theory(stiffness):
+def test_imex_holds_up_to_its_limit_and_not_beyond_theory(stiffness, method):
     """Explicit contact: stable while omega dt < 2; a float pressed on the wall oscillates without bound above."""
     scene = SHORT.model_copy(update={"contact": {"stiffness": stiffness}})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        limit = Simulator(scene, "imex", 1e-6).stable_time_step
-        run = Simulator(scene, "imex", limit).run(round(1.0 / limit) * limit, limit)
+        limit = Simulator(scene, method, 5e-5).stable_time_step
+        run = Simulator(scene, method, limit).run(round(1.0 / limit) * limit, limit)
     assert np.abs(run.radial).max() < 0.05
     beyond = limit / 1.8 * 3.5
     with pytest.warns(StabilityWarning):
-        simulator = Simulator(scene, "imex", beyond)
+        simulator = Simulator(scene, method, beyond)
     with pytest.raises(SimulationError):
         simulator.run(round(4.0 / beyond) * beyond, beyond)
 
@@ -121,23 +164,24 @@ def test_explicit_limit_is_that_of_the_fastest_axial_mode():
     assert explicit_time_step(chain) == pytest.approx(chain.element_length / np.sqrt(1.1e5 / 0.111), rel=1e-6)
 
 
-def test_a_hard_slow_start_does_not_feed_itself():
+@pytest.mark.parametrize("method", ["imex", "imex32"])
+def test_a_hard_slow_start_does_not_feed_itself(method):
     """u = 0.05 m/s, friction 0.25, 130 m3/h: friction by the sign of v pumped this up to 700 N and more."""
     scene = Scene.model_validate(
         {"carrier_length": 30.0, "feed_speed": 0.05, "air_supply_rate": 130 / 3600, "contact": {"friction": 0.25}}
     )
-    run = Simulator(scene, "imex", 2e-4).run(4.0, points=("root",))
+    run = Simulator(scene, method, 2e-4).run(4.0, points=("root",))
     assert run.tension.max() < 20.0
     assert run.tension[run.time > 2.0, 0].mean() == pytest.approx(11.8, rel=0.05)
 
 
-@pytest.fixture(scope="module", params=[30, 50])
+@pytest.fixture(scope="module", params=itertools.product((30, 50), ("imex", "imex32")), ids=str)
 def ensembles(request):
-    """Eight imex runs in lanes and the stored Newmark runs of the same scene, from 2 to 8 s."""
-    scene = Scene(carrier_length=float(request.param))
-    batch = SimulatorBatch([scene] * 8, time_step=2e-4, perturbation=1e-7)
+    """Eight runs in lanes and the stored Newmark runs of the same scene, from 2 to 8 s."""
+    length, method = request.param
+    batch = SimulatorBatch([Scene(carrier_length=float(length))] * 8, method, 2e-4, perturbation=1e-7)
     batch.advance(None, None, 2.0)
-    return request.param, batch.advance(None, None, 6.0).statistics
+    return length, batch.advance(None, None, 6.0).statistics
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ from probe_env.chain import build_chain
 from probe_env.drive import Drive
 
 QUIET = Scene(carrier_length=5.0, contact={"friction": 0.05})
-METHODS = pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("implicit", 1e-4)])
+METHODS = pytest.mark.parametrize(
+    ("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("imex32", 2e-4), ("implicit", 1e-4)]
+)
 
 
 def test_the_drive_ramps_lags_and_appends():
@@ -40,7 +42,7 @@ def test_the_length_stops_at_the_end_of_the_helix():
     assert inputs[:, 3].sum() == 3
 
 
-@pytest.mark.parametrize("method", ["newmark", "imex"])
+@pytest.mark.parametrize("method", ["newmark", "imex", "imex32"])
 @pytest.mark.parametrize("slope", [0.5, -0.5])
 def test_the_frame_s_inertia_moves_a_free_probe_like_a_rigid_body(method, slope):
     """In a straight tube nothing but a soft root spring holds the nodes: x = -slope t^2 / 2, exactly for Newmark.
@@ -94,10 +96,11 @@ def test_mass_length_and_root_tension_are_right_at_every_append(method, time_ste
 
 @pytest.mark.parametrize("friction", [0.05, 0.10])
 @pytest.mark.parametrize("feed_speed", [0.2, 0.4])
-def test_appending_nodes_does_not_shake_a_quiet_probe(friction, feed_speed):
+@pytest.mark.parametrize("method", ["imex", "imex32"])
+def test_appending_nodes_does_not_shake_a_quiet_probe(friction, feed_speed, method):
     """8 or 16 nodes a second come in: radial rms below 0.5 um, 1 kHz acceleration below 0.2 m/s2, a line of nm."""
     scene = Scene(carrier_length=5.0, feed_speed=feed_speed, contact={"friction": friction})
-    simulator = Simulator(scene, "imex", 2e-4, growing=True)
+    simulator = Simulator(scene, method, 2e-4, growing=True)
     simulator.advance(None, None, 4.0)
     run = simulator.advance(None, None, 4.0)
     radial = run.radial[1:, 0]
@@ -125,6 +128,7 @@ def test_snapshot_and_restore_in_every_method():
         ("newmark", 1e-4),
         ("wilson", 1e-4),
         ("imex", 2e-4),
+        ("imex32", 2e-4),
         ("explicit", 5e-6),
         ("implicit", 1e-4),
     ):

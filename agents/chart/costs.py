@@ -10,12 +10,12 @@ from tqdm import tqdm
 
 from agents.chart.ensembles import Setting
 from agents.provenance import provenance, write_atomically, write_json
-from probe_env.lanes import LANES
+from probe_env.lane_group import LANES
 
-METHODS = ("newmark", "wilson", "imex", "implicit", "explicit")
+METHODS = ("newmark", "wilson", "imex", "imex32", "implicit", "explicit")
 NODES = {"imex": (1, 2, 4, 8, 16)}
 LENGTHS = (10.0, 30.0, 50.0)  # [m]
-TIMED = {"newmark": 500, "wilson": 500, "implicit": 500, "imex": 4000, "explicit": 4000}
+TIMED = {"newmark": 500, "wilson": 500, "implicit": 500, "imex": 4000, "imex32": 4000, "explicit": 4000}
 TIME_STEP = {"explicit": 5e-6}  # [s], else 1e-4
 REPEATS = 5
 
@@ -29,7 +29,8 @@ def run_costs(output: Path) -> pd.DataFrame:
     rows = []
     for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
         setting = Setting(method, TIME_STEP.get(method, 1e-4), nodes, length)
-        batch = setting.batch(LANES, threads=1)
+        probes = LANES.get(method, 1)
+        batch = setting.batch(probes, threads=1)
         steps = TIMED[method]
         batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)  # warm, and in contact
         spent = []
@@ -37,7 +38,7 @@ def run_costs(output: Path) -> pd.DataFrame:
             begin = time.process_time()
             batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)
             spent.append(time.process_time() - begin)
-        node_steps = LANES * steps * (length + 2.5) / 0.1 * nodes
+        node_steps = probes * steps * (length + 2.5) / 0.1 * nodes
         rows.append((method, nodes, length, min(spent) / node_steps * 1e9))
     table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "length", "ns_per_node_step"])
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))

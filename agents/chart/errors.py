@@ -50,7 +50,7 @@ def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
     for case in CASES:
         length = float(case.scene.removeprefix("fig11_l")) if case.scene.startswith("fig11_l") else 0.0
         plain = case.walls == "both" and not case.settles and not case.root_offset
-        if length in LENGTHS and plain and case.method != "imex":
+        if length in LENGTHS and plain and case.method not in ("imex", "imex32"):
             setting = Setting(case.method, case.time_step, length=length)
             rows = ensemble[ensemble["case"] == case.name]
             part = rows[["member", *STATISTICS, PEAK]].assign(diverged=rows["diverged_at_s"].notna(), **setting.key)

@@ -19,8 +19,8 @@ from agents.chart.smooth import cases
 from agents.figures import GREY, GRID
 
 COLOURS = {
-    "newmark": "#1f5fa8", "wilson": "#7d3c98", "imex": "#c0392b", "implicit": "#d68910", "explicit": "#1e8449",
-    LAPACK: "#5dade2",
+    "newmark": "#1f5fa8", "wilson": "#7d3c98", "imex": "#c0392b", "imex32": "#ec7aa5", "implicit": "#d68910",
+    "explicit": "#1e8449", LAPACK: "#5dade2",
 }  # fmt: skip
 SHOWN = {
     "radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_share": "lift-off share",

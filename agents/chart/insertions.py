@@ -30,8 +30,9 @@ class Insertion:
 
 
 INSERTIONS = (
-    *(Insertion(time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
-    Insertion(time_step=1e-4, time_lapse=4.0),
+    *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
+    *(Insertion("imex32", 1e-4, factor) for factor in (4.0, 1.0)),
+    *(Insertion(time_lapse=factor) for factor in (4.0, 1.0)),
     Insertion(time_step=5e-5),
     Insertion("newmark", 1e-4, 4.0, members=4),
 )

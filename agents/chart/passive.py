@@ -23,6 +23,7 @@ METHODS: Final = {
     "newmark": (1e-4, 1.8 / OMEGA),
     "wilson": (1e-4, 1.8 / OMEGA),
     "imex": (2e-4, 1.8 / OMEGA),
+    "imex32": (2e-4, 1.8 / OMEGA),
     "implicit": (2.5e-5, 1e-3),
     "explicit": (5e-6, 5.6e-6),
 }
