@@ -143,7 +143,7 @@ def test_a_section_is_the_simulator_s_own_run():
     tube = Context(friction=0.2, helix_diameter=1.4)
     trial = try_sections([Design(), IMPROVED], [Context(), tube], [STUDY_FEED] * 2, CONFIG, seeds=[5, 6])
     base = tube.apply(Scene()).model_copy(update={"probe": IMPROVED.probe(), "carrier_length": 20.0})
-    alone = SimulatorBatch([base], seeds=[6], perturbation=PERTURBATION)
+    alone = SimulatorBatch([base], Fidelity().method, seeds=[6], perturbation=PERTURBATION)
     alone.advance(None, None, SETTLE)
     window = alone.advance(None, None, MEASURE)
     assert trial.radial_rms[1, 1] == window.statistics["radial_rms_m"][0]

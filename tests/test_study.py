@@ -88,5 +88,5 @@ def test_a_root_between_floats_rings_more():
 
 def test_every_claim_gets_a_line():
     lines = findings(TABLE, SCENES)
-    assert len(lines) == 21
+    assert len(lines) == 23
     assert {line.figure for line in lines} == {"5", "11", "14", "15", "16", "17", "18", "20", "-"}
