@@ -33,6 +33,7 @@ DESIGN_TABLES = {
     " 0.2 m/s and 63 m3/h, {tubes} held-out tubes:",
     "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
     " tubes; changes are against the improved probe:",
+    "confirmed-finely": "The same at the finest setting, `reference`, on {tubes} of the tubes:",
 }
 
 
