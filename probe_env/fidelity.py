@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from probe_env.scene import Model, quantity
+from probe_env.stability import check_rounding
 
 
 class Fidelity(Model):
@@ -16,6 +18,14 @@ class Fidelity(Model):
     time_step: Annotated[float, quantity(1e-7, 1e-2, "s")] = 2e-4
     nodes_per_pitch: Annotated[int, Field(ge=1, le=64)] = 4
     time_lapse: Annotated[float, quantity(1.0, 1000.0, "")] = 1.0
+
+    @model_validator(mode="after")
+    def _step_is_above_rounding(self) -> Self:
+        try:
+            check_rounding(self.method, self.time_step)
+        except ValueError as error:
+            raise PydanticCustomError("rounding", "{text}", {"text": str(error)}) from error
+        return self
 
 
 PRESETS: Final[dict[str, Fidelity]] = {

@@ -20,7 +20,7 @@ from probe_env.lane_group import lane_constants
 from probe_env.methods import Advance, Sampling, build_method
 from probe_env.run import Run, point_name, shapes_of
 from probe_env.scene import Scene
-from probe_env.stability import LEAST_STEP, stable_time_step
+from probe_env.stability import check_rounding, stable_time_step
 
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
@@ -70,11 +70,7 @@ class Simulator:
         seed: int = 0,
     ) -> None:
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
-        if time_step < LEAST_STEP.get(method, 0.0):
-            raise ValueError(
-                f"time_step = {time_step!r} s is below {LEAST_STEP[method]:g} s, where the rounding of {method} shows:"
-                " imex has no such limit"
-            )
+        check_rounding(method, time_step)
         within("time_lapse", time_lapse, 1.0, 1000.0, "")
         within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
         within("air_lag", air_lag, 0.0, 1e3, "s")

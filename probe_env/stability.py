@@ -33,6 +33,15 @@ LEAST_STEP: Final = {"imex32": 5e-5}
 TABLE_2_DAMPING = 5e-5  # [s]
 
 
+def check_rounding(method: str, time_step: float) -> None:
+    """Raise ValueError if a step [s] is so small that the method's rounding shows."""
+    if time_step < LEAST_STEP.get(method, 0.0):
+        raise ValueError(
+            f"time_step = {time_step!r} s is below {LEAST_STEP[method]:g} s, where the rounding of {method} shows:"
+            " imex has no such limit"
+        )
+
+
 def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark") -> float:
     """Largest time step [s] known to hold for a method; 0 where none is known, infinite for ``implicit``."""
     if method == "implicit":

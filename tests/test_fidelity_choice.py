@@ -85,6 +85,12 @@ def test_names():
     assert set(outputs()) >= {"radial_rms_m", "radial_p99_m", "lift_off_share", "axial_peak_hz"}
 
 
+def test_a_step_below_rounding_is_refused_before_anything_runs():
+    with pytest.raises(ValueError, match=r"time_step = 2e-05 s is below 5e-05 s, where the rounding of imex32 shows"):
+        gym.make("probe_env/Snapshot-v0", fidelity={"time_step": 2e-5})
+    assert resolve_fidelity({"method": "imex", "time_step": 2e-5}).time_step == 2e-5
+
+
 def test_environments_take_auto():
     env = gym.make("probe_env/Insertion-v0", fidelity="auto:0.5", config={"settle_time": 0.5})
     assert env.unwrapped.episodes.fidelity.time_lapse > 1.0
