@@ -6,14 +6,11 @@ complete, so a search that was killed goes on to the same front.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import moocore
 import numpy as np
@@ -29,28 +26,13 @@ from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from tqdm import tqdm
 
 from agents import figures
-from agents.catalogue import make_policy
-from agents.design_compare import Comparison
-from agents.map_policies import LEAST_AIR
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
-from agents.vibration_map import FEEDS
+from agents.design_problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
+from agents.provenance import provenance, write_atomically, write_json
 from agents.workers import HERE, Workers
-from probe_env import Context, Design
-from probe_env.contexts import spread_contexts
+from probe_env import Design
 from probe_env.design import RANGES
-from probe_env.fidelity import Fidelity
-from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
-from probe_env.trials import SPAN, judge, try_sections
-
-OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
-DIRECTIONS: Final = ("minimize", "minimize", "maximize")
-FEED_AXES: Final = {"feed_speed": (*FEEDS, "m/s"), "air_supply_rate": (LEAST_AIR, 130.0 / 3600.0, "m3/s")}
-Values = tuple[float, float, float]
-STUDY_PROBES: Final = {
-    "the study's original": Design(),
-    "the study's improved": Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016),
-}
+from probe_env.trials import SPAN
 
 
 class RepeatableNSGAII(NSGAIISampler):
@@ -63,85 +45,6 @@ class RepeatableNSGAII(NSGAIISampler):
     def select_parent(self, study: optuna.Study, generation: int) -> list[FrozenTrial]:
         """As Optuna, but in the order of the trials."""
         return sorted(super().select_parent(study, generation), key=lambda trial: trial.number)
-
-
-@dataclass(frozen=True)
-class DesignProblem:
-    """What is searched and how a point is judged.
-
-    Attributes:
-        contexts: tubes that every design is tried in.
-        feed: "best-constant": feed speed and air are searched together with the probe; else the spec of a schedule,
-            or with ``full`` of an agent.
-        full: whole insertions.
-    """
-
-    contexts: tuple[Context, ...]
-    feed: str = "best-constant"
-    full: bool = False
-    config: TaskConfig = field(default_factory=lambda: TaskConfig(privileged=True))
-
-    @property
-    def axes(self) -> dict[str, tuple[float, float, str]]:
-        """Name -> lowest, highest, unit of everything that is searched."""
-        return RANGES | (FEED_AXES if self.feed == "best-constant" else {})
-
-    def starts(self) -> list[dict[str, float]]:
-        """The study's two probes, at several feeds where feed is searched: what a search is to beat."""
-        return [probe.model_dump() | feed for probe in STUDY_PROBES.values() for feed in self.reference_feeds()]
-
-    def reference_feeds(self) -> list[dict[str, float]]:
-        """Feeds that the study's probes are tried at."""
-        if self.feed != "best-constant":
-            return [{}]
-        return [{"feed_speed": u, "air_supply_rate": q / 3600.0} for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0)]
-
-    def identity(self) -> str:
-        """Short hash of all that the objectives depend on: trials of another problem must not be mixed in.
-
-        Raises:
-            ValueError: the feed is no policy.
-        """
-        feed = None if self.feed == "best-constant" else make_policy(self.feed, self.config).describe()
-        tubes = [context.model_dump() for context in self.contexts]
-        parts = [self.axes, tubes, feed, self.full, self.config.model_dump(mode="json"), kernel_hash(Fidelity().method)]
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
-
-    def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
-        """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
-
-        What a probe does not get to has the ratio's cap and the slowest time.
-        """
-        everywhere = list(enumerate(self.contexts))
-        if workers.here:
-            kpis = self.kpis(point, everywhere)
-        else:
-            portions = [everywhere[k :: workers.jobs] for k in range(min(workers.jobs, len(everywhere)))]
-            kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
-        kpis.sort(key=lambda row: row["place"])  # sums do not depend on who was first
-        slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
-        squares = [(k["mean_square_ratio"] * (SPAN - k["missed_m"]) + cap * k["missed_m"]) / SPAN for k in kpis]
-        times = [k["inspection_time_s"] + slowest * k["missed_m"] for k in kpis]
-        return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
-
-    def kpis(
-        self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
-    ) -> list[dict[str, float]]:
-        """KPIs of a point in some of the tubes, given with their places."""
-        design = Design(**{name: point[name] for name in RANGES})
-        seeds, contexts = [place for place, _ in tubes], [context for _, context in tubes]
-        if self.feed == "best-constant":
-            feed = Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
-            count = len(tubes)
-            trial = try_sections(
-                [design] * count, contexts, [feed] * count, self.config, seeds=seeds, threads=threads
-            )  # fmt: skip
-            _, found = judge([design] * count, trial, self.config)
-            rows = [{name: float(values[k]) for name, values in found.items()} for k in range(count)]
-        else:
-            comparison = Comparison({"": design}, contexts, self.feed, self.full, config=self.config)
-            rows = comparison.run([(design, context) for context in contexts], seeds, threads)
-        return [row | {"place": float(place)} for row, place in zip(rows, seeds, strict=True)]
 
 
 def search(
@@ -240,38 +143,31 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
 
 
 def run_design_search(
-    feed: str,
-    full: bool,
-    trials: int,
-    contexts: int,
-    output: Path,
-    storage: str | None,
-    seed: int,
-    workers: Workers = HERE,
+    problem: DesignProblem, trials: int, output: Path, storage: str | None, seed: int, workers: Workers = HERE
 ) -> pd.DataFrame:
     """The search as a command: stores trials.csv, front.csv, sensitivity.csv, pictures and the best designs as TOML.
+
+    Args:
+        problem: what is searched.
+        trials: designs to be tried at the end.
+        output: folder of the tables and pictures.
+        storage: URL of any storage that Optuna knows; None: SQLite in ``output``.
+        seed: of the search.
+        workers: what the tubes of a trial are spread over.
 
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    if full and feed == "best-constant":
-        raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
     if seed < 0:
         raise ValueError(f"seed = {seed!r} is outside the accepted range 0 and more")
-    if contexts < 1:
-        raise ValueError(f"contexts = {contexts!r} is outside the accepted range 1 and more")
-    chosen = spread_contexts("train", contexts)
     if not 2 <= trials <= 1_000_000:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 2 to 1000000")
-    problem = DesignProblem(chosen, feed, full)
-    if feed != "best-constant" and not full:
-        Comparison({}, chosen, feed).schedule()
     identity = problem.identity()
     if storage is None:
         output.mkdir(parents=True, exist_ok=True)
     study = search(
         problem.axes, partial(problem.value, workers=workers), trials, storage or f"sqlite:///{output / 'study.db'}",
-        f"{feed} {identity} seed {seed}", seed=seed, starts=problem.starts(),
+        f"{problem.feed} {identity} seed {seed}", seed=seed, starts=problem.starts(),
     )  # fmt: skip
     table = trials_table(study)
     front = table[table["on_front"]].sort_values("mean_square_ratio")
@@ -282,7 +178,8 @@ def run_design_search(
     write_atomically(output / "found.toml", design.to_toml())
     figures.design_front(table, reference_probes(table, problem), output / "front.png")
     figures.parallel_coordinates(table, problem.axes, output / "parallel.png")
-    setting = {"feed": feed, "full": full, "contexts": contexts, "trials": len(table), "seed": seed}
+    setting = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
+    setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed}
     write_json(output / "provenance.json", provenance() | setting)
     _print(front, influence, problem.axes)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, parallel.png, found.toml)")

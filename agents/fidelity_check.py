@@ -1,11 +1,15 @@
-"""Honesty of the solver: do an evaluation's figures and ranking stay at half the step and with the study's scheme?"""
+"""Honesty of the solver: do an evaluation's figures and ranking stay at half the step and with the study's scheme?
+
+With the study's scheme twice: what was fed and blown is replayed, so that nothing but the physics differs; and the
+policies act themselves, so that feedback answers to what it meets, as it would on a rig.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import pandas as pd
 from scipy.stats import kendalltau
@@ -17,10 +21,30 @@ from agents.statistics import KPIS, Interval, by_context, mean_interval
 from probe_env import Fidelity
 from probe_env.schedule import Schedule
 
+Level = Literal["no", "half-step", "replayed", "acting", "all"]
 STUDY: Final = Fidelity(method="newmark", time_step=1e-4, time_lapse=4.0)
 SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 8
 COLUMNS: Final = ["check", "policy", "kpi", "before", "mean", "low", "high", "rank", "rank_before"]
 WORTH_A_WORD: Final = 1e-3  # of the figure before
+
+
+def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path) -> None:
+    """Run what a level asks for beyond half the step, store fidelity.csv and print it in words.
+
+    Args:
+        level: "replayed" and "acting" take a sample with the study's scheme; "all" takes both.
+        plan: of the evaluation.
+        table: its episodes.
+        output: its folder, with profile.parquet.
+    """
+    if level == "no":
+        return
+    checks = [check_half_step(plan, table, output)]
+    if level in ("replayed", "all"):
+        checks.append(check_replayed(plan, table, pd.read_parquet(output / "profile.parquet"), output))
+    if level in ("acting", "all"):
+        checks.append(check_acting(plan, table, output))
+    report_checks(checks, output)
 
 
 def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
@@ -30,25 +54,42 @@ def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFra
     return differences("half step", again, table)
 
 
-def check_study_scheme(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> pd.DataFrame:
+def check_replayed(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> pd.DataFrame:
     """A sample replayed with the study's scheme: what each episode fed and blew over length, as a schedule.
 
     The first ``SAMPLE_POLICIES`` policies on ``SAMPLE_CONTEXTS`` contexts spread over the list, time-lapse 4. Slow:
     an episode takes minutes.
     """
-    names = list(plan.policies)[:SAMPLE_POLICIES]
-    count = min(SAMPLE_CONTEXTS, len(plan.contexts))
-    places = [k * len(plan.contexts) // count for k in range(count)]
+    names, places, was = _sample(plan, table)
     parts = []
     for k in places:
         policies = {name: Scheduled(plan.config, replayed(profile, name, k, plan.seeds[0])) for name in names}
         again = run_plan(
             replace(plan, policies=policies, contexts=[plan.contexts[k]], seeds=plan.seeds[:1], fidelity=STUDY),
-            output / "study-scheme" / f"context-{k}",
+            output / "study-replayed" / f"context-{k}",
         )
         parts.append(again.assign(context=k))
+    return differences("study's scheme, replayed", pd.concat(parts, ignore_index=True), was)
+
+
+def check_acting(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """The same sample, but the policies act by what they observe with the study's scheme."""
+    names, places, was = _sample(plan, table)
+    sample = replace(
+        plan, policies={name: plan.policies[name] for name in names}, contexts=[plan.contexts[k] for k in places],
+        seeds=plan.seeds[:1], fidelity=STUDY,
+    )  # fmt: skip
+    again = run_plan(sample, output / "study-acting")
+    return differences("study's scheme, acting", again.assign(context=[places[k] for k in again["context"]]), was)
+
+
+def _sample(plan: Plan, table: pd.DataFrame) -> tuple[list[str], list[int], pd.DataFrame]:
+    """Names of the policies, places of the contexts, and what the evaluation says of them."""
+    names = list(plan.policies)[:SAMPLE_POLICIES]
+    count = min(SAMPLE_CONTEXTS, len(plan.contexts))
+    places = [k * len(plan.contexts) // count for k in range(count)]
     chosen = table["policy"].isin(names) & table["context"].isin(places) & (table["seed"] == plan.seeds[0])
-    return differences("study's scheme", pd.concat(parts, ignore_index=True), table[chosen])
+    return names, places, table[chosen]
 
 
 def replayed(profile: pd.DataFrame, policy: str, context: int, seed: int) -> Schedule:
@@ -94,7 +135,11 @@ def words(checks: pd.DataFrame) -> list[str]:
         places = rows.drop_duplicates("policy")
         agreement = kendalltau(places["rank"], places["rank_before"]).statistic if len(places) > 1 else 1.0
         same = "stays" if (places["rank"] == places["rank_before"]).all() else "changes"
-        lines.append(f"{check}: the ranking of {len(places)} policies by reward {same} (Kendall's tau {agreement:.2f})")
+        rewards = rows[rows["kpi"] == "reward"].sort_values("rank")
+        order = ", ".join(f"{row['policy']} {row['before'] + row['mean']:.1f}" for row in rewards.to_dict("records"))
+        lines.append(
+            f"{check}: the ranking of {len(places)} policies by reward {same} (Kendall's tau {agreement:.2f}): {order}"
+        )
         for row in rows.to_dict("records"):
             clear = row["low"] > 0.0 or row["high"] < 0.0
             if clear and abs(row["mean"]) > WORTH_A_WORD * abs(row["before"]):

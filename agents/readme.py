@@ -12,7 +12,7 @@ from pathlib import Path
 from agents import agent_results
 from agents.claims import Ensemble
 from agents.provenance import write_atomically
-from agents.readme_blocks import MAKERS, RESULTS, TRIED
+from agents.readme_blocks import MAKERS, RESULTS
 from agents.study import load_rows
 
 README, ACCURACY, CLUSTER = Path("README.md"), Path("docs/accuracy.md"), Path("docs/cluster.md")
@@ -59,7 +59,7 @@ def _growth_figure(path: Path) -> None:
 def _learning_figure(path: Path) -> None:
     from agents.figures import learning_curves
 
-    runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension", TRIED)}
+    runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension")}
     learning_curves(runs, path)
 
 
@@ -67,7 +67,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
     """The blocks of every page."""
     return {
         README: (
-            "study", "bench", "environments", "map", "evaluation", "agents", "tried", "search", "designs", "tradeoff",
+            "study", "bench", "environments", "map_quality", "evaluation", "agents", "search", "designs", "tradeoff",
             "fidelity", "presets", "choices",
         ),
         ACCURACY: ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),

@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
@@ -19,7 +18,7 @@ from rich.table import Table
 from agents import figures
 from agents.catalogue import named_policies
 from agents.evaluate import Plan, run_plan
-from agents.fidelity_check import check_half_step, check_study_scheme, report_checks
+from agents.fidelity_check import Level, run_checks
 from agents.provenance import write_atomically, write_json
 from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
 from agents.workers import HERE, Workers
@@ -35,7 +34,7 @@ def evaluate(
     limit: int,
     seeds: int,
     fidelity: str,
-    check_fidelity: Literal["no", "half-step", "all"] = "no",
+    check_fidelity: Level = "no",
     against: str | None = None,
     workers: Workers = HERE,
 ) -> pd.DataFrame:
@@ -61,11 +60,7 @@ def evaluate(
     write_json(output / "report.json", {"against": reference})
     write_report(output)
     print_summary(grouped(table), reference)
-    if check_fidelity != "no":
-        checks = [check_half_step(plan, table, output)]
-        if check_fidelity == "all":
-            checks.append(check_study_scheme(plan, table, pd.read_parquet(output / "profile.parquet"), output))
-        report_checks(checks, output)
+    run_checks(check_fidelity, plan, table, output)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 

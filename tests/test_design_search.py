@@ -2,6 +2,7 @@
 
 import multiprocessing
 import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,10 +10,14 @@ import pytest
 
 from agents.cli import main
 from agents.design_compare import Comparison, compare, summarise
-from agents.design_search import OBJECTIVES, DesignProblem, search, sensitivity, trials_table
+from agents.design_problem import OBJECTIVES, DesignProblem, design_problem
+from agents.design_search import search, sensitivity, trials_table
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
+from probe_env.fidelity import PRESETS
+from probe_env.trials import SPAN
 
+AGENT = Path(__file__).parents[1] / "results" / "agents" / "ppo" / "seed-0" / "agent.npz"
 AXES = {"guide_length": (1.0, 10.0, "m"), "line_density": (0.09, 0.14, "kg/m")}
 
 
@@ -111,6 +116,41 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
     assert squares == pytest.approx((0.1 * 20.0 + 9.0 * 27.5) / 47.5)
     assert seconds == pytest.approx(100.0 + 27.5 / 0.02)
     assert margin == -0.1
+
+
+def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
+    """The same probe by an agent and by the study's feed, and what makes two searches different problems."""
+    tube, fast = (Context(),), PRESETS["fast"]
+    driven = DesignProblem(tube, str(AGENT), True, fast)
+    fed = DesignProblem(tube, "constant", True, fast)
+    point = Design(guide_length=10.0).model_dump()
+    squares, seconds, margin = driven.value(point)
+    loud, study_seconds, _ = fed.value(point)
+    assert study_seconds == pytest.approx(SPAN / 0.2, rel=0.02)
+    assert squares < loud
+    assert margin > 0.0
+    assert abs(seconds - study_seconds) > 5.0
+    others = (
+        fed,
+        DesignProblem(tube, str(AGENT), True),
+        DesignProblem((Context(friction=0.2),), str(AGENT), True, fast),
+    )
+    assert len({problem.identity() for problem in (driven, *others)}) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("best-constant", True, 1, "fast"), "with full give"),
+        (("constant", False, 0, "fast"), "contexts"),
+        (("constant", False, 1, "finest"), "fidelity"),
+        (("pi", False, 1, "fast"), "not a schedule"),
+        (("nothing", True, 1, "fast"), "nothing"),
+    ],
+)
+def test_a_problem_that_makes_no_sense_is_refused(arguments, word):
+    with pytest.raises(ValueError, match=word):
+        design_problem(*arguments).identity()
 
 
 def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path):

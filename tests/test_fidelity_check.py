@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from agents.evaluate import Plan, run_plan
-from agents.fidelity_check import check_half_step, check_study_scheme, differences, replayed, report_checks
+from agents.fidelity_check import check_acting, check_half_step, check_replayed, differences, replayed, report_checks
 from agents.policies import Constant
 from agents.statistics import KPIS
 from probe_env import Fidelity, load_contexts
@@ -36,21 +36,33 @@ def test_the_study_s_scheme_replays_feed_and_air_over_length(evaluated):
     schedule = replayed(profile, "fast", 1, 0)
     assert schedule.position == (5.5, 6.5)
     assert schedule.at(5.5)[0] == pytest.approx(0.4, rel=0.2)
-    checks = check_study_scheme(plan, table, profile, output).set_index(["policy", "kpi"])
+    checks = check_replayed(plan, table, profile, output).set_index(["policy", "kpi"])
     assert (checks["rank"] == checks["rank_before"]).all()
     assert abs(checks.loc[("fast", "inspected_share"), "mean"]) < 0.02
     with pytest.raises(ValueError, match="no profile of fast on context 7"):
         replayed(profile, "fast", 7, 0)
 
 
+def test_with_the_study_s_scheme_the_policies_act_themselves(evaluated):
+    """Feedback on the air supply shows in what is blown; a policy that does not look does what it did."""
+    plan, table, output = evaluated
+    checks = check_acting(plan, table, output).set_index(["policy", "kpi"])
+    assert (checks["rank"] == checks["rank_before"]).all()
+    assert checks.loc[("fast", "air_m3"), "mean"] == pytest.approx(0.0, abs=1e-9)
+    again = pd.read_csv(output / "study-acting" / "episodes.csv")
+    assert set(again["policy"]) == {"slow", "fast"}
+    assert set(again["context"]) == {0, 1}
+
+
 def test_words_name_what_moved_and_whether_the_ranking_stays(evaluated, tmp_path, capsys):
     _, table, _ = evaluated
+    best = table.groupby("policy")["reward"].mean().idxmax()
     same = differences("same", table, table)
     assert set(same["kpi"]) == set(KPIS)
     moved = table.assign(reward=-table["reward"] - 5.0)
     report_checks([same, differences("moved", moved, table)], tmp_path)
     printed = capsys.readouterr().out
-    assert "same: the ranking of 2 policies by reward stays (Kendall's tau 1.00)" in printed
+    assert f"same: the ranking of 2 policies by reward stays (Kendall's tau 1.00): {best} " in printed
     assert "moved: the ranking of 2 policies by reward changes (Kendall's tau -1.00)" in printed
     assert "changes by" in printed
     assert len(pd.read_csv(tmp_path / "fidelity.csv")) == 2 * 2 * len(KPIS)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.design_search import DesignProblem
+from agents.design_problem import DesignProblem
 from agents.evaluate import Plan, run_plan
 from agents.policies import Constant
 from agents.workers import Workers

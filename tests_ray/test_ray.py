@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
 import probe_env
-from agents.design_search import DesignProblem
+from agents.design_problem import DesignProblem
 from agents.evaluate import Plan, run_plan
 from agents.policies import Constant
 from agents.train import BEST, train_all

@@ -38,7 +38,10 @@ def stability_map(table: pd.DataFrame, path: Path) -> None:
         axis.set_title(method)
     marks = [Patch(color=colour) for colour in VERDICTS.values()]
     words = ["stable", "held, but bounces are off by 5 % of critical damping or more", "diverged"]
-    figure.legend(marks, words, loc="outside lower center", ncols=3, frameon=False)
+    if len(table) < len(methods) * len(table.drop_duplicates([*rows, "ratio"])):
+        marks.append(Patch(facecolor="white", edgecolor=GREY))
+        words.append("refused: its rounding would show")
+    figure.legend(marks, words, loc="outside lower center", ncols=len(marks), frameon=False)
     figure.savefig(path, dpi=90)
     plt.close(figure)
 

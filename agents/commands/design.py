@@ -53,11 +53,13 @@ class DesignSearch:
     feed: str = "best-constant"
     """best-constant searches feed speed and air with the probe; else a schedule, or with --full an agent's bundle."""
     full: bool = False
-    """Whole insertions instead of sections of constant length: some 5 s a tube."""
+    """Whole insertions instead of sections of constant length."""
     trials: int = 240
     """Designs tried."""
     contexts: int = 6
     """Training tubes that each is tried in."""
+    fidelity: str = "standard"
+    """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/design")
     """Folder of the study, the tables and the pictures; a search that was interrupted goes on."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
@@ -68,8 +70,8 @@ class DesignSearch:
 
     def run(self) -> None:
         """Search, store, print."""
+        from agents.design_problem import design_problem
         from agents.design_search import run_design_search
 
-        run_design_search(
-            self.feed, self.full, self.trials, self.contexts, self.output, self.storage, self.seed, self.workers
-        )
+        problem = design_problem(self.feed, self.full, self.contexts, self.fidelity)
+        run_design_search(problem, self.trials, self.output, self.storage, self.seed, self.workers)

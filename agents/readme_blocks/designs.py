@@ -1,0 +1,53 @@
+"""Probe designs in words."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import pandas as pd
+
+from agents import design_compare
+from agents.readme_blocks.sources import RESULTS, source
+
+DESIGN_TABLES = {
+    "countermeasures": "The study's countermeasures (its section 4.3) one by one, in sections of constant length at its"
+    " 0.2 m/s and 63 m3/h, {tubes} held-out tubes:",
+    "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
+    " tubes; changes are against the improved probe:",
+    "confirmed-finely": "The same at the finest setting, `reference`, on {tubes} of the tubes:",
+}
+
+
+def search() -> str:
+    """What the search for designs found, and what vibration depends on."""
+    folder = RESULTS / "design" / "search"
+    influence, made = pd.read_csv(folder / "sensitivity.csv"), json.loads((folder / "provenance.json").read_text())
+    front = pd.read_csv(folder / "front.csv")
+    rows = influence[influence["objective"] == "mean_square_ratio"].to_dict("records")
+    rows.sort(key=lambda row: -abs(row["coefficient"]))
+    told = ", ".join(
+        f"{row['parameter'].replace('_', ' ')} {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]"
+        for row in rows
+    )
+    design = tomllib.loads((folder / "found.toml").read_text())
+    fields = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in design.items())
+    return (
+        f"{made['trials']} designs on {made['contexts']} training tubes, {len(front)} on the front. What vibration"
+        f" depends on (standardised rank regression over the trials): {told}. The design with the best reward by the"
+        f" task's weights (SI units): {fields}. {source(folder / 'provenance.json')}"
+    )
+
+
+def designs() -> str:
+    """Designs compared: a table a comparison."""
+    parts = []
+    for name, title in DESIGN_TABLES.items():
+        folder = RESULTS / "design" / name
+        table = design_compare.cells(pd.read_csv(folder / "summary.csv"))
+        made = json.loads((folder / "provenance.json").read_text())
+        tubes = pd.read_csv(folder / "designs.csv")["context"].nunique()
+        lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
+        lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
+        parts.append("\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}.")
+    return "\n\n".join(parts)

@@ -1,0 +1,19 @@
+"""Where stored results are, and what made them, in words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path("results")
+
+
+def source(path: Path) -> str:
+    """Command, commit and machine of stored results."""
+    made: dict[str, Any] = json.loads(path.read_text())
+    machine = made["machine"]
+    return (
+        f"Made by `{made['command']}` at commit {made['commit']}, {machine['cores']} cores"
+        f" ({machine['processor']}), numba {made['packages']['numba']}; stored in `{path.parent}/`."
+    )
