@@ -37,7 +37,9 @@ class Compare:
         from probe_env.contexts import spread_contexts
         from probe_env.fidelity_choice import resolve_fidelity
 
-        designs = {path.stem: Design.from_toml(path) for path in self.designs}
+        stems = [path.stem for path in self.designs]
+        names = [p.stem if stems.count(p.stem) == 1 else f"{p.parent.name}/{p.stem}" for p in self.designs]
+        designs = {name: Design.from_toml(path) for name, path in zip(names, self.designs, strict=True)}
         if len(designs) != len(self.designs):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         chosen = spread_contexts(self.contexts, self.limit)
