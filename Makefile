@@ -77,6 +77,7 @@ designs: setup
 	$(BIN)/probe-env design --feed constant --trials 160 --output results/design/search
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity reference --limit 8 --output results/design/confirmed-finely
+	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --feed results/agents/ppo/seed-0/agent.npz --limit 24 --output results/design/driven
 
 tradeoff: setup
 	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 6 --output results/tradeoff

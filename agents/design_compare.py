@@ -35,7 +35,7 @@ KPIS: dict[str, tuple[str, float, str]] = {
     "drive_margin_n": ("drive margin", 1.0, "N"),
 }
 """KPI -> name, factor and unit for people."""
-BATCH = 8
+BATCH = 16
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,9 @@ def _check_folder(training: Training, folder: Path, resume: bool) -> None:
         return
     if not resume:
         raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
-    before, now = json.loads((folder / RUN).read_text())["config"], json.loads(training.model_dump_json())
+    # settings that are newer than the run have their defaults
+    noted = Training.model_validate_json(json.dumps(json.loads((folder / RUN).read_text())["config"]))
+    before, now = json.loads(noted.model_dump_json()), json.loads(training.model_dump_json())
     # what is still to come may change: more phases, other seeds beside this one
     different = [name for name in now if before.get(name) != now[name] and name not in ("seeds", "phases")]
     if different:
@@ -115,7 +117,8 @@ def train(
     view, shown = training.view, training.shown_task
     batch = ProbeVecEnv(
         training.environment.env_id, training.environment.num_envs, shown,
-        fidelity=training.environment.fidelity, contexts=training.environment.contexts, threads=threads,
+        fidelity=training.environment.fidelity, contexts=training.environment.contexts,
+        probes=training.environment.probes, threads=threads,
     )  # fmt: skip
     env = ViewVecEnv(batch, view, shown, training.environment.reward_scale)
     set_random_seed(seed)

@@ -15,7 +15,7 @@ from agents.view import View
 from probe_env.checks import whole_steps
 from probe_env.contexts import Split, spread_contexts
 from probe_env.env import task_config
-from probe_env.episodes import Contexts
+from probe_env.episodes import Contexts, Probes
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.scene import Model, quantity
@@ -36,6 +36,8 @@ class Environments(Model):
     env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
     contexts: Contexts = "train"
+    probes: Probes = "scene"
+    """"random": every episode has a probe of its own."""
     fidelity: str | Fidelity = "fast"
     task: dict[str, Any] = Field(default_factory=dict)
     reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0

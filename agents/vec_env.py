@@ -10,7 +10,7 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.env import InsertionEnv, ProbeEnv, SnapshotEnv, spaces_of, task_config
-from probe_env.episodes import Contexts, Episodes
+from probe_env.episodes import Contexts, Episodes, Probes
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene
 from probe_env.task import TaskConfig
@@ -31,7 +31,7 @@ class ProbeVecEnv(VecEnv):
         env_id: "probe_env/Insertion-v0" or "probe_env/Snapshot-v0".
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         threads: at most so many; default: all cores.
-        config, scene, fidelity, contexts, feed_speed, air_supply_rate: see ``InsertionEnv``.
+        config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes: see ``InsertionEnv``.
 
     Raises:
         ValueError: an argument is not valid.
@@ -47,6 +47,7 @@ class ProbeVecEnv(VecEnv):
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
         air_supply_rate: float = 63.0 / 3600.0,
+        probes: Probes = "scene",
         *,
         threads: int | None = None,
     ) -> None:
@@ -54,7 +55,7 @@ class ProbeVecEnv(VecEnv):
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         self.config = task_config(ENVIRONMENTS[env_id].defaults, config)
         self.episodes = Episodes(
-            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, threads=threads
+            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, threads
         )
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))

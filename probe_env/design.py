@@ -43,6 +43,11 @@ class Design(Model):
     line_density: Annotated[float, _axis("line_density")] = 0.111
 
     @classmethod
+    def random(cls, rng: np.random.Generator) -> Self:
+        """Drawn evenly from the whole design space."""
+        return cls.from_unit(rng.random(len(RANGES)))
+
+    @classmethod
     def from_unit(cls, point: npt.ArrayLike) -> Self:
         """The design at a point (7,) of the unit cube."""
         shares = np.asarray(point, dtype=float)

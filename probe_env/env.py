@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.episodes import Contexts, Episodes
+from probe_env.episodes import Contexts, Episodes, Probes
 from probe_env.fidelity import Fidelity
 from probe_env.render import Renderer
 from probe_env.scene import Scene
@@ -50,12 +50,13 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
         air_supply_rate: float = 63.0 / 3600.0,
+        probes: Probes = "scene",
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         self.config = task_config(self.defaults, config)
-        self.episodes = Episodes(1, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, threads=1)
+        self.episodes = Episodes(1, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, 1)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
@@ -157,6 +158,8 @@ class InsertionEnv(ProbeEnv):
     * `fidelity`: "study", "standard", "fast" or settings of one's own, see `probe_env.fidelity`.
     * `contexts`: "random", or a shipped list: "train", "validation", "test".
     * `feed_speed`, `air_supply_rate`: of the settling, SI units.
+    * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
+      agent serves many probes; it shows in the reset's `info["probe"]`, and a constant length is cut to whole pitches.
     * `render_mode`: "rgb_array" or "human".
 
     ## Version History

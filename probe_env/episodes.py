@@ -17,6 +17,7 @@ from probe_env.batch import SimulatorBatch, Window
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
 from probe_env.contexts import Context, Split, draw_context, load_contexts
+from probe_env.design import Design
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.kpis import Tally
@@ -29,6 +30,7 @@ START_PERTURBATION: Final = 1e-7  # [m]
 END_TOLERANCE: Final = 1e-6  # [m]; actions are float32
 SHORTEST_START, CARRIER_AT_START = 5.0, 2.5  # [m]
 Contexts = Literal["random"] | Split
+Probes = Literal["scene", "random"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class Episodes:
         fidelity: preset name, settings or a mapping of them, see ``fidelity.PRESETS``.
         contexts: "random", or the shipped list ("train", "validation", "test") that every reset draws from.
         feed_speed, air_supply_rate: of the settling before an episode [m/s], [m3/s].
+        probes: "scene", or "random": every reset draws a ``Design``.
         threads: at most so many; default: all cores.
 
     Raises:
@@ -67,14 +70,18 @@ class Episodes:
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
         air_supply_rate: float = 63.0 / 3600.0,
+        probes: Probes = "scene",
         threads: int | None = None,
     ) -> None:
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
+        if probes not in get_args(Probes):
+            raise ValueError(f"probes = {probes!r} is not one of {', '.join(get_args(Probes))}")
         drawn_context(contexts, np.random.default_rng(0), {})  # names a list that is not there
         self.config, self.base_scene = config, scene or Scene()
         self.fidelity = resolve_fidelity(fidelity, self.base_scene, config.growing)
         self.contexts: Contexts = contexts
+        self.probes: Probes = probes
         self.start_action = config.action(feed_speed, air_supply_rate)
         self.start_targets = (feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
@@ -116,11 +123,14 @@ class Episodes:
         for k in which:
             rng, given = rngs[k], dict((options or {}).get(k) or {})
             changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
-            context = drawn_context(self.contexts, copy.deepcopy(rng), given)
+            trial = copy.deepcopy(rng)  # the generator itself moves on only if all is valid
+            context = drawn_context(self.contexts, trial, given)
+            changes["probe"] = self._drawn_probe(trial) | dict(changes.get("probe", {}))
             prepared[k] = (context, self._start_scene(context, changes))
         for k, (context, scene) in prepared.items():
             rng = rngs[k]
             drawn_context(self.contexts, rng, {})
+            self._drawn_probe(rng)
             seed = int(rng.integers(2**31))
             self.rng[k], self.context[k] = rng, context
             simulator = Simulator(
@@ -149,6 +159,7 @@ class Episodes:
             self.observation[k] = observation[k]
             infos[k] = self._info(k, window) | {
                 "context": self.context[k].model_dump(),
+                "probe": self.batch.simulators[k].scene.probe.model_dump(),
                 "diverged": bool(window.diverged[k]),
             }
         return self.observation.copy(), infos
@@ -242,6 +253,10 @@ class Episodes:
             }
             tally.add_signals(float(travel[k]), rms, window.radial[:, k], SAMPLE_PERIOD)
 
+    def _drawn_probe(self, rng: np.random.Generator) -> dict[str, Any]:
+        """What an episode's probe differs in from the scene's."""
+        return Design.random(rng).built.model_dump() if self.probes == "random" else {}
+
     def _start_scene(self, context: Context, changes: Mapping[str, Any]) -> Scene:
         """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
         scene = context.apply(self.base_scene)
@@ -249,6 +264,8 @@ class Episodes:
             raise ValueError("carrier_length is not an option here: the probe starts short and is fed in")
         probe = scene.probe.model_copy(update=changes.get("probe", {}))
         carrier = changes.get("carrier_length", scene.carrier_length)
+        if self.probes == "random":  # of any pitch
+            carrier = round(int(carrier / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
         if self.config.growing:
             start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
             carrier = round((start - probe.guide_length) / probe.float_pitch) * probe.float_pitch

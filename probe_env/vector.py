@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from probe_env.chain import FloatArray
 from probe_env.env import InsertionEnv, Observation, ProbeEnv, SnapshotEnv, spaces_of, task_config
-from probe_env.episodes import Contexts, Episodes
+from probe_env.episodes import Contexts, Episodes, Probes
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene
 from probe_env.task import TaskConfig
@@ -27,7 +27,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         autoreset_mode: when an ended episode starts anew: ``AutoresetMode.NEXT_STEP`` (default), ``SAME_STEP``
             (with ``final_obs`` and ``final_info`` in the infos) or ``DISABLED`` (``options["reset_mask"]``).
         threads: at most so many; default: all cores.
-        config, scene, fidelity, contexts, feed_speed, air_supply_rate: see ``InsertionEnv``.
+        config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes: see ``InsertionEnv``.
         max_episode_steps: refused: the time limit is a field of ``config``.
         render_mode: refused: render a single environment.
 
@@ -46,6 +46,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
         air_supply_rate: float = 63.0 / 3600.0,
+        probes: Probes = "scene",
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -58,7 +59,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
         self.config = task_config(self.single.defaults, config)
         self.episodes = Episodes(
-            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, threads=threads
+            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, threads
         )
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)

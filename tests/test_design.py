@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from agents.policies import Constant
+from agents.vec_env import ProbeVecEnv
 from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConfig
 from probe_env.design import RANGES
 from probe_env.design_env import STUDY_FEED, DesignEnv
@@ -217,3 +218,28 @@ def test_the_countermeasures_quieten_the_probe():
 
 def test_ranges_name_the_fields():
     assert set(RANGES) == set(Design.model_fields)
+
+
+@pytest.mark.parametrize("env_id", ["probe_env/Insertion-v0", "probe_env/Snapshot-v0"])
+def test_random_probes_are_drawn_from_the_whole_design_space_with_the_seed(env_id):
+    """Within the ranges, other ones every reset, the same by the same seed, and in a batch as alone."""
+    short = {"settle_time": 0.1} if env_id == "probe_env/Insertion-v0" else {}
+    env = gym.make(env_id, probes="random", config=short)
+    drawn = [env.reset(seed=seed)[1]["probe"] for seed in (0, 1, 0, None)]
+    for name, (low, high, _) in RANGES.items():
+        assert all(low <= probe[name] <= high for probe in drawn)
+    assert drawn[0] == drawn[2]
+    assert len({probe["line_density"] for probe in drawn}) == 3
+    batch = ProbeVecEnv(env_id, 2, probes="random", config=short)
+    batch.seed(0)
+    observation = batch.reset()
+    assert [info["probe"] for info in batch.reset_infos] == drawn[:2]
+    assert (observation[0] == env.reset(seed=0)[0]).all()
+    check_env(env.unwrapped, skip_render_check=True)
+    _, info = env.reset(seed=0, options={"probe": {"guide_float_diameter": 0.0185}})
+    assert info["probe"] == drawn[0] | {"guide_float_diameter": 0.0185}
+
+
+def test_an_unknown_choice_of_probes_is_named():
+    with pytest.raises(ValueError, match="probes = 'all' is not one of scene, random"):
+        gym.make("probe_env/Insertion-v0", probes="all")

@@ -16,6 +16,7 @@ DESIGN_TABLES = {
     "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
     " tubes; changes are against the improved probe:",
     "confirmed-finely": "The same at the finest setting, `reference`, on {tubes} of the tubes:",
+    "driven": "The same driven by the first of the shipped agents, in whole insertions, {tubes} held-out tubes:",
 }
 
 
