@@ -83,7 +83,7 @@ tradeoff: setup
 	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 6 --output results/tradeoff
 
 fidelity: setup
-	$(BIN)/probe-env evaluate best-schedule tension-scheduled ppo=results/agents/ppo/seed-0/agent.npz --limit 8 --fidelity fast --check-fidelity acting --output results/fidelity
+	$(BIN)/probe-env evaluate best-schedule tension-scheduled ppo=results/agents/ppo/seed-0/agent.npz --limit 8 --fidelity fast --check-fidelity all --output results/fidelity
 
 # an environment of its own: RLlib pins gymnasium 1.2.2
 RAY := .venv-ray

@@ -43,13 +43,19 @@ def test_the_study_s_scheme_replays_feed_and_air_over_length(evaluated):
         replayed(profile, "fast", 7, 0)
 
 
-def test_with_the_study_s_scheme_the_policies_act_themselves(evaluated):
-    """Feedback on the air supply shows in what is blown; a policy that does not look does what it did."""
-    plan, table, output = evaluated
-    checks = check_acting(plan, table, output).set_index(["policy", "kpi"])
+def test_with_the_study_s_scheme_the_policies_act_themselves(evaluated, tmp_path, monkeypatch):
+    """The policies are asked when they act, and not when what they did is replayed."""
+    plan, table, stored = evaluated
+    asked = []
+    act = Constant.predict
+    monkeypatch.setattr(Constant, "predict", lambda self, *given, **more: asked.append(1) or act(self, *given, **more))
+    check_replayed(plan, table, pd.read_parquet(stored / "profile.parquet"), tmp_path)
+    assert not asked
+    checks = check_acting(plan, table, tmp_path).set_index(["policy", "kpi"])
+    assert len(asked) == 2 * 2 * 3  # policies, contexts, periods
     assert (checks["rank"] == checks["rank_before"]).all()
     assert checks.loc[("fast", "air_m3"), "mean"] == pytest.approx(0.0, abs=1e-9)
-    again = pd.read_csv(output / "study-acting" / "episodes.csv")
+    again = pd.read_csv(tmp_path / "study-acting" / "episodes.csv")
     assert set(again["policy"]) == {"slow", "fast"}
     assert set(again["context"]) == {0, 1}
 
