@@ -56,7 +56,7 @@ class Comparison:
     feed: str = "constant"
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
-    config: TaskConfig = field(default_factory=lambda: TaskConfig(privileged=True))
+    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
 
     def schedule(self) -> Schedule:
         """The feed as a schedule.

@@ -52,7 +52,7 @@ class DesignProblem:
     feed: str = "best-constant"
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
-    config: TaskConfig = field(default_factory=lambda: TaskConfig(privileged=True))
+    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
 
     @property
     def axes(self) -> dict[str, tuple[float, float, str]]:

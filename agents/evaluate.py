@@ -24,8 +24,9 @@ from tqdm import tqdm
 from agents.provenance import kernel_hash, provenance, write_atomically, write_json
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
-from probe_env.episodes import Episodes
-from probe_env.task import TaskConfig, describe
+from probe_env.design import RANGES
+from probe_env.episodes import Episodes, Probes
+from probe_env.task import SHOWN, TaskConfig, describe
 
 CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 BATCH = 16
@@ -45,13 +46,17 @@ class Policy(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """What is evaluated: every policy on every context with every seed."""
+    """What is evaluated: every policy on every context with every seed.
+
+    ``probes``: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
+    """
 
     policies: Mapping[str, Policy]
     contexts: Sequence[Context]
     seeds: Sequence[int] = (0,)
     config: TaskConfig = field(default_factory=TaskConfig)
     fidelity: Fidelity = field(default_factory=Fidelity)
+    probes: Probes = "scene"
 
     def setting(self) -> dict[str, Any]:
         """What all episodes share: results with another setting do not belong in the same table."""
@@ -59,6 +64,7 @@ class Plan:
             **describe(self.config),
             "fidelity": self.fidelity.model_dump(),
             "kernel_hash": kernel_hash(self.fidelity.method),
+            "probes": self.probes,
         }
 
     def units(self) -> list[tuple[str, int, int]]:
@@ -109,7 +115,7 @@ def run_plan(
         record = stored[plan.key(unit)]
         name, k, seed = unit
         place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
-        rows.append(place | plan.contexts[k].model_dump() | record["kpis"])
+        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"])
         profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
     table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
     _write_tables(table, profile, output)
@@ -133,13 +139,19 @@ def read_journal(path: Path) -> dict[str, dict[str, Any]]:
 def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
     path = output / "setting.json"
     if path.exists():
-        before, now = json.loads(path.read_text()), json.loads(json.dumps(plan.setting()))
+        before, now = (_shared(setting) for setting in (json.loads(path.read_text()), plan.setting()))
         different = [name for name in now if before.get(name) != now[name]]
         if different:
             raise ValueError(
                 f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
             )
     return read_journal(output / "episodes.jsonl")
+
+
+def _shared(setting: Mapping[str, Any]) -> dict[str, Any]:
+    """What episodes must share: not what is observed, and fields newer than the results have their defaults."""
+    task = TaskConfig.model_validate_json(json.dumps(setting["task"])).model_dump(exclude=set(SHOWN))
+    return {"probes": "scene"} | {k: v for k, v in setting.items() if k != "observations"} | task | {"task": None}
 
 
 def _lines(
@@ -168,7 +180,8 @@ def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> list[str]:
 def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Any:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
     count = min(batch, len(missing))
-    episodes = Episodes(count, plan.config, fidelity=plan.fidelity, threads=threads)
+    episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)
+    probes: list[dict[str, float] | None] = [None] * count
     units: list[tuple[str, int, int] | None] = [None] * count
     states: list[Any] = [None] * count
     profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
@@ -182,7 +195,10 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, thr
         if fresh:
             options = {k: {"context": plan.contexts[_unit(units[k])[1]]} for k in fresh}
             rngs = {k: np.random.default_rng([_unit(units[k])[2], _unit(units[k])[1]]) for k in fresh}
-            observation, _ = episodes.reset(fresh, rngs, options)
+            observation, started = episodes.reset(fresh, rngs, options)
+            if plan.probes == "random":
+                for k in fresh:
+                    probes[k] = {name: started[k]["probe"][name] for name in RANGES}
         active = episodes.running.copy()
         actions = np.zeros((count, 2), dtype=np.float32)
         for k in np.flatnonzero(active).tolist():
@@ -196,7 +212,7 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, thr
             info = step.infos[k]
             profile[k].append(tuple(float(info[name]) for name in CARRIED))
             if "episode_kpis" in info:
-                yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k])
+                yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k], probes[k])
 
 
 def _unit(unit: tuple[str, int, int] | None) -> tuple[str, int, int]:
@@ -204,9 +220,16 @@ def _unit(unit: tuple[str, int, int] | None) -> tuple[str, int, int]:
     return unit
 
 
-def _line(plan: Plan, unit: tuple[str, int, int], kpis: dict[str, float], profile: list[tuple[float, ...]]) -> str:
+def _line(
+    plan: Plan,
+    unit: tuple[str, int, int],
+    kpis: dict[str, float],
+    profile: list[tuple[float, ...]],
+    probe: dict[str, float] | None,
+) -> str:
     columns = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(profile).items()}
-    return json.dumps({"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}) + "\n"
+    record = {"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}
+    return json.dumps(record | ({"probe": probe} if probe else {})) + "\n"
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, np.ndarray]:

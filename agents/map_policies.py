@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -11,12 +12,13 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from agents.policies import FixedPolicy
-from agents.vibration_map import CONTEXT, FEEDS, STORED, features_of, stored_map
+from agents.steady_sliding import MEASURED, friction_from_tension
+from agents.vibration_map import CONTEXT, FEEDS, STORED, features_of, metre_cost, stored_map
 from probe_env import Context, Scene
-from probe_env.chain import FloatArray, air_speed, build_chain
+from probe_env.chain import FloatArray, air_speed
 from probe_env.contexts import HELIX_DIAMETERS
 from probe_env.schedule import Schedule
-from probe_env.task import TaskConfig
+from probe_env.task import RF_FLOOR, TaskConfig
 
 KNOTS: Final = np.arange(5.0, 61.0, 2.5)  # [m]
 FEED_GRID: Final = np.geomspace(*FEEDS, 32)
@@ -24,6 +26,10 @@ LEAST_AIR: Final = 45.0 / 3600.0
 """[m3/s]; below it the root tension of a training tube came near the 0.8 N that the rising straight part needs."""
 FRICTIONS: Final = (0.08, 0.27)
 FRICTION_STEP: Final = 0.005
+SHIFTS: Final = (-1.5, 1.0)
+SHIFT_STEP: Final = 0.1
+AREA: Final = 1.0 / air_speed(Scene(), 1.0)
+"""[m2] between cable and tube."""
 
 
 def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
@@ -33,23 +39,36 @@ def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     return feed.ravel(), blown.ravel()
 
 
-def metre_costs(contexts: FloatArray, config: TaskConfig) -> FloatArray:
-    """(contexts, knots, g) expected cost of a metre at every knot, for every feed and air of the grid."""
+def metre_costs(contexts: FloatArray, config: TaskConfig, shift: float = 0.0) -> FloatArray:
+    """(contexts, knots, g) expected cost of a metre at every knot, for every feed and air of the grid.
+
+    ``shift`` [decades] is by how much more the probe vibrates than the map says.
+    """
+    feed, air = (np.tile(column, len(KNOTS)) for column in grid(config))
+    costs = []
+    for context in contexts:
+        mean, deviation = _grid_vibration(tuple(map(float, context)), config)
+        costs.append(metre_cost(mean + shift, deviation, feed, air, config).reshape(len(KNOTS), -1))
+    return np.array(costs)
+
+
+@lru_cache(maxsize=1024)
+def _grid_vibration(context: tuple[float, ...], config: TaskConfig) -> tuple[FloatArray, FloatArray]:
+    """Mean and deviation (knots * g,) of the decadic logarithm of the vibration in one tube."""
     feed, air = grid(config)
-    costs = np.empty((len(contexts), len(KNOTS), len(feed)))
-    one = np.ones_like(feed)
-    for j, context in enumerate(contexts):
-        for k, length in enumerate(KNOTS):
-            features = features_of(length * one, feed, air, np.tile(context, (len(feed), 1)))
-            costs[j, k] = stored_map().metre_cost(features, feed, air, config)
-    return costs
+    lengths, count = np.repeat(KNOTS, len(feed)), len(KNOTS)
+    tube = np.tile(context, (len(lengths), 1))
+    return stored_map().distribution(features_of(lengths, np.tile(feed, count), np.tile(air, count), tube))
 
 
 @lru_cache(maxsize=4096)
-def best_schedule_for(context: Context, config: TaskConfig) -> Schedule:
-    """Schedule over inserted length with the least expected cost on one tube: the best of the grid at every knot."""
+def best_schedule_for(context: Context, config: TaskConfig, shift: float = 0.0) -> Schedule:
+    """Schedule over inserted length with the least expected cost on one tube: the best of the grid at every knot.
+
+    ``shift`` [decades] is by how much more the probe vibrates than the map says.
+    """
     values = np.array([[getattr(context, name) for name in CONTEXT]])
-    best = metre_costs(values, config)[0].argmin(axis=1)
+    best = metre_costs(values, config, shift)[0].argmin(axis=1)
     feed, air = (column[best] for column in grid(config))
     return Schedule("inserted_length", "linear", tuple(KNOTS), tuple(map(float, feed)), tuple(map(float, air)))
 
@@ -127,18 +146,66 @@ class TensionScheduled(MapPolicy):
         Raises:
             ValueError: the task does not show the root tension.
         """
-        if "root_tension" not in seen:
-            raise ValueError("the tension-scheduled policy needs a task that shows the root tension")
-        estimate = friction_from_tension(
-            seen["root_tension"], seen["inserted_length"], seen["feed_speed"], seen["air_supply_rate"],
-            seen["helix_diameter"],
-        )  # fmt: skip
-        gain = 1.0 - np.exp(-self.config.period / self.average)
-        memory[:, 0] += gain * (np.clip(estimate, *FRICTIONS) - memory[:, 0])
-        rounded = np.round(memory[:, 0] / FRICTION_STEP) * FRICTION_STEP
-        pairs = zip(rounded, seen["helix_diameter"], strict=True)
-        tubes = [Context(friction=round(float(mu), 4), helix_diameter=round(float(d), 3)) for mu, d in pairs]
+        self.check(seen)
+        known = {name: seen[name] for name in MEASURED}  # the probe is taken as table 2's
+        tubes = self.tubes(friction_from_tension(known), seen["helix_diameter"], memory)
         return _looked_up(tubes, seen["inserted_length"], _weighted(self.config, self.vibration_weight))
+
+    def check(self, seen: dict[str, FloatArray]) -> None:
+        """Whether the task shows what it looks at."""
+        if "root_tension" not in seen:
+            raise ValueError("the tension-scheduled and adaptive policies need a task that shows the root tension")
+
+    def tubes(self, friction: FloatArray, helix_diameter: FloatArray, memory: FloatArray) -> list[Context]:
+        """Tubes (N,) of the averaged friction, which ``memory`` keeps; rounded so that few schedules are searched."""
+        gain = 1.0 - np.exp(-self.config.period / self.average)
+        memory[:, 0] += gain * (np.clip(friction, *FRICTIONS) - memory[:, 0])
+        rounded = np.round(memory[:, 0] / FRICTION_STEP) * FRICTION_STEP
+        pairs = zip(rounded, helix_diameter, strict=True)
+        return [Context(friction=round(float(mu), 4), helix_diameter=round(float(d), 3)) for mu, d in pairs]
+
+
+@dataclass
+class Adaptive(TensionScheduled):
+    """As ``TensionScheduled``, with the map shifted to what is measured: for probes that the map does not know.
+
+    How much louder or quieter than the map this probe is in this tube, in decades, is averaged over the run. Where the
+    task shows the probe, the friction estimate knows its floats.
+    """
+
+    shift_average: float = 15.0
+    """Time constant of the average of the shift [s]."""
+    smoothing: float = 6.0
+    """Time constant of feed and air [s]: a leap between two schedules could buckle a weak cable."""
+    least_tension: float = 2.0
+    """Air is blown so that steady sliding keeps this root tension [N], with floats of any size."""
+    memory: ClassVar[int] = 4
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Looked up in the shifted map. Memory: the friction estimate, the shift [decades], feed and air.
+
+        Raises:
+            ValueError: the task does not show the root tension.
+        """
+        self.check(seen)
+        tubes = self.tubes(friction_from_tension(seen), seen["helix_diameter"], memory)
+        length, feed, air = (seen[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
+        values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
+        expected = 10.0 ** stored_map().distribution(features_of(length, feed, air, values))[0] * 1e-4
+        shift = np.log10(seen["radial_rms"] / np.hypot(expected, RF_FLOOR))
+        gain = 1.0 - np.exp(-self.config.period / self.shift_average)
+        memory[:, 1] += gain * (np.clip(shift, *SHIFTS) - memory[:, 1])
+        rounded = np.round(memory[:, 1] / SHIFT_STEP) * SHIFT_STEP
+        config = _weighted(self.config, self.vibration_weight)
+        wanted_feed, wanted_air = _looked_up(tubes, length, config, [round(float(decades), 4) for decades in rounded])
+        # drag, and with it the tension, goes with the square of the wind
+        flow_at_feed = feed * AREA
+        tension = np.maximum(seen["root_tension"], 0.1 * self.least_tension)
+        needed = flow_at_feed + (air - flow_at_feed) * np.sqrt(self.least_tension / tension)
+        wanted = np.column_stack([wanted_feed, np.clip(needed, wanted_air, self.config.air_supply_rates[1])])
+        acted = np.where(memory[:, 2:] > 0.0, memory[:, 2:], np.column_stack([feed, air]))
+        memory[:, 2:] = acted + (1.0 - np.exp(-self.config.period / self.smoothing)) * (wanted - acted)
+        return memory[:, 2], memory[:, 3]
 
 
 @lru_cache
@@ -146,8 +213,12 @@ def _weighted(config: TaskConfig, vibration_weight: float | None) -> TaskConfig:
     return config if vibration_weight is None else config.model_copy(update={"vibration_weight": vibration_weight})
 
 
-def _looked_up(tubes: list[Context], length: FloatArray, config: TaskConfig) -> tuple[FloatArray, FloatArray]:
-    pairs = [best_schedule_for(tube, config).at(place) for tube, place in zip(tubes, length, strict=True)]
+def _looked_up(
+    tubes: list[Context], length: FloatArray, config: TaskConfig, shifts: Sequence[float] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    louder = shifts or [0.0] * len(tubes)
+    known = zip(tubes, louder, length, strict=True)
+    pairs = [best_schedule_for(tube, config, decades).at(place) for tube, decades, place in known]
     return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
 
@@ -162,41 +233,8 @@ def _context(friction: float, stiffness: float, drag: float, diameter: float) ->
     )
 
 
-def friction_from_tension(
-    tension: FloatArray, length: FloatArray, feed: FloatArray, air: FloatArray, helix_diameter: FloatArray
-) -> FloatArray:
-    """Friction coefficient (n,) at which steady sliding has a root tension [N], by bisection.
-
-    T = (q r / mu') (1 - exp(-mu' L / r)), mu' = mu (1 - d_f / d_h), with table 2's drag q per metre; tension falls as
-    friction rises.
-
-    Args:
-        tension: at the root [N].
-        length: inserted [m].
-        feed: speed [m/s].
-        air: supply [m3/s].
-        helix_diameter: [m].
-    """
-    scene, drag = Scene(), _drag_per_metre()
-    wind = np.array([air_speed(scene, float(q)) for q in air]) - feed
-    force, radius = drag * wind * np.abs(wind), helix_diameter / 2.0
-    low, high = np.zeros_like(tension), np.full_like(tension, 2.0)
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        at_middle = force * radius / middle * -np.expm1(-middle * length / radius)
-        low, high = np.where(at_middle > tension, middle, low), np.where(at_middle > tension, high, middle)
-    return np.asarray(0.5 * (low + high) / (1.0 - scene.probe.carrier_float_diameter / helix_diameter))
-
-
-@lru_cache
-def _drag_per_metre() -> float:
-    """Drag force a metre over the square of the wind [N s2/m3], table 2's floats."""
-    scene = Scene()
-    drag = build_chain(scene).drag
-    return float(drag[drag > 0.0].mean() / scene.probe.float_pitch)
-
-
 MAP_POLICIES: Final[dict[str, tuple[type[FixedPolicy], dict[str, Any]]]] = {
     "tension-scheduled": (TensionScheduled, {}),
+    "adaptive": (Adaptive, {}),
     "privileged": (Privileged, {}),
 }

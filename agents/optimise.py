@@ -24,7 +24,7 @@ from agents.evaluate import Plan, run_plan
 from agents.map_policies import LEAST_AIR
 from agents.policies import Scheduled
 from agents.provenance import provenance, write_atomically, write_json
-from agents.vibration_map import CONTEXT, FEEDS, features_of, stored_map
+from agents.vibration_map import CONTEXT, FEEDS, features_of, metre_cost, stored_map
 from agents.vibration_map import STORED as MAP_FILE
 from probe_env import Context, load_contexts
 from probe_env.chain import FloatArray
@@ -96,7 +96,7 @@ class MapCost:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         lengths, tubes = self._tiled
         feed, air = schedule.at(lengths)
-        cost = stored_map().metre_cost(features_of(lengths, feed, air, tubes), feed, air, self.config)
+        cost = metre_cost(*stored_map().distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config)
         return float(len(METRES) * (self.config.progress_weight - cost.mean()))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.chain import FloatArray
+from probe_env.design import RANGES
 from probe_env.schedule import Schedule
 from probe_env.task import LARGEST_LENGTH, LARGEST_TENSION, TaskConfig
 
@@ -91,6 +92,8 @@ class FixedPolicy(ABC):
         if "friction" in raw:
             seen |= {"friction": raw["friction"] * 0.25, "drag_factor": raw["drag_factor"]}
             seen["contact_stiffness"] = raw["contact_stiffness"] * 1e5
+        if self.config.observe_probe:
+            seen |= {name: low + raw[name] * (high - low) for name, (low, high, _) in RANGES.items()}
         return seen
 
 

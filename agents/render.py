@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 import probe_env
 from agents.catalogue import make_policy
+from probe_env.task import SHOWN
 
 FORMATS = (".gif", ".mp4", ".png")
 FRAMES_PER_SECOND = 10
@@ -31,7 +32,7 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
         raise ValueError(f"output = {str(output)!r} must end in one of {', '.join(FORMATS)}")
     if every < 1:
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
-    env = gym.make(env_id, render_mode="rgb_array", config={"privileged": True}, **arguments)
+    env = gym.make(env_id, render_mode="rgb_array", config=dict.fromkeys(SHOWN, True), **arguments)
     controller = make_policy(policy, env.unwrapped.config)  # type: ignore[attr-defined]
     observation, _ = env.reset(seed=seed)
     state, start = None, np.ones(1, dtype=bool)

@@ -23,6 +23,7 @@ from agents.provenance import write_atomically, write_json
 from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
 from agents.workers import HERE, Workers
 from probe_env.contexts import Split, spread_contexts
+from probe_env.episodes import Probes
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.task import TaskConfig
 
@@ -37,6 +38,7 @@ def evaluate(
     check_fidelity: Level = "no",
     against: str | None = None,
     workers: Workers = HERE,
+    probes: Probes = "scene",
 ) -> pd.DataFrame:
     """Evaluate policies on a shipped list of contexts; writes the tables, summary.csv and report.html.
 
@@ -49,9 +51,14 @@ def evaluate(
     chosen = spread_contexts(contexts, limit)
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = TaskConfig(privileged=True)  # every policy looks at what it is meant to
+    if probes == "random" and check_fidelity not in ("no", "half-step"):
+        raise ValueError(
+            f"check_fidelity = {check_fidelity!r} takes a sample of the tubes, for which other probes are"
+            " drawn: with probes = 'random' it must be no or half-step"
+        )
+    config = TaskConfig().all_shown
     policies = named_policies(specs, config)
-    plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity))
+    plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity), probes)
     methods = [method_and_seed(name)[0] for name in policies]
     reference = against or methods[0]
     if reference not in methods:

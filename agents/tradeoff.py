@@ -64,7 +64,7 @@ def run_tradeoff(
     for name in names:
         if name not in FAMILIES:
             raise ValueError(f"family = {name!r} is not one of {', '.join(FAMILIES)}")
-    config = TaskConfig(privileged=True)
+    config = TaskConfig().all_shown
     singles = named_policies(beside, config) if beside else {}
     policies: dict[str, Policy] = {
         f"{name} {value:g}": FAMILIES[name].kind(config, **{FAMILIES[name].parameter: value}, **FAMILIES[name].fixed)

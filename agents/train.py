@@ -173,7 +173,7 @@ def _validated(
     agent = Agent(description, model.policy, training.shown_task, f"phase {phase}")
     fidelity = resolve_fidelity(training.validation.fidelity)
     begin = time.perf_counter()
-    plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity)
+    plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity, training.environment.probes)
     with tempfile.TemporaryDirectory() as scratch:
         table = run_plan(plan, Path(scratch), progress=False, threads=threads)
     row = {"seed": seed, "phase": phase, "steps": model.num_timesteps, "reward": float(table["reward"].mean())}

@@ -123,7 +123,7 @@ class Training(Model):
     @property
     def shown_task(self) -> TaskConfig:
         """The same with all observations shown: teachers look at some that the agent does not."""
-        return self.task.model_copy(update={"privileged": True, "observe_root_tension": True})
+        return self.task.all_shown
 
     @property
     def view(self) -> View:

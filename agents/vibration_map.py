@@ -71,26 +71,6 @@ class VibrationMap:
         values = values @ weights + biases
         return values[:, 0], np.exp(np.clip(values[:, 1], -5.0, 1.0))
 
-    def metre_cost(self, features: FloatArray, feed: FloatArray, air: FloatArray, config: TaskConfig) -> FloatArray:
-        """Expected cost (n,) of a metre (progress left out): vibration, time and air, by the task's weights.
-
-        Args:
-            features: (n, 7), see ``features_of``.
-            feed: (n,) feed speed [m/s] that ``features`` were made of.
-            air: (n,) air supply [m3/s] that ``features`` were made of.
-            config: the task; its vibration measure must be the displacement.
-        """
-        if config.vibration_measure != "displacement":
-            raise ValueError(f"vibration_measure = {config.vibration_measure!r}: the map knows displacement only")
-        mean, deviation = self.distribution(features)
-        nodes, weights = np.polynomial.hermite_e.hermegauss(7)
-        logarithms = mean[:, None] + deviation[:, None] * nodes
-        ratio = np.minimum(10.0**logarithms * 1e-4 / config.limit, config.ratio_cap)
-        squares = (ratio**2) @ (weights / weights.sum())
-        return np.asarray(
-            config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed
-        )
-
     @classmethod
     def load(cls, path: Path = STORED) -> VibrationMap:
         """Read a stored map (plain arrays only, no pickles)."""
@@ -133,6 +113,27 @@ def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: 
             (1.0 / context[:, 3] - 0.65) / 0.2,
         ]
     )
+
+
+def metre_cost(
+    mean: FloatArray, deviation: FloatArray, feed: FloatArray, air: FloatArray, config: TaskConfig
+) -> FloatArray:
+    """Expected cost (n,) of a metre (progress left out): vibration, time and air, by the task's weights.
+
+    Args:
+        mean: (n,) of log10(radial rms / 0.1 mm), which is normal.
+        deviation: (n,) of the same.
+        feed: (n,) feed speed [m/s].
+        air: (n,) air supply [m3/s].
+        config: the task; its vibration measure must be the displacement.
+    """
+    if config.vibration_measure != "displacement":
+        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: the map knows displacement only")
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    logarithms = mean[:, None] + deviation[:, None] * nodes
+    ratio = np.minimum(10.0**logarithms * 1e-4 / config.limit, config.ratio_cap)
+    squares = (ratio**2) @ (weights / weights.sum())
+    return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
 
 
 def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[str, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Final, Self
 
 import gymnasium as gym
@@ -11,8 +12,9 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn, VecEnvWrapper
 
-from agents.map_policies import friction_from_tension
+from agents.steady_sliding import MEASURED, SHAPE, friction_from_tension
 from probe_env.chain import FloatArray
+from probe_env.design import RANGES
 from probe_env.scene import Model, quantity
 from probe_env.task import LARGEST_LENGTH, LARGEST_TENSION, OBSERVATIONS, TaskConfig
 
@@ -20,7 +22,6 @@ Rows = npt.NDArray[np.floating[Any]]
 TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 
 
-ESTIMATED_FROM: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
 SCALES: Final = {
     "root_tension": LARGEST_TENSION, "inserted_length": LARGEST_LENGTH, "feed_speed": 0.4,
     "air_supply_rate": 130.0 / 3600.0, "helix_diameter": 2.5,
@@ -29,8 +30,13 @@ SCALES: Final = {
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
 
 
-def _physical(config: TaskConfig, rows: Rows, name: str) -> FloatArray:
-    return np.asarray(rows[:, list(config.observations).index(name)], dtype=float) * SCALES[name]
+def _physical(config: TaskConfig, rows: Rows, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Observations by name in SI units."""
+    places = {name: place for place, name in enumerate(config.observations)}
+    seen: dict[str, FloatArray] = {name: np.asarray(rows[:, places[name]], dtype=float) for name in names}
+    ranges = {name: RANGES[name][:2] for name in names if name in RANGES}
+    scaled = {name: seen[name] * SCALES[name] for name in names if name in SCALES}
+    return scaled | {name: low + seen[name] * (high - low) for name, (low, high) in ranges.items()}
 
 
 class View(Model):
@@ -49,7 +55,7 @@ class View(Model):
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
-        missing = [name for name in ESTIMATED_FROM if name not in self.observations]
+        missing = [name for name in MEASURED if name not in self.observations]
         if self.friction_estimate and missing:
             raise PydanticCustomError("estimate", f"friction_estimate needs the observations {', '.join(missing)}")
         return self
@@ -95,7 +101,8 @@ class View(Model):
         """
         seen = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
         if self.friction_estimate:
-            friction = friction_from_tension(*(_physical(config, rows, name) for name in ESTIMATED_FROM))
+            names = [*MEASURED, *(name for name in SHAPE if name in self.observations)]
+            friction = friction_from_tension(_physical(config, rows, names))
             scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
             seen = np.column_stack([seen, scaled]).astype(np.float32)
         repeated = np.tile(seen, len(self.averages))

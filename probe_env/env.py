@@ -134,7 +134,8 @@ class InsertionEnv(ProbeEnv):
     | 10 | helix diameter | 2.5 m |
 
     Friction and contact stiffness are not observed. `config={"observe_root_tension": False}` leaves out 7,
-    `{"privileged": True}` adds friction, contact stiffness and drag.
+    `{"privileged": True}` adds friction, contact stiffness and drag; `{"observe_probe": True}` the seven figures of the
+    probe that was built (`probe_env.task.PROBE`), for one controller of many probes.
 
     ## Rewards
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
@@ -159,7 +160,8 @@ class InsertionEnv(ProbeEnv):
     * `contexts`: "random", or a shipped list: "train", "validation", "test".
     * `feed_speed`, `air_supply_rate`: of the settling, SI units.
     * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
-      agent serves many probes; it shows in the reset's `info["probe"]`, and a constant length is cut to whole pitches.
+      agent serves many probes; it shows in the reset's `info["probe"]` and, with `config={"observe_probe": True}`, in
+      the observation; a constant length is cut to whole pitches.
     * `render_mode`: "rgb_array" or "human".
 
     ## Version History

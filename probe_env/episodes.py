@@ -17,7 +17,7 @@ from probe_env.batch import SimulatorBatch, Window
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
 from probe_env.contexts import Context, Split, draw_context, load_contexts
-from probe_env.design import Design
+from probe_env.design import RANGES, Design
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.kpis import Tally
@@ -295,9 +295,11 @@ class Episodes:
         inserted = self._inserted()
         length = np.array([s.scene.tube.helix_length for s in self.batch.simulators])
         fields = {name: np.array([getattr(c, name) for c in self.context]) for name in Context.model_fields}
+        probes = [s.scene.probe for s in self.batch.simulators]
         return {
             **window.statistics,
             **fields,
+            **{name: np.array([getattr(probe, name) for probe in probes]) for name in RANGES},
             "inserted_length": inserted,
             "remaining_length": length - inserted,
             "feed_speed": window.feed_speed,

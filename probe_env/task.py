@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.chain import FloatArray
+from probe_env.design import RANGES
 from probe_env.scene import Model, quantity
 
 BoolArray = npt.NDArray[np.bool_]
@@ -26,6 +27,8 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
 TERMS: Final = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
 ACCELEROMETER_FLOOR: Final = 1e-2  # [m/s2] rms, its own noise
 RF_FLOOR: Final = 1e-6  # [m] of radial rms: noise of the eddy-current signal at rest
+SHOWN: Final = ("observe_root_tension", "privileged", "observe_probe")
+"""Fields of the task that say what is observed, and change nothing else."""
 LARGEST_LENGTH, LARGEST_TENSION = 60.0, 20.0  # scales of the observation [m], [N]
 
 OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
@@ -47,6 +50,11 @@ PRIVILEGED: Final[dict[str, tuple[float, float, str]]] = {
     "contact_stiffness": (0.0, 1000.0, "contact stiffness / (1e5 N/m)"),
     "drag_factor": (0.0, 10.0, "drag over that of table 2"),
 }
+PROBE: Final[dict[str, tuple[float, float, str]]] = {
+    name: (-2000.0, 2000.0, f"{name.replace('_', ' ')}: 0 to 1 in the design space, {low:g} to {high:g} {unit}")
+    for name, (low, high, unit) in RANGES.items()
+}
+"""The probe that was built, for controllers of many probes."""
 
 
 class TaskConfig(Model):
@@ -78,6 +86,7 @@ class TaskConfig(Model):
     lost_drive_from: Annotated[float, quantity(0.0, 1e3, "m")] = 15.0
     observe_root_tension: bool = True
     privileged: bool = False
+    observe_probe: bool = False
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> TaskConfig:
@@ -110,7 +119,12 @@ class TaskConfig(Model):
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
         shown = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
-        return shown | (PRIVILEGED if self.privileged else {})
+        return shown | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
+
+    @property
+    def all_shown(self) -> TaskConfig:
+        """The same task with everything observed: every policy looks at what it is meant to."""
+        return self.model_copy(update=dict.fromkeys(SHOWN, True))
 
     def targets(self, actions: npt.ArrayLike) -> FloatArray:
         """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2) in [-1, 1].
@@ -164,6 +178,7 @@ def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArr
         "friction": measured["friction"] / 0.25,
         "contact_stiffness": measured["contact_stiffness"] / 1e5,
         "drag_factor": measured["drag_factor"],
+        **{name: (measured[name] - low) / (high - low) for name, (low, high, _) in RANGES.items()},
     }
     return np.column_stack([columns[name] for name in config.observations]).astype(np.float32)
 

@@ -12,11 +12,20 @@ from agents.map_policies import (
     Privileged,
     TensionScheduled,
     best_schedule_for,
-    friction_from_tension,
     grid,
     metre_costs,
 )
-from agents.vibration_map import CONTEXT, VibrationMap, Wandering, features_of, fit_map, load_quality, stored_map
+from agents.steady_sliding import friction_from_tension
+from agents.vibration_map import (
+    CONTEXT,
+    VibrationMap,
+    Wandering,
+    features_of,
+    fit_map,
+    load_quality,
+    metre_cost,
+    stored_map,
+)
 from probe_env import Context, Scene, load_contexts
 from probe_env.task import TaskConfig
 
@@ -65,7 +74,7 @@ def test_a_known_law_is_found_again():
 def test_the_cost_of_a_metre_is_its_expectation(mean, deviation):
     """E[min(r, 3)^2] + 0.1 / u + 0.2 Q / u against quadrature; the cap's kink costs the 7-point rule some per cent."""
     feed, air = np.array([0.2]), np.array([0.02])
-    cost = constant_map(mean, deviation).metre_cost(np.zeros((1, 7)), feed, air, CONFIG)[0]
+    cost = metre_cost(*constant_map(mean, deviation).distribution(np.zeros((1, 7))), feed, air, CONFIG)[0]
 
     def integrand(z):
         return min(10.0 ** (mean + deviation * z), 3.0) ** 2 * norm.pdf(z)
@@ -103,10 +112,11 @@ def test_friction_from_the_closed_form_s_tension(friction, length, helix_diamete
         tube={"helix_diameter": helix_diameter}, contact={"friction": friction},
         carrier_length=length - 2.5, feed_speed=0.15, air_supply_rate=0.025,
     )  # fmt: skip
-    one = np.ones(1)
-    found = friction_from_tension(
-        steady_root_tension(scene) * one, length * one, 0.15 * one, 0.025 * one, helix_diameter * one
-    )
+    seen = {
+        "root_tension": steady_root_tension(scene), "inserted_length": length, "feed_speed": 0.15,
+        "air_supply_rate": 0.025, "helix_diameter": helix_diameter,
+    }  # fmt: skip
+    found = friction_from_tension({name: np.array([value]) for name, value in seen.items()})
     assert found[0] == pytest.approx(friction, rel=0.06)  # floats are discrete; the closed form there sums over them
 
 

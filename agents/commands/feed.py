@@ -18,6 +18,8 @@ class Evaluate:
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
     """Built-in policies, schedule files (.csv, .toml) or agents' bundles (.npz); NAME=FILE names one, NAME@K=FILE the
     training seeds of one method."""
+    probes: Literal["scene", "random"] = "scene"
+    """scene: the study's probe; random: one for every context and seed, drawn from the design space."""
     against: str | None = None
     """Policy that the others are compared with; default: the first."""
     output: Path = Path("output/evaluation")
@@ -41,7 +43,7 @@ class Evaluate:
 
         evaluate(
             self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity,
-            self.against, self.workers,
+            self.against, self.workers, self.probes,
         )  # fmt: skip
 
 
