@@ -240,6 +240,19 @@ def test_random_probes_are_drawn_from_the_whole_design_space_with_the_seed(env_i
     assert info["probe"] == drawn[0] | {"guide_float_diameter": 0.0185}
 
 
+def test_the_probe_that_was_built_is_observed_as_its_place_in_the_design_space():
+    config = TaskConfig(settle_time=0.1, observe_probe=True)
+    env = gym.make("probe_env/Insertion-v0", probes="random", config=config)
+    observation, info = env.reset(seed=0)
+    names = list(config.observations)
+    shares = Design(**{name: info["probe"][name] for name in RANGES}).to_unit()
+    assert observation[[names.index(name) for name in RANGES]] == pytest.approx(shares, abs=1e-6)
+    assert (
+        observation[: -len(RANGES)]
+        == gym.make("probe_env/Insertion-v0", probes="random", config={"settle_time": 0.1}).reset(seed=0)[0]
+    ).all()  # what is shown changes nothing else
+
+
 def test_an_unknown_choice_of_probes_is_named():
     with pytest.raises(ValueError, match="probes = 'all' is not one of scene, random"):
         gym.make("probe_env/Insertion-v0", probes="all")

@@ -19,7 +19,9 @@ SHORT = {"probe_env/Insertion-v0": {"fidelity": "fast"}, "probe_env/Snapshot-v0"
 
 
 @IDS
-@pytest.mark.parametrize("variant", [{}, {"observe_root_tension": False}, {"privileged": True}])
+@pytest.mark.parametrize(
+    "variant", [{}, {"observe_root_tension": False}, {"privileged": True}, {"observe_probe": True}]
+)
 def test_both_checkers_find_nothing(env_id, variant):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

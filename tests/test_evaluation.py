@@ -1,7 +1,9 @@
 """Evaluation: paired, resumable at any moment, and its statistics are right."""
 
+import json
 import multiprocessing
 import time
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -22,6 +24,7 @@ from agents.statistics import (
     summarise,
 )
 from probe_env import Fidelity, load_contexts
+from probe_env.design import RANGES
 from probe_env.task import TaskConfig
 
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
@@ -93,6 +96,35 @@ def test_what_is_done_is_not_done_again_and_another_setting_is_refused(tmp_path,
     assert len(run_plan(plan(), tmp_path, progress=False)) == 12
     with pytest.raises(ValueError, match="another setting"):
         run_plan(plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), tmp_path, progress=False)
+
+
+def test_random_probes_are_the_same_for_all_policies_and_are_told(tmp_path):
+    drawn = replace(plan(), probes="random")
+    table = run_plan(drawn, tmp_path, progress=False)
+    first, second = (table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1"))
+    assert (first[list(RANGES)] == second[list(RANGES)]).all(axis=None)
+    assert first["line_density"].nunique() == 6  # a probe for each context and seed
+    same_probe = run_plan(plan(), tmp_path / "scene", progress=False)
+    assert (table["radial_rms_m"] != same_probe["radial_rms_m"]).all()
+    with pytest.raises(ValueError, match=r"another setting .probes"):
+        run_plan(plan(), tmp_path, progress=False)
+
+
+def test_what_is_shown_and_fields_newer_than_the_results_make_no_other_setting(tmp_path):
+    table = run_plan(plan(), tmp_path, progress=False)
+    setting = json.loads((tmp_path / "setting.json").read_text())
+    del setting["probes"], setting["task"]["observe_probe"]
+    (tmp_path / "setting.json").write_text(json.dumps(setting))
+    again = run_plan(plan(config=CONFIG.all_shown), tmp_path, progress=False)
+    pd.testing.assert_frame_equal(table, again, check_exact=True)
+    anew = run_plan(plan(config=CONFIG.all_shown), tmp_path / "anew", progress=False)
+    pd.testing.assert_frame_equal(table, anew, check_exact=True)
+
+
+def test_a_check_by_sample_would_draw_other_probes(tmp_path):
+    with pytest.raises(ValueError, match=r"check_fidelity = 'acting'.*must be no or half-step"):
+        evaluate(["constant"], tmp_path, "test", 1, 1, "fast", "acting", probes="random")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_changed_policy_is_run_again_under_its_name(tmp_path):

@@ -14,6 +14,7 @@ from agents.policies import Constant
 from agents.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.train_config import Training
 from probe_env import Fidelity, load_contexts
+from probe_env.design import RANGES
 from probe_env.fidelity import PRESETS
 from probe_env.task import TaskConfig
 
@@ -30,6 +31,11 @@ PPO = {**TINY, "learning": {"n_steps": 16, "batch_size": 32, "n_epochs": 2}}
 IMITATING = {**PPO, "imitation": {"teacher": "slow-down", "rounds": 2, "steps": 32, "epochs": 2}}
 RECURRENT = {**PPO, "algorithm": "recurrent-ppo"}
 SAC = {**TINY, "algorithm": "sac", "learning": {"learning_starts": 16, "buffer_size": 256, "batch_size": 8}}
+
+
+VALIDATED = pd.DataFrame(
+    {"reward": [1.0], "inspection_time_s": [1.0], "share_within_limit": [1.0], "diverged": [0.0]}
+)  # fmt: skip
 
 
 def weights(folder):
@@ -76,6 +82,19 @@ def test_killed_at_any_moment_it_goes_on(tmp_path):
     assert equal(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
     curve = pd.read_csv(tmp_path / "killed" / "seed-0" / CURVE)
     assert curve["phase"].tolist() == [0, 1, 2]
+
+
+def test_an_agent_of_random_probes_is_validated_on_random_probes(tmp_path, monkeypatch):
+    """With what the design space says of the probe among its features."""
+    plans = []
+    monkeypatch.setattr("agents.train.run_plan", lambda plan, *_, **__: plans.append(plan) or VALIDATED)
+    environment = PPO["environment"] | {"probes": "random", "task": SHORT | {"observe_probe": True}}
+    train_all(Training(**PPO | {"environment": environment, "phases": 1}), tmp_path, resume=False)
+    assert [plan.probes for plan in plans] == ["random"]
+    agent = load_bundle(tmp_path / "seed-0" / BEST)
+    assert set(RANGES) < set(agent.description.view.observations)
+    with pytest.raises(ValueError, match=r"guide_length.* not shown by this task"):
+        load_bundle(tmp_path / "seed-0" / BEST, TaskConfig())
 
 
 def test_an_existing_run_is_not_overwritten_nor_mixed(tmp_path):

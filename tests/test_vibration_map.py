@@ -8,14 +8,16 @@ from scipy.stats import norm
 
 from agents.claims import steady_root_tension
 from agents.map_policies import (
+    AREA,
     KNOTS,
+    Adaptive,
     Privileged,
     TensionScheduled,
     best_schedule_for,
     grid,
     metre_costs,
 )
-from agents.steady_sliding import friction_from_tension
+from agents.steady_sliding import MEASURED, SHAPE, friction_from_tension
 from agents.vibration_map import (
     CONTEXT,
     VibrationMap,
@@ -26,7 +28,9 @@ from agents.vibration_map import (
     metre_cost,
     stored_map,
 )
+from agents.view import HALF_RANGE, MIDDLE, View
 from probe_env import Context, Scene, load_contexts
+from probe_env.design import RANGES
 from probe_env.task import TaskConfig
 
 CONFIG = TaskConfig(privileged=True)
@@ -107,15 +111,17 @@ def test_best_schedule_for_a_tube_is_the_least_cost_and_slower_where_friction_is
 @pytest.mark.parametrize("friction", [0.10, 0.15, 0.25])
 @pytest.mark.parametrize("length", [7.5, 30.0, 57.5])
 @pytest.mark.parametrize("helix_diameter", [1.0, 2.5])
-def test_friction_from_the_closed_form_s_tension(friction, length, helix_diameter):
+@pytest.mark.parametrize("probe", [{}, {"carrier_float_diameter": 0.016, "guide_float_diameter": 0.02}])
+def test_friction_from_the_closed_form_s_tension(friction, length, helix_diameter, probe):
     scene = Scene(
+        probe=probe,
         tube={"helix_diameter": helix_diameter}, contact={"friction": friction},
         carrier_length=length - 2.5, feed_speed=0.15, air_supply_rate=0.025,
     )  # fmt: skip
     seen = {
         "root_tension": steady_root_tension(scene), "inserted_length": length, "feed_speed": 0.15,
         "air_supply_rate": 0.025, "helix_diameter": helix_diameter,
-    }  # fmt: skip
+    } | {name: getattr(scene.probe, name) for name in SHAPE}  # fmt: skip
     found = friction_from_tension({name: np.array([value]) for name, value in seen.items()})
     assert found[0] == pytest.approx(friction, rel=0.06)  # floats are discrete; the closed form there sums over them
 
@@ -124,8 +130,9 @@ def test_policies_name_what_their_task_does_not_show():
     hidden, blind = TaskConfig(), TaskConfig(observe_root_tension=False)
     with pytest.raises(ValueError, match="privileged = true"):
         Privileged(hidden).predict(np.zeros(len(hidden.observations), dtype=np.float32))
-    with pytest.raises(ValueError, match="root tension"):
-        TensionScheduled(blind).predict(np.zeros(len(blind.observations), dtype=np.float32))
+    for kind in (TensionScheduled, Adaptive):
+        with pytest.raises(ValueError, match="root tension"):
+            kind(blind).predict(np.zeros(len(blind.observations), dtype=np.float32))
 
 
 def test_wandering_holds_for_a_segment_and_differs_between_episodes():
@@ -153,3 +160,76 @@ def test_what_a_map_policy_is_depends_on_the_map(monkeypatch):
     before = Privileged(CONFIG).describe()
     monkeypatch.setattr("agents.map_policies._map_hash", lambda: "another")
     assert Privileged(CONFIG).describe() != before
+
+
+def settled(decades, tension_share=1.0, seconds=120, length=40.0):
+    """Feed [m/s], air [m3/s] and memory of ``Adaptive`` with a probe so much louder than the map, at one length.
+
+    Feed and air follow what is asked for; the tension is that of friction 0.2, times ``tension_share``.
+    """
+    names, policy, tube = list(CONFIG.observations), Adaptive(CONFIG), Context(friction=0.2)
+    values = np.array([[getattr(tube, name) for name in CONTEXT]])
+    feed, air, state = np.array([0.2]), np.array([0.02]), None
+    for _ in range(seconds):
+        expected = stored_map().distribution(features_of(np.array([length]), feed, air, values))[0][0]
+        scene = Scene(
+            contact={"friction": 0.2}, tube={"helix_diameter": tube.helix_diameter}, carrier_length=length - 2.5,
+            feed_speed=float(feed[0]), air_supply_rate=float(air[0]),
+        )  # fmt: skip
+        row = np.zeros((1, len(names)), dtype=np.float32)
+        shown = {
+            "inserted_length": length / 60.0, "feed_speed": feed[0] / 0.4, "air_supply_rate": air[0] * 3600.0 / 130.0,
+            "rf_noise": expected + decades, "root_tension": tension_share * steady_root_tension(scene) / 20.0,
+            "helix_diameter": tube.helix_diameter / 2.5,
+        }  # fmt: skip
+        for name, value in shown.items():
+            row[0, names.index(name)] = value
+        action, state = policy.predict(row, state)
+        feed, air = CONFIG.targets(action).T
+    return feed[0], air[0], state[0][0, 1:]
+
+
+def test_the_adaptive_policy_finds_how_loud_its_probe_is_and_feeds_it_as_that_asks_for():
+    """Shift and friction are found; with no shift it is where the best schedule of the tube is."""
+    louder, same, quieter = (settled(decades) for decades in (0.4, 0.0, -0.6))
+    for (_, _, memory), decades in zip((louder, same, quieter), (0.4, 0.0, -0.6), strict=True):
+        assert memory[0] == pytest.approx(0.2, abs=0.01)
+        assert memory[1] == pytest.approx(decades, abs=0.03)
+    assert louder[0] < 0.8 * same[0] < 0.8 * quieter[0]
+    best = best_schedule_for(Context(friction=0.2), CONFIG).at(40.0)
+    assert same[:2] == pytest.approx([float(part) for part in best], rel=0.1)
+    half = best_schedule_for(Context(friction=0.2), CONFIG, shift=0.4).at(40.0)
+    assert louder[:2] == pytest.approx([float(part) for part in half], rel=0.1)
+
+
+def test_the_adaptive_policy_blows_what_keeps_the_cable_taut():
+    """Floats with a fifth of the drag: the air goes up until the root tension is 2 N."""
+    feed, air, _ = settled(-1.0, tension_share=0.2, length=20.0)
+    scene = Scene(contact={"friction": 0.2}, carrier_length=17.5, feed_speed=feed, air_supply_rate=air)
+    assert 0.2 * steady_root_tension(scene) == pytest.approx(2.0, rel=0.1) or 0.2 * steady_root_tension(scene) > 2.0
+    assert air > settled(-1.0, length=20.0)[1]
+    assert air > feed * AREA
+
+
+def test_an_agent_that_sees_the_probe_estimates_friction_with_its_floats():
+    """Small floats have less drag, so less tension: taken for table 2's they look like much more friction."""
+    probe = {"carrier_float_diameter": 0.0175, "guide_float_diameter": 0.0175}
+    scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5)
+    config = CONFIG.all_shown
+    place = {name: k for k, name in enumerate(config.observations)}
+    row = np.zeros((1, len(place)), dtype=np.float32)
+    measured = {
+        "root_tension": steady_root_tension(scene) / 20.0, "inserted_length": 0.5, "feed_speed": 0.2 / 0.4,
+        "air_supply_rate": scene.air_supply_rate * 3600.0 / 130.0, "helix_diameter": scene.tube.helix_diameter / 2.5,
+    }  # fmt: skip
+    for name, (low, high, _) in RANGES.items():
+        measured[name] = (getattr(scene.probe, name) - low) / (high - low)
+    for name, value in measured.items():
+        row[0, place[name]] = value
+
+    def estimate(observations):
+        view = View(observations=observations, averages=(), friction_estimate=True)
+        return MIDDLE + HALF_RANGE * view.features(config, row, None, np.ones(1, dtype=bool))[0][0, -1]
+
+    assert estimate((*MEASURED, *RANGES)) == pytest.approx(0.15, rel=0.06)
+    assert estimate(MEASURED) > 1.2 * 0.15
