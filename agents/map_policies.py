@@ -52,7 +52,7 @@ def metre_costs(contexts: FloatArray, config: TaskConfig, shift: float = 0.0) ->
     return np.array(costs)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def _grid_vibration(context: tuple[float, ...], config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     """Mean and deviation (knots * g,) of the decadic logarithm of the vibration in one tube."""
     feed, air = grid(config)
@@ -189,23 +189,30 @@ class Adaptive(TensionScheduled):
         """
         self.check(seen)
         tubes = self.tubes(friction_from_tension(seen), seen["helix_diameter"], memory)
-        length, feed, air = (seen[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
-        values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
-        expected = 10.0 ** stored_map().distribution(features_of(length, feed, air, values))[0] * 1e-4
-        shift = np.log10(seen["radial_rms"] / np.hypot(expected, RF_FLOOR))
         gain = 1.0 - np.exp(-self.config.period / self.shift_average)
-        memory[:, 1] += gain * (np.clip(shift, *SHIFTS) - memory[:, 1])
+        memory[:, 1] += gain * (np.clip(self._louder(seen, tubes), *SHIFTS) - memory[:, 1])
         rounded = np.round(memory[:, 1] / SHIFT_STEP) * SHIFT_STEP
+        shifts = [round(float(decades), 4) for decades in rounded]
         config = _weighted(self.config, self.vibration_weight)
-        wanted_feed, wanted_air = _looked_up(tubes, length, config, [round(float(decades), 4) for decades in rounded])
-        # drag, and with it the tension, goes with the square of the wind
-        flow_at_feed = feed * AREA
-        tension = np.maximum(seen["root_tension"], 0.1 * self.least_tension)
-        needed = flow_at_feed + (air - flow_at_feed) * np.sqrt(self.least_tension / tension)
-        wanted = np.column_stack([wanted_feed, np.clip(needed, wanted_air, self.config.air_supply_rates[1])])
-        acted = np.where(memory[:, 2:] > 0.0, memory[:, 2:], np.column_stack([feed, air]))
+        feed, air = _looked_up(tubes, seen["inserted_length"], config, shifts)
+        wanted = np.column_stack([feed, np.clip(self._taut(seen), air, self.config.air_supply_rates[1])])
+        applied = np.column_stack([seen["feed_speed"], seen["air_supply_rate"]])
+        acted = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)
         memory[:, 2:] = acted + (1.0 - np.exp(-self.config.period / self.smoothing)) * (wanted - acted)
         return memory[:, 2], memory[:, 3]
+
+    def _louder(self, seen: dict[str, FloatArray], tubes: list[Context]) -> FloatArray:
+        """Measured vibration (N,) over the map's, in decades."""
+        values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
+        features = features_of(seen["inserted_length"], seen["feed_speed"], seen["air_supply_rate"], values)
+        expected = 10.0 ** stored_map().distribution(features)[0] * 1e-4
+        return np.asarray(np.log10(seen["radial_rms"] / np.hypot(expected, RF_FLOOR)))
+
+    def _taut(self, seen: dict[str, FloatArray]) -> FloatArray:
+        """Air supply (N,) [m3/s] for the least tension, which goes with the square of the wind."""
+        no_wind = seen["feed_speed"] * AREA
+        tension = np.maximum(seen["root_tension"], 0.1 * self.least_tension)
+        return np.asarray(no_wind + (seen["air_supply_rate"] - no_wind) * np.sqrt(self.least_tension / tension))
 
 
 @lru_cache

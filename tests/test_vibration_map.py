@@ -206,7 +206,7 @@ def test_the_adaptive_policy_blows_what_keeps_the_cable_taut():
     """Floats with a fifth of the drag: the air goes up until the root tension is 2 N."""
     feed, air, _ = settled(-1.0, tension_share=0.2, length=20.0)
     scene = Scene(contact={"friction": 0.2}, carrier_length=17.5, feed_speed=feed, air_supply_rate=air)
-    assert 0.2 * steady_root_tension(scene) == pytest.approx(2.0, rel=0.1) or 0.2 * steady_root_tension(scene) > 2.0
+    assert 0.2 * steady_root_tension(scene) > 1.9
     assert air > settled(-1.0, length=20.0)[1]
     assert air > feed * AREA
 
