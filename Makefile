@@ -62,22 +62,27 @@ policies: setup
 train: setup
 	$(BIN)/probe-env train configs/train/ppo.toml --output results/agents/ppo --jobs 2 --resume
 	$(BIN)/probe-env train configs/train/ppo-no-tension.toml --output results/agents/ppo-no-tension --jobs 2 --resume
+	$(BIN)/probe-env train configs/train/ppo-any-probe.toml --output results/agents/ppo-any-probe --jobs 2 --resume
 
 train-smoke: setup
 	$(BIN)/pytest tests/test_train.py -k smoke
 
 AGENTS := $(foreach k,0 1 2 3 4,ppo@$(k)=results/agents/ppo/seed-$(k)/agent.npz)
 BLIND := $(foreach k,0,ppo-no-tension@$(k)=results/agents/ppo-no-tension/seed-$(k)/agent.npz)
+ANY := $(foreach k,0 1 2,ppo-any-probe@$(k)=results/agents/ppo-any-probe/seed-$(k)/agent.npz)
+GENERAL := results/agents/ppo-any-probe/seed-0/agent.npz
 
 evaluation: setup
-	$(BIN)/probe-env evaluate constant slow-down pi best-constant best-schedule best-schedule-by-diameter tension-scheduled privileged configs/schedules/example.csv $(AGENTS) $(BLIND) --against best-schedule --fidelity fast --output results/evaluation
+	$(BIN)/probe-env evaluate constant slow-down pi best-constant best-schedule best-schedule-by-diameter tension-scheduled adaptive privileged configs/schedules/example.csv $(AGENTS) $(BLIND) $(ANY) --against best-schedule --fidelity fast --output results/evaluation
+	$(BIN)/probe-env evaluate constant best-schedule pi tension-scheduled adaptive ppo=results/agents/ppo/seed-0/agent.npz $(ANY) --probes random --against best-schedule --fidelity fast --output results/any-probe
 
 designs: setup
 	$(BIN)/probe-env compare $(foreach name,original longer-guide larger-guide-floats smaller-carrier-floats improved,configs/design/$(name).toml) --output results/design/countermeasures
 	$(BIN)/probe-env design --feed constant --trials 160 --output results/design/search
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity reference --limit 8 --output results/design/confirmed-finely
-	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --feed results/agents/ppo/seed-0/agent.npz --limit 24 --output results/design/driven
+	$(BIN)/probe-env design --full --fidelity fast --feed $(GENERAL) --trials 48 --contexts 16 --output results/design/codesign
+	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml results/design/codesign/found.toml --full --fidelity fast --feed $(GENERAL) --limit 24 --output results/design/driven
 
 tradeoff: setup
 	$(BIN)/probe-env tradeoff constant slow-down on-off pi tension-scheduled privileged --beside best-schedule $(AGENTS) --limit 6 --output results/tradeoff

@@ -67,8 +67,8 @@ def _pages() -> dict[Path, tuple[str, ...]]:
     """The blocks of every page."""
     return {
         README: (
-            "study", "bench", "environments", "map_quality", "evaluation", "agents", "search", "designs", "tradeoff",
-            "fidelity", "presets", "choices",
+            "study", "bench", "environments", "map_quality", "evaluation", "agents", "any_probe", "search", "designs",
+            "codesign", "tradeoff", "fidelity", "presets", "choices",
         ),
         ACCURACY: ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
         CLUSTER: ("scaling",),

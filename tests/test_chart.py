@@ -125,7 +125,7 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones():
 
 
 def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
-    settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (2e-4, 2.5e-4, 5e-4)]
+    settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (1e-3 / 7, 2.5e-4, 5e-4)]
     monkeypatch.setattr(ensembles, "step_settings", lambda: iter(settings))
     monkeypatch.setattr(ensembles, "model_settings", lambda: iter(()))
     run, ran = ensembles.run_setting, []
@@ -143,8 +143,9 @@ def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
     table = run_ensembles(tmp_path)
     assert len(ran) == 3  # nothing twice
     assert len(table) == 6
-    assert table.groupby("time_step")["diverged"].all().to_dict() == {2e-4: False, 2.5e-4: False, 5e-4: True}
-    assert run_ensembles(tmp_path).equals(table) or len(ran) == 3
+    assert table.groupby("time_step")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
+    run_ensembles(tmp_path)
+    assert len(ran) == 3  # no short decimal tells a seventh of a millisecond, and it is found again
 
 
 def test_rows_of_other_kernels_are_dropped(tmp_path):

@@ -68,7 +68,7 @@ class Setting:
 LENGTHS = (10.0, 30.0, 50.0)  # [m]
 STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
 REFERENCE_STEP = 2.5e-5  # [s], of imex
-STEPS = (1e-4, 1.25e-4, 2e-4, 2.5e-4, 5e-4)
+STEPS = (1e-4, 1.25e-4, 1e-3 / 7, 1e-3 / 6, 2e-4, 2.5e-4, 5e-4)  # whole parts of the sampling period
 MODEL_STEP = 1e-4  # [s], at which model choices are compared with each other
 CHOICES: dict[str, dict[str, Any]] = {
     "1 node a pitch": {"nodes_per_pitch": 1},

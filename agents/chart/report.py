@@ -11,6 +11,7 @@ from agents.chart.costs import run_costs
 from agents.chart.ensembles import run_ensembles
 from agents.chart.insertions import run_insertions
 from agents.chart.smooth import run_smooth
+from agents.chart.store import as_csv
 from agents.provenance import write_atomically
 
 STUDY = Path("results/study/ensemble.csv")
@@ -30,10 +31,10 @@ def draw_chart(output: Path) -> None:
     """Tables of errors, figures, and ``measured_errors.csv``, what ``fidelity="auto"`` goes by, from stored runs."""
     constant, inserted = error_tables(output)
     costs = pd.read_csv(output / "costs.csv")
-    write_atomically(output / "errors.csv", constant.to_csv(index=False, float_format="%.4g"))
-    write_atomically(output / "insertion-errors.csv", inserted.to_csv(index=False, float_format="%.4g"))
+    write_atomically(output / "errors.csv", as_csv(constant, 4))
+    write_atomically(output / "insertion-errors.csv", as_csv(inserted, 4))
     measured = tables.measured_errors(constant, inserted)
-    write_atomically(output / "measured_errors.csv", measured.to_csv(index=False, float_format="%.4g"))
+    write_atomically(output / "measured_errors.csv", as_csv(measured, 4))
     smooth = pd.read_csv(output / "smooth.csv")
     chosen = tables.choices(constant, inserted)
     figures.smooth(smooth, output / "smooth.png")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,12 @@ from agents.provenance import kernel_hash, provenance, write_atomically, write_j
 
 COLUMN = "kernels"
 BASES = {"newmark (LAPACK)": "newmark", "references": "newmark"}
+
+
+def as_csv(table: pd.DataFrame, digits: int) -> str:
+    """The table with so many digits, but time steps in full: settings are told apart by them."""
+    exact = {name: table[name].map(repr) for name in ("time_step",) if name in table}
+    return table.assign(**exact).to_csv(index=False, float_format=f"%.{digits}g")
 
 
 class Store:
@@ -40,9 +45,7 @@ class Store:
         table = new if self.table.empty else pd.concat([self.table, new], ignore_index=True)
         self.table = table.drop_duplicates(list(self.keys), keep="last").reset_index(drop=True)
         self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
-        buffer = io.StringIO()
-        self.table.to_csv(buffer, index=False, float_format="%.6g")
-        write_atomically(self.path, buffer.getvalue())
+        write_atomically(self.path, as_csv(self.table, 6))
         write_json(self.path.with_name(f"{self.path.stem}-provenance.json"), provenance())
 
 

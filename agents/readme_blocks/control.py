@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pandas as pd
 
@@ -13,17 +14,25 @@ from agents.readme_blocks.sources import RESULTS, source
 from agents.report import compared_with, kpi_cells
 from agents.statistics import KPIS, Interval, endings, grouped, sentences
 
-BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled")
+BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
-           "ppo-no-tension", "ppo", "privileged")  # fmt: skip
+           "adaptive", "ppo-no-tension", "ppo-any-probe", "ppo", "privileged")  # fmt: skip
 
 
 def evaluation() -> str:
     """KPIs of every policy on the held-out tubes, and the differences in words."""
-    folder = RESULTS / "evaluation"
+    return _evaluated(RESULTS / "evaluation", ("inspected_share", "radial_p99_m"))
+
+
+def any_probe() -> str:
+    """The same where every tube has a probe of its own, drawn from the design space."""
+    return _evaluated(RESULTS / "any-probe", ("radial_p99_m", "radial_acceleration_rms_m_per_s2", "air_m3"))
+
+
+def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
     table = grouped(pd.read_csv(folder / "episodes.csv"))
     against = compared_with(folder, table)
-    shown = [kpi for kpi in KPIS if kpi not in ("inspected_share", "radial_p99_m")]
+    shown = [kpi for kpi in KPIS if kpi not in left_out]
     names = [f"{KPIS[kpi][0]} [{KPIS[kpi][2]}]" if KPIS[kpi][2] else KPIS[kpi][0] for kpi in shown]
     lines = [f"| policy | {' | '.join(names)} |", "|---" * (len(shown) + 1) + "|"]
     for policy, cells in kpi_cells(table):

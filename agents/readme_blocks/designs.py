@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from pathlib import Path
 
 import pandas as pd
 
@@ -16,13 +17,25 @@ DESIGN_TABLES = {
     "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
     " tubes; changes are against the improved probe:",
     "confirmed-finely": "The same at the finest setting, `reference`, on {tubes} of the tubes:",
-    "driven": "The same driven by the first of the shipped agents, in whole insertions, {tubes} held-out tubes:",
 }
+DRIVEN = (
+    "The study's probes, the design found under the study's feed and the one found under the agent's, all driven by the"
+    " agent, in whole insertions, {tubes} held-out tubes; changes are against the improved probe:"
+)
 
 
 def search() -> str:
-    """What the search for designs found, and what vibration depends on."""
-    folder = RESULTS / "design" / "search"
+    """What the search for designs found under the study's feed, and what vibration depends on."""
+    return _found(RESULTS / "design" / "search")
+
+
+def codesign() -> str:
+    """What the search found under an agent's feed, and how the designs compare when the agent drives them."""
+    folder = RESULTS / "design"
+    return f"{_found(folder / 'codesign')}\n\n{_compared(folder / 'driven', DRIVEN)}"
+
+
+def _found(folder: Path) -> str:
     influence, made = pd.read_csv(folder / "sensitivity.csv"), json.loads((folder / "provenance.json").read_text())
     front = pd.read_csv(folder / "front.csv")
     rows = influence[influence["objective"] == "mean_square_ratio"].to_dict("records")
@@ -42,13 +55,13 @@ def search() -> str:
 
 def designs() -> str:
     """Designs compared: a table a comparison."""
-    parts = []
-    for name, title in DESIGN_TABLES.items():
-        folder = RESULTS / "design" / name
-        table = design_compare.cells(pd.read_csv(folder / "summary.csv"))
-        made = json.loads((folder / "provenance.json").read_text())
-        tubes = pd.read_csv(folder / "designs.csv")["context"].nunique()
-        lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
-        lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
-        parts.append("\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}.")
-    return "\n\n".join(parts)
+    return "\n\n".join(_compared(RESULTS / "design" / name, title) for name, title in DESIGN_TABLES.items())
+
+
+def _compared(folder: Path, title: str) -> str:
+    table = design_compare.cells(pd.read_csv(folder / "summary.csv"))
+    made = json.loads((folder / "provenance.json").read_text())
+    tubes = pd.read_csv(folder / "designs.csv")["context"].nunique()
+    lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
+    lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
+    return "\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}."
