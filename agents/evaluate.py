@@ -30,6 +30,8 @@ from probe_env.task import SHOWN, TaskConfig, describe
 
 CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 BATCH = 16
+SHARED = ("fidelity", "kernel_hash", "probes")
+"""What all episodes of a table have in common, besides the task."""
 
 
 class Policy(Protocol):
@@ -151,7 +153,7 @@ def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
 def _shared(setting: Mapping[str, Any]) -> dict[str, Any]:
     """What episodes must share: not what is observed, and fields newer than the results have their defaults."""
     task = TaskConfig.model_validate_json(json.dumps(setting["task"])).model_dump(exclude=set(SHOWN))
-    return {"probes": "scene"} | {k: v for k, v in setting.items() if k != "observations"} | task | {"task": None}
+    return task | {"probes": "scene"} | {name: setting[name] for name in SHARED if name in setting}
 
 
 def _lines(
