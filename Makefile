@@ -4,14 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
-.PHONY: setup demo test lint types study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
+.PHONY: setup demo test lint types kernels study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
 
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	@echo "setting up $(VENV): a few minutes the first time"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[agents,dev]'
+	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[agents,dev]'
 	touch $(STAMP)
 
 demo: setup
@@ -25,8 +25,12 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-test: lint types
-	$(BIN)/pytest --numprocesses 2 --dist loadscope
+kernels: setup
+	$(BIN)/python -m probe_env.compile_kernels
+
+test: setup
+	$(MAKE) --jobs=2 --output-sync=target lint types kernels
+	$(BIN)/pytest --numprocesses 2 --dist worksteal
 
 study: setup
 	$(BIN)/probe-env study --members 8 --output results/study

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from agents.statistics import RESAMPLES, Interval, interquartile_mean, over_seeds, seeds_by_contexts
+from agents.statistics import RESAMPLES, Interval, interquartile_means, over_seeds, seeds_by_contexts
 
 SHOWN = ("reward", "inspection_time_s", "share_within_limit")
 
@@ -51,7 +51,7 @@ def gain_fraction(table: pd.DataFrame, agent: str, reference: str, top: str) -> 
     return _drawn(table, (agent, reference, top), "reward", lambda a, b, c: (a - b) / (c - b))
 
 
-def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Callable[..., float]) -> Interval:
+def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Callable[..., np.ndarray]) -> Interval:
     """A statistic of several methods; interval by drawing contexts (the same for all) and each one's seeds anew."""
     values = [seeds_by_contexts(table, name, kpi) for name in names]
     if len({tuple(part.columns) for part in values}) != 1:
@@ -60,10 +60,11 @@ def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Calla
     contexts = arrays[0].shape[1]
     for _ in range(RESAMPLES):
         chosen = rng.integers(contexts, size=contexts)
-        means = [part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays]
-        drawn.append(statistic(*map(interquartile_mean, means)))
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    return Interval(statistic(*(interquartile_mean(part.mean(axis=1)) for part in arrays)), float(low), float(high))
+        drawn.append([part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays])
+    means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
+    low, high = np.percentile(statistic(*means), [2.5, 97.5])
+    measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
+    return Interval(float(measured), float(low), float(high))
 
 
 def _percent(change: Interval) -> str:

@@ -127,7 +127,7 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
     for objective in OBJECTIVES:
 
         def coefficients(*columns: np.ndarray) -> np.ndarray:
-            ranks = np.column_stack([rankdata(column) for column in columns])
+            ranks = rankdata(np.column_stack(columns), axis=0)
             scaled = (ranks - ranks.mean(axis=0)) / np.maximum(ranks.std(axis=0), 1e-12)
             return np.asarray(np.linalg.lstsq(scaled[:, :-1], scaled[:, -1], rcond=None)[0])
 

@@ -63,7 +63,12 @@ def mean_interval(values: np.ndarray) -> Interval:
 
 def interquartile_mean(values: np.ndarray) -> float:
     """Mean of the middle half."""
-    return float(trim_mean(np.asarray(values, dtype=float), 0.25))
+    return float(interquartile_means(values))
+
+
+def interquartile_means(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half of each row."""
+    return np.asarray(trim_mean(np.asarray(values, dtype=float), 0.25, axis=-1))
 
 
 def grouped(table: pd.DataFrame) -> pd.DataFrame:
@@ -89,12 +94,11 @@ def over_seeds(table: pd.DataFrame, policy: str, kpi: str) -> Interval:
     """Interquartile mean over training seeds of the mean over contexts; interval by drawing seeds and contexts anew."""
     values = seeds_by_contexts(table, policy, kpi).to_numpy()
     rng, (seeds, contexts) = np.random.default_rng(0), values.shape
-    drawn = [
-        interquartile_mean(
-            values[rng.integers(seeds, size=seeds)][:, rng.integers(contexts, size=contexts)].mean(axis=1)
-        )
+    means = [
+        values[rng.integers(seeds, size=seeds)][:, rng.integers(contexts, size=contexts)].mean(axis=1)
         for _ in range(RESAMPLES)
     ]
+    drawn = interquartile_means(np.array(means))
     low, high = np.percentile(drawn, [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
     return Interval(interquartile_mean(values.mean(axis=1)), float(low), float(high))
 

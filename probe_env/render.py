@@ -40,7 +40,7 @@ class Renderer:
 
     def picture(self) -> npt.NDArray[np.uint8]:
         """(h, w, 3) RGB picture; needs no display."""
-        figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+        figure = Figure(figsize=SIZE, dpi=DPI)
         canvas: Any = FigureCanvasAgg(figure)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
         self._draw_helix(halves[0])
@@ -84,8 +84,8 @@ class Renderer:
             radius = 1.0 - INWARD * s / tube.helix_length + np.asarray(off) * gap
             return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
-        axis = figure.subplots()
-        axis.plot(*spiral(np.linspace(0.0, tube.helix_length, 4000)).T, color="0.85", linewidth=1.5)
+        axis = figure.subplots(gridspec_kw={"left": 0.01, "right": 0.92, "bottom": 0.02, "top": 0.94})
+        axis.plot(*spiral(np.linspace(0.0, tube.helix_length, 2000)).T, color="0.85", linewidth=1.5)
         line = spiral(place, np.clip(y * EXAGGERATION, -0.3 * tube.inner_diameter, 1.5 * tube.inner_diameter))
         colour = np.clip(np.abs(y) * 1e3, LOWEST_MM, HIGHEST_MM)
         segments = np.stack([line[:-1], line[1:]], axis=1)
@@ -96,13 +96,16 @@ class Renderer:
         axis.set(xlim=(-1.15, 1.15), ylim=(-1.15, 1.15), aspect="equal")
         axis.axis("off")
         axis.legend(loc="lower left", frameon=False, fontsize=8)
-        figure.colorbar(cable, ax=axis, shrink=0.6, label=f"radial displacement [mm], drawn x {EXAGGERATION:g}")
+        label = f"radial displacement [mm], drawn x {EXAGGERATION:g}"
+        figure.colorbar(cable, ax=axis, shrink=0.6, pad=0.02, label=label)
         inserted = min(simulator.inserted_length, tube.helix_length)
         diameter = tube.helix_diameter
         axis.set_title(f"{inserted:.1f} of {tube.helix_length:g} m in a helix of {diameter:g} m", fontsize=10)
 
     def _draw_strips(self, figure: Any) -> None:
-        axes = figure.subplots(5, 1)
+        # fixed places: a layout that is computed anew costs more than the drawing, and moves from frame to frame
+        places = {"left": 0.15, "right": 0.97, "bottom": 0.08, "top": 0.97, "hspace": 0.6}
+        axes = figure.subplots(5, 1, gridspec_kw=places)
         window = self.episodes.window
         if window is not None and window.time is not None and window.radial is not None:
             axes[0].plot(window.time, window.radial[:, self.index] * 1e3, color="#1f5fa8", linewidth=0.6)
