@@ -84,7 +84,7 @@ designs: setup
 	$(BIN)/probe-env compare $(foreach name,original longer-guide larger-guide-floats smaller-carrier-floats improved,configs/design/$(name).toml) --output results/design/countermeasures
 	$(BIN)/probe-env design --feed constant --trials 160 --output results/design/search
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity fast --limit 24 --output results/design/confirmed
-	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml --full --fidelity reference --limit 8 --output results/design/confirmed-finely
+	$(BIN)/probe-env compare configs/design/improved.toml results/design/search/found.toml --full --fidelity reference --limit 24 --output results/design/confirmed-finely
 	$(BIN)/probe-env design --full --fidelity fast --feed $(GENERAL) --trials 48 --contexts 16 --output results/design/codesign
 	$(BIN)/probe-env compare configs/design/improved.toml configs/design/original.toml results/design/search/found.toml results/design/codesign/found.toml --full --fidelity fast --feed $(GENERAL) --limit 24 --output results/design/driven
 

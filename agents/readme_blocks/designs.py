@@ -16,7 +16,7 @@ DESIGN_TABLES = {
     " 0.2 m/s and 63 m3/h, {tubes} held-out tubes:",
     "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
     " tubes; changes are against the improved probe:",
-    "confirmed-finely": "The same at the finest setting, `reference`, on {tubes} of the tubes:",
+    "confirmed-finely": "The better two at the finest setting, `reference`, on the same {tubes} tubes:",
 }
 DRIVEN = (
     "The study's probes, the design found under the study's feed and the one found under the agent's, all driven by the"
