@@ -72,7 +72,7 @@ train-smoke: setup
 	$(BIN)/pytest tests/test_train.py -k smoke
 
 AGENTS := $(foreach k,0 1 2 3 4,ppo@$(k)=results/agents/ppo/seed-$(k)/agent.npz)
-BLIND := $(foreach k,0,ppo-no-tension@$(k)=results/agents/ppo-no-tension/seed-$(k)/agent.npz)
+BLIND := $(foreach k,0 1 2 3 4,ppo-no-tension@$(k)=results/agents/ppo-no-tension/seed-$(k)/agent.npz)
 ANY := $(foreach k,0 1 2,ppo-any-probe@$(k)=results/agents/ppo-any-probe/seed-$(k)/agent.npz)
 GENERAL := results/agents/ppo-any-probe/seed-0/agent.npz
 
