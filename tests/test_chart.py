@@ -13,7 +13,7 @@ from agents.chart import closed_forms, ensembles, errors, insertions, smooth
 from agents.chart.chains import LAPACK
 from agents.chart.ensembles import Setting, run_ensembles, run_setting
 from agents.chart.figures import RESOLVED, resolved
-from agents.chart.report import draw_chart, error_tables
+from agents.chart.report import draw_chart
 from agents.chart.store import Store
 from agents.provenance import kernel_hash
 
@@ -165,14 +165,13 @@ def test_the_figures_and_tables_come_from_the_stored_runs(tmp_path, monkeypatch)
         (tmp_path / f"{name}.csv").write_text((FOLDER / f"{name}.csv").read_text())
     draw_chart(tmp_path)
     assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in ("smooth", "chaos", "model"))
-    made = (tmp_path / "measured_errors.csv").read_text()
-    assert made == (FOLDER / "measured_errors.csv").read_text()
-    assert made == (ROOT / "probe_env" / "measured_errors.csv").read_text()
+    for name in ("errors.csv", "insertion-errors.csv", "measured_errors.csv"):
+        assert (tmp_path / name).read_text() == (FOLDER / name).read_text()
+    assert (tmp_path / "measured_errors.csv").read_text() == (ROOT / "probe_env" / "measured_errors.csv").read_text()
 
 
-def test_every_setting_of_the_chart_is_stored(monkeypatch):
-    monkeypatch.chdir(ROOT)
-    constant, inserted = error_tables(FOLDER)
+def test_every_setting_of_the_chart_is_stored():
+    constant, inserted = (pd.read_csv(FOLDER / name) for name in ("errors.csv", "insertion-errors.csv"))
     store = Store(FOLDER / "ensembles.csv", (*Setting().key, "member"))
     for setting in (*ensembles.step_settings(), *ensembles.model_settings()):
         assert store.has(*setting.key.values(), setting.members - 1)

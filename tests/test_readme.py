@@ -20,7 +20,7 @@ def test_a_changed_figure_is_noticed(monkeypatch, tmp_path):
     text = (ROOT / "README.md").read_text()
     changed = tmp_path / "README.md"
     changed.write_text(re.sub(r"radial rms ([\d.]+),", "radial rms 9.9,", text, count=1))
-    monkeypatch.setattr(readme, "README", changed)
+    monkeypatch.setattr(readme, "_pages", lambda: {changed: ("study",)})
     with pytest.raises(ValueError, match="differs from the stored results"):
         readme.check_readme()
 
