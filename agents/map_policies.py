@@ -1,4 +1,4 @@
-"""Policies that look up the best schedule of a tube in the map: told the tube, or guessing it from tension."""
+"""Policies on the vibration map: told the tube, guessing it from tension, or shifting the map to what is felt."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ class Adaptive(TensionScheduled):
         values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
         features = features_of(seen["inserted_length"], seen["feed_speed"], seen["air_supply_rate"], values)
         expected = 10.0 ** stored_map().distribution(features)[0] * 1e-4
-        return np.asarray(np.log10(seen["radial_rms"] / np.hypot(expected, RF_FLOOR)))
+        return np.asarray(np.log10(seen["rf_noise"] / np.hypot(expected, RF_FLOOR)))
 
     def _taut(self, seen: dict[str, FloatArray]) -> FloatArray:
         """Air supply (N,) [m3/s] for the least tension, which goes with the square of the wind."""

@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.chain import FloatArray
-from probe_env.design import RANGES
 from probe_env.schedule import Schedule
-from probe_env.task import LARGEST_LENGTH, LARGEST_TENSION, TaskConfig
+from probe_env.task import TaskConfig, in_si_units
 
 State = tuple[np.ndarray, ...]
 STUDY_FEED, STUDY_AIR = 0.2, 63.0 / 3600.0
@@ -38,8 +37,7 @@ class FixedPolicy(ABC):
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Target feed speed [m/s] and air supply [m3/s], each (N,), from what is seen; ``memory`` (N, m) is its own.
 
-        ``seen``, SI units: time, inserted_length, feed_speed, air_supply_rate, radial_rms (measured), root_tension,
-        helix_diameter, and what else the task lets observe.
+        ``seen`` holds the time [s] since the episode began and what the task lets observe, see ``in_si_units``.
         """
 
     def start(self, memory: FloatArray) -> None:  # noqa: B027 (most policies remember nothing)
@@ -61,7 +59,7 @@ class FixedPolicy(ABC):
         fresh = np.zeros((int(new.sum()), self.memory + 1))
         self.start(fresh[:, 1:])
         memory[new] = fresh
-        feed, air = self.targets(self._seen(rows, memory[:, 0]), memory[:, 1:])
+        feed, air = self.targets({"time": memory[:, 0], **in_si_units(self.config, rows)}, memory[:, 1:])
         memory[:, 0] += self.config.period
         actions = []
         for values, (low, high) in ((feed, self.config.feed_speeds), (air, self.config.air_supply_rates)):
@@ -73,28 +71,6 @@ class FixedPolicy(ABC):
         """What it is, as JSON-ready data; equal for equal policies."""
         values = {name: value for name, value in asdict(self).items() if name != "config"}
         return {"policy": type(self).__name__, **values}
-
-    def _seen(self, rows: npt.NDArray[np.floating], time: FloatArray) -> dict[str, FloatArray]:
-        names = list(self.config.observations)
-        if rows.shape[1] != len(names):
-            raise ValueError(f"observation has {rows.shape[1]} entries; this task's has {len(names)}")
-        raw = dict(zip(names, rows.astype(float).T, strict=True))
-        seen = {
-            "time": time,
-            "inserted_length": raw["inserted_length"] * LARGEST_LENGTH,
-            "feed_speed": raw["feed_speed"] * 0.4,
-            "air_supply_rate": raw["air_supply_rate"] * 130.0 / 3600.0,
-            "radial_rms": 1e-4 * 10.0 ** raw["rf_noise"],
-            "helix_diameter": raw["helix_diameter"] * 2.5,
-        }
-        if "root_tension" in raw:
-            seen["root_tension"] = raw["root_tension"] * LARGEST_TENSION
-        if "friction" in raw:
-            seen |= {"friction": raw["friction"] * 0.25, "drag_factor": raw["drag_factor"]}
-            seen["contact_stiffness"] = raw["contact_stiffness"] * 1e5
-        if self.config.observe_probe:
-            seen |= {name: low + raw[name] * (high - low) for name, (low, high, _) in RANGES.items()}
-        return seen
 
 
 @dataclass
@@ -149,7 +125,7 @@ class OnOff(FixedPolicy):
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Memory: 1 while slow."""
-        loud, quiet = seen["radial_rms"] > self.level, seen["radial_rms"] < 0.5 * self.level
+        loud, quiet = seen["rf_noise"] > self.level, seen["rf_noise"] < 0.5 * self.level
         memory[:, 0] = np.where(loud, 1.0, np.where(quiet, 0.0, memory[:, 0]))
         feed = np.where(memory[:, 0] > 0.5, self.slow, self.fast)
         return feed, np.full_like(feed, self.air_supply_rate)
@@ -171,7 +147,7 @@ class PI(FixedPolicy):
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Integral held within the range of the feed, so that it does not wind up."""
-        error = np.clip(np.log(self.level / seen["radial_rms"]), -2.0, 1.0)
+        error = np.clip(np.log(self.level / seen["rf_noise"]), -2.0, 1.0)
         low, high = np.log(self.config.feed_speeds)
         memory[:, 0] = np.clip(memory[:, 0] + self.integral * self.config.period * error, low, high)
         feed = np.exp(memory[:, 0] + self.proportional * error)
@@ -187,7 +163,7 @@ class Random(FixedPolicy):
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """From time and measured length, so that it depends neither on company nor on history."""
         shares = np.empty((2, len(seen["time"])))
-        for k, (time, noise) in enumerate(zip(seen["time"], seen["radial_rms"], strict=True)):
+        for k, (time, noise) in enumerate(zip(seen["time"], seen["rf_noise"], strict=True)):
             entropy = [self.seed, round(time * 1e3), int(np.float64(noise).view(np.uint64))]
             shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
         (slow, fast), (least, most) = self.config.feed_speeds, self.config.air_supply_rates

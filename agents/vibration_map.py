@@ -42,7 +42,7 @@ class Wandering(FixedPolicy):
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed is uniform in its logarithm, air in itself. Memory: the first noise that was measured."""
-        memory[:, 0] = np.where(memory[:, 0] > 0.0, memory[:, 0], seen["radial_rms"])
+        memory[:, 0] = np.where(memory[:, 0] > 0.0, memory[:, 0], seen["rf_noise"])
         shares = np.empty((2, len(memory)))
         for k, (first, length) in enumerate(zip(memory[:, 0], seen["inserted_length"], strict=True)):
             entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / SEGMENT)]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Self
 
 import gymnasium as gym
 import numpy as np
@@ -13,30 +12,14 @@ from pydantic_core import PydanticCustomError
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn, VecEnvWrapper
 
 from agents.steady_sliding import MEASURED, SHAPE, friction_from_tension
-from probe_env.chain import FloatArray
-from probe_env.design import RANGES
 from probe_env.scene import Model, quantity
-from probe_env.task import LARGEST_LENGTH, LARGEST_TENSION, OBSERVATIONS, TaskConfig
+from probe_env.task import OBSERVATIONS, TaskConfig, in_si_units
 
 Rows = npt.NDArray[np.floating[Any]]
 TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 
 
-SCALES: Final = {
-    "root_tension": LARGEST_TENSION, "inserted_length": LARGEST_LENGTH, "feed_speed": 0.4,
-    "air_supply_rate": 130.0 / 3600.0, "helix_diameter": 2.5,
-}  # fmt: skip
-"""[SI unit] of one unit of the observation, see ``task.observe``."""
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
-
-
-def _physical(config: TaskConfig, rows: Rows, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Observations by name in SI units."""
-    places = {name: place for place, name in enumerate(config.observations)}
-    seen: dict[str, FloatArray] = {name: np.asarray(rows[:, places[name]], dtype=float) for name in names}
-    ranges = {name: RANGES[name][:2] for name in names if name in RANGES}
-    scaled = {name: seen[name] * SCALES[name] for name in names if name in SCALES}
-    return scaled | {name: low + seen[name] * (high - low) for name, (low, high) in ranges.items()}
 
 
 class View(Model):
@@ -102,7 +85,8 @@ class View(Model):
         seen = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
         if self.friction_estimate:
             names = [*MEASURED, *(name for name in SHAPE if name in self.observations)]
-            friction = friction_from_tension(_physical(config, rows, names))
+            physical = in_si_units(config, np.asarray(rows))
+            friction = friction_from_tension({name: physical[name] for name in names})
             scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
             seen = np.column_stack([seen, scaled]).astype(np.float32)
         repeated = np.tile(seen, len(self.averages))
@@ -148,7 +132,7 @@ class ViewVecEnv(VecEnvWrapper):
         super().__init__(venv, *view.spaces)
         view.columns(config)
         self.view, self.config, self.reward_scale = view, config, reward_scale
-        self.rows: FloatArray = np.zeros((venv.num_envs, len(config.observations)))
+        self.rows: Rows = np.zeros((venv.num_envs, len(config.observations)))
         self._averages: npt.NDArray[np.float32] | None = None
 
     def reset(self) -> VecEnvObs:

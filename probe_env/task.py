@@ -29,7 +29,6 @@ ACCELEROMETER_FLOOR: Final = 1e-2  # [m/s2] rms, its own noise
 RF_FLOOR: Final = 1e-6  # [m] of radial rms: noise of the eddy-current signal at rest
 SHOWN: Final = ("observe_root_tension", "privileged", "observe_probe")
 """Fields of the task that say what is observed, and change nothing else."""
-LARGEST_LENGTH, LARGEST_TENSION = 60.0, 20.0  # scales of the observation [m], [N]
 
 OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
     "inserted_length": (0.0, 20.0, "cable in the helix / 60 m"),
@@ -55,6 +54,13 @@ PROBE: Final[dict[str, tuple[float, float, str]]] = {
     for name, (low, high, unit) in RANGES.items()
 }
 """The probe that was built, for controllers of many probes."""
+UNITS: Final = {
+    "inserted_length": 60.0, "remaining_length": 60.0, "feed_speed": 0.4, "air_supply_rate": 130.0 / 3600.0,
+    "rf_noise": 1e-4, "radial_acceleration": 1.0, "axial_acceleration": 1.0, "root_tension": 20.0,
+    "helix_diameter": 2.5, "friction": 0.25, "contact_stiffness": 1e5, "drag_factor": 1.0,
+}  # fmt: skip
+"""What an observation is a multiple, or the logarithm of a multiple, of [SI unit]."""
+LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
 
 
 class TaskConfig(Model):
@@ -162,25 +168,46 @@ class TaskConfig(Model):
 
 def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArray) -> npt.NDArray[np.float32]:
     """(N, d) observation of what was measured, with standard normal ``noise`` (N, 2) for RF noise and tension."""
-    rf = np.hypot(measured["radial_rms_m"], RF_FLOOR) * np.exp(0.05 * noise[:, 0])
-    columns = {
-        "inserted_length": measured["inserted_length"] / LARGEST_LENGTH,
-        "remaining_length": measured["remaining_length"] / LARGEST_LENGTH,
-        "feed_speed": measured["feed_speed"] / 0.4,
-        "air_supply_rate": measured["air_supply_rate"] / (130.0 / 3600.0),
-        "radial_acceleration": np.log10(np.hypot(measured["radial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR)),
-        "axial_acceleration": np.log10(np.hypot(measured["axial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR)),
-        "rf_noise": np.log10(rf / 1e-4),
-        "root_tension": measured["tension_mean_n"] * (1.0 + 0.02 * noise[:, 1]) / LARGEST_TENSION,
+    felt: dict[str, FloatArray] = measured | {
+        "radial_acceleration": np.hypot(measured["radial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
+        "axial_acceleration": np.hypot(measured["axial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
+        "rf_noise": np.hypot(measured["radial_rms_m"], RF_FLOOR) * np.exp(0.05 * noise[:, 0]),
+        "root_tension": measured["tension_mean_n"] * (1.0 + 0.02 * noise[:, 1]),
         "previous_feed_action": measured["feed_action"],
         "previous_air_action": measured["air_action"],
-        "helix_diameter": measured["helix_diameter"] / 2.5,
-        "friction": measured["friction"] / 0.25,
-        "contact_stiffness": measured["contact_stiffness"] / 1e5,
-        "drag_factor": measured["drag_factor"],
-        **{name: (measured[name] - low) / (high - low) for name, (low, high, _) in RANGES.items()},
     }
-    return np.column_stack([columns[name] for name in config.observations]).astype(np.float32)
+
+    def column(name: str) -> FloatArray:
+        if name in RANGES:
+            low, high, _ = RANGES[name]
+            return (felt[name] - low) / (high - low)
+        value = felt[name] / UNITS.get(name, 1.0)
+        return np.asarray(np.log10(value) if name in LOGARITHMIC else value)
+
+    return np.column_stack([column(name) for name in config.observations]).astype(np.float32)
+
+
+def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) -> dict[str, FloatArray]:
+    """What observations (N, d) say, by name and in SI units (N,): the inverse of ``observe``.
+
+    ``rf_noise`` is the radial rms [m] that would make it, accelerations are rms [m/s2], actions stay as they are.
+
+    Raises:
+        ValueError: the observations are not this task's.
+    """
+    if observation.ndim != 2 or observation.shape[1] != len(config.observations):
+        raise ValueError(
+            f"observation of shape {observation.shape} is not (N, {len(config.observations)}), as this task's are"
+        )
+
+    def value(name: str, column: FloatArray) -> FloatArray:
+        if name in RANGES:
+            low, high, _ = RANGES[name]
+            return low + column * (high - low)
+        return UNITS.get(name, 1.0) * (10.0**column if name in LOGARITHMIC else column)
+
+    columns = zip(config.observations, observation.astype(float).T, strict=True)
+    return {name: value(name, column) for name, column in columns}
 
 
 def reward_terms(

@@ -6,9 +6,10 @@ import pytest
 
 import probe_env
 from probe_env.batch import SimulatorBatch
+from probe_env.design import RANGES
 from probe_env.episodes import Episodes
 from probe_env.kpis import Percentiles
-from probe_env.task import OBSERVATIONS, TERMS, TaskConfig
+from probe_env.task import OBSERVATIONS, TERMS, TaskConfig, in_si_units, observe
 
 CONSTANT = (0.2, 63.0 / 3600.0)
 WORST = probe_env.Context(friction=0.25, contact_stiffness=0.7e5, drag_factor=1.1, helix_diameter=1.0)
@@ -105,6 +106,27 @@ def test_observations_stay_within_their_bounds(insertions):
     assert np.isfinite(observations).all()
     assert (observations > low).all()
     assert (observations < high - 0.1 * (high - low)).all()
+
+
+def test_observations_say_what_was_measured_in_si_units():
+    """Without noise `in_si_units` gives back what went in, in single precision and above the sensors' floors."""
+    config, rng = TaskConfig(privileged=True, observe_probe=True), np.random.default_rng(0)
+    felt = {
+        "radial_acceleration": "radial_acceleration_rms_m_per_s2",
+        "axial_acceleration": "axial_acceleration_rms_m_per_s2",
+        "rf_noise": "radial_rms_m",
+        "root_tension": "tension_mean_n",
+        "previous_feed_action": "feed_action",
+        "previous_air_action": "air_action",
+    }
+    ranges = {name: RANGES.get(name, (0.5, 1.0))[:2] for name in config.observations}
+    measured = {felt.get(name, name): rng.uniform(*ranges[name], 4) for name in config.observations}
+    physical = in_si_units(config, observe(config, measured, np.zeros((4, 2))))
+    assert list(physical) == list(config.observations)
+    for name, values in physical.items():
+        assert values == pytest.approx(measured[felt.get(name, name)], rel=3e-4), name
+    with pytest.raises(ValueError, match=r"observation of shape \(4, 3\) is not \(N, 21\)"):
+        in_si_units(config, np.zeros((4, 3)))
 
 
 def test_lost_drive_ends_an_episode():
