@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.complete
 
+# pip leaves compiling Python files to their first import, which must then be kept
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup demo test lint types kernels study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
 
 setup: $(STAMP)
