@@ -14,7 +14,7 @@ from agents.readme_blocks.sources import RESULTS, source
 from agents.report import compared_with, kpi_cells
 from agents.statistics import KPIS, Interval, endings, grouped, sentences
 
-BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive")
+BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
            "adaptive", "ppo-no-tension", "ppo-any-probe", "ppo", "privileged")  # fmt: skip
 
