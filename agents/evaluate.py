@@ -25,7 +25,8 @@ from agents.provenance import kernel_hash, provenance, write_atomically, write_j
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
-from probe_env.episodes import Episodes, Probes
+from probe_env.episodes import Episodes
+from probe_env.starts import Probes
 from probe_env.task import SHOWN, TaskConfig, describe
 
 CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")

@@ -23,8 +23,8 @@ from agents.provenance import write_atomically, write_json
 from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
 from agents.workers import HERE, Workers
 from probe_env.contexts import Split, spread_contexts
-from probe_env.episodes import Probes
 from probe_env.fidelity_choice import resolve_fidelity
+from probe_env.starts import Probes
 from probe_env.task import TaskConfig
 
 

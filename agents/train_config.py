@@ -15,10 +15,10 @@ from agents.view import View
 from probe_env.checks import whole_steps
 from probe_env.contexts import Split, spread_contexts
 from probe_env.env import task_config
-from probe_env.episodes import Contexts, Probes
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.scene import Model, quantity
+from probe_env.starts import Contexts, Probes
 from probe_env.task import TaskConfig
 
 OURS = (

@@ -10,9 +10,10 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.env import InsertionEnv, ProbeEnv, SnapshotEnv, spaces_of, task_config
-from probe_env.episodes import Contexts, Episodes, Probes
+from probe_env.episodes import Episodes
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene
+from probe_env.starts import Contexts, Probes
 from probe_env.task import TaskConfig
 
 ENVIRONMENTS: dict[str, type[ProbeEnv]] = {

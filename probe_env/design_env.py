@@ -11,11 +11,11 @@ import numpy as np
 from probe_env.contexts import Context
 from probe_env.design import RANGES, Design
 from probe_env.env import Observation, task_config
-from probe_env.episodes import Contexts, drawn_context
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
+from probe_env.starts import Contexts, drawn_context
 from probe_env.task import PRIVILEGED, TaskConfig
 from probe_env.trials import Controller, judge, try_insertions, try_sections
 

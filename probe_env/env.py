@@ -9,10 +9,11 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.episodes import Contexts, Episodes, Probes
+from probe_env.episodes import Episodes
 from probe_env.fidelity import Fidelity
 from probe_env.render import Renderer
 from probe_env.scene import Scene
+from probe_env.starts import Contexts, Probes
 from probe_env.task import TaskConfig
 
 Observation = npt.NDArray[np.float32]

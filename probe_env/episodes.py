@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,21 +16,19 @@ import numpy.typing as npt
 from probe_env.batch import SimulatorBatch, Window
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
-from probe_env.contexts import Context, Split, draw_context, load_contexts
-from probe_env.design import RANGES, Design
+from probe_env.contexts import Context
+from probe_env.design import RANGES
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.kpis import Tally
 from probe_env.scene import Scene
 from probe_env.simulator import Simulator
+from probe_env.starts import Contexts, Probes, Starts
 from probe_env.task import MEASURES, BoolArray, TaskConfig, observe, reward_terms
 
 SAMPLE_PERIOD: Final = 1e-3  # [s]
 START_PERTURBATION: Final = 1e-7  # [m]
 END_TOLERANCE: Final = 1e-6  # [m]; actions are float32
-SHORTEST_START, CARRIER_AT_START = 5.0, 2.5  # [m]
-Contexts = Literal["random"] | Split
-Probes = Literal["scene", "random"]
 
 
 @dataclass(frozen=True)
@@ -75,20 +73,15 @@ class Episodes:
     ) -> None:
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
-        if probes not in get_args(Probes):
-            raise ValueError(f"probes = {probes!r} is not one of {', '.join(get_args(Probes))}")
-        drawn_context(contexts, np.random.default_rng(0), {})  # names a list that is not there
-        self.config, self.base_scene = config, scene or Scene()
-        self.fidelity = resolve_fidelity(fidelity, self.base_scene, config.growing)
-        self.contexts: Contexts = contexts
-        self.probes: Probes = probes
+        self.config = config
+        self.starts = Starts(config, scene or Scene(), contexts, probes, feed_speed, air_supply_rate)
+        self.fidelity = resolve_fidelity(fidelity, self.starts.scene, config.growing)
         self.start_action = config.action(feed_speed, air_supply_rate)
-        self.start_targets = (feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
         self._dynamic_period = config.period / self.fidelity.time_lapse
         whole_steps("config.period / fidelity.time_lapse", self._dynamic_period, self.fidelity.time_step)
-        scenes = [self._start_scene(Context(), {})] * count
+        scenes = [self.starts.build(Context(), {})] * count
         self.batch = SimulatorBatch(
             scenes, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
             threads=threads, **self._options(),
@@ -121,16 +114,11 @@ class Episodes:
         """
         prepared = {}
         for k in which:
-            rng, given = rngs[k], dict((options or {}).get(k) or {})
-            changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
-            trial = copy.deepcopy(rng)  # the generator itself moves on only if all is valid
-            context = drawn_context(self.contexts, trial, given)
-            changes["probe"] = self._drawn_probe(trial) | dict(changes.get("probe", {}))
-            prepared[k] = (context, self._start_scene(context, changes))
+            trial = copy.deepcopy(rngs[k])  # the generator itself moves on only if all is valid
+            prepared[k] = self.starts.draw(trial, (options or {}).get(k) or {})
         for k, (context, scene) in prepared.items():
             rng = rngs[k]
-            drawn_context(self.contexts, rng, {})
-            self._drawn_probe(rng)
+            self.starts.draw(rng, {})
             seed = int(rng.integers(2**31))
             self.rng[k], self.context[k] = rng, context
             simulator = Simulator(
@@ -253,31 +241,6 @@ class Episodes:
             }
             tally.add_signals(float(travel[k]), rms, window.radial[:, k], SAMPLE_PERIOD)
 
-    def _drawn_probe(self, rng: np.random.Generator) -> dict[str, Any]:
-        """What an episode's probe differs in from the scene's."""
-        return Design.random(rng).built.model_dump() if self.probes == "random" else {}
-
-    def _start_scene(self, context: Context, changes: Mapping[str, Any]) -> Scene:
-        """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
-        scene = context.apply(self.base_scene)
-        if self.config.growing and "carrier_length" in changes:
-            raise ValueError("carrier_length is not an option here: the probe starts short and is fed in")
-        probe = scene.probe.model_copy(update=changes.get("probe", {}))
-        carrier = changes.get("carrier_length", scene.carrier_length)
-        if self.probes == "random":  # of any pitch
-            carrier = round(int(carrier / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
-        if self.config.growing:
-            start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
-            carrier = round((start - probe.guide_length) / probe.float_pitch) * probe.float_pitch
-        speed, air = self.start_targets
-        update: dict[str, Any] = {
-            "probe": probe,
-            "carrier_length": carrier,
-            "feed_speed": speed,
-            "air_supply_rate": air,
-        }
-        return scene.model_copy(update=update)
-
     def _options(self) -> dict[str, Any]:
         return {
             "growing": self.config.growing,
@@ -320,23 +283,3 @@ class Episodes:
             "air_supply_rate": float(window.air_supply_rate[k]),
             **{name: float(window.statistics[name][k]) for name in names},
         }
-
-
-def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:
-    """A context from the generator, at random or from a shipped list; ``given`` fixes fields or a whole "context".
-
-    Takes "context" out of ``given``.
-
-    Raises:
-        ValueError: no such list, or a field that is not known or not valid.
-    """
-    if contexts not in ("random", *get_args(Split)):
-        raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
-    whole = given.pop("context", None)
-    if whole is not None:
-        values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
-        given = values | given
-    if contexts == "random":
-        return draw_context(rng, given)
-    choices = load_contexts(contexts)
-    return choices[int(rng.integers(len(choices)))].model_copy(update=given)

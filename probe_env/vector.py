@@ -13,9 +13,10 @@ from gymnasium.vector.utils import batch_space
 
 from probe_env.chain import FloatArray
 from probe_env.env import InsertionEnv, Observation, ProbeEnv, SnapshotEnv, spaces_of, task_config
-from probe_env.episodes import Contexts, Episodes, Probes
+from probe_env.episodes import Episodes
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene
+from probe_env.starts import Contexts, Probes
 from probe_env.task import TaskConfig
 
 
