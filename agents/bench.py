@@ -176,7 +176,7 @@ def _print(results: dict[str, Any]) -> None:
         table.add_row(name, f"{row['ns_per_node_step']:.0f}", f"{row['times_ticm']:.1f}")
     Console().print(table)
     table = Table(title="The fast scheme against the study's, l = 50 m, one thread")
-    for column in ("method", "step [s]", "ns a node-step", "node-step ratio", "ratio for a simulated second"):
+    for column in ("method", "step, s", "ns a node-step", "node-step ratio", "ratio for a simulated second"):
         table.add_column(column, justify="right")
     for name, row in results["fast"].items():
         cells = (row["ns_per_node_step"], row["node_step_ratio"], row["simulated_second_ratio"])

@@ -140,7 +140,7 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
     except FileNotFoundError:
         raise
     except UNREADABLE as error:
-        raise ValueError(f"{path}: not a bundle of plain arrays: {error}") from error
+        raise ValueError(f"{path}: not a bundle of plain arrays; nothing in it was run") from error
     if not {"description", "hash"} <= set(arrays) or not _plain(arrays):
         raise ValueError(f"{path}: not a bundle: it must hold a description, a hash and weights, all plain arrays")
     text, digest = str(arrays["description"]), str(arrays["hash"])

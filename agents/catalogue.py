@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -53,7 +54,9 @@ def make_policy(spec: str, config: TaskConfig) -> Policy:
         return ByDiameter.read(config, DATA)
     suffix = Path(spec).suffix
     if suffix in (".csv", ".toml"):
-        return Scheduled(config, Schedule.read(spec))
+        schedule = Schedule.read(spec)
+        _warn_of_limits(spec, schedule, config)
+        return Scheduled(config, schedule)
     if suffix == ".npz":
         from agents.bundle import load_bundle  # torch takes seconds to import
 
@@ -62,3 +65,17 @@ def make_policy(spec: str, config: TaskConfig) -> Policy:
         f"policy = {spec!r} is not one of {', '.join(NAMES)}, nor a schedule file (.csv, .toml)"
         " nor an agent's bundle (.npz)"
     )
+
+
+def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
+    """Say what a schedule asks for that the feed device or the air supply do not give: a measured log may."""
+    for name, values, (low, high), factor, unit in (
+        ("feed speed", schedule.feed_speed, config.feed_speeds, 1.0, "m/s"),
+        ("air supply", schedule.air_supply_rate, config.air_supply_rates, 3600.0, "m3/h"),
+    ):
+        if min(values) < low * (1.0 - 1e-6) or max(values) > high * (1.0 + 1e-6):
+            warnings.warn(
+                f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} goes beyond what the"
+                f" task gives, {low * factor:g} to {high * factor:g} {unit}: the nearest of these is taken",
+                stacklevel=3,
+            )

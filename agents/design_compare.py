@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from tqdm import tqdm
 
@@ -172,7 +173,7 @@ def print_comparison(table: pd.DataFrame) -> None:
     """The summary on the terminal."""
     view = Table(title=f"Means over {table['context'].nunique()} tubes with 95 % intervals; change against the first")
     for column in HEADER:
-        view.add_column(column, justify="right" if column != "design" else "left")
+        view.add_column(escape(column), justify="right" if column != "design" else "left")
     for row in cells(summarise(table)):
         view.add_row(*row)
     Console(width=max(Console().width, 160)).print(view)

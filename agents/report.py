@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from agents import figures
@@ -76,7 +77,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
     view = Table(title="Means with 95 % intervals over the contexts")
     for column in ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())):
-        view.add_column(column, justify="right" if column != "policy" else "left")
+        view.add_column(escape(column), justify="right" if column != "policy" else "left")
     for policy, cells in kpi_cells(table):
         view.add_row(policy, *cells)
     Console(width=max(Console().width, 160)).print(view)

@@ -11,6 +11,7 @@ import moocore
 import numpy as np
 import pandas as pd
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from scipy.stats import bootstrap
 
@@ -128,7 +129,7 @@ def _interval(time: np.ndarray, out: np.ndarray) -> Interval:
 def _print(front: pd.DataFrame, volumes: pd.DataFrame) -> None:
     view = Table(title="Time against length out of the limit, 95 % intervals")
     for column in ("family", "value", "time [s]", "out of limit [%]"):
-        view.add_column(column, justify="right")
+        view.add_column(escape(column), justify="right")
     for row in front.to_dict("records"):
         time = Interval(row["time_s"], row["time_low"], row["time_high"])
         out = Interval(row["out_share"], row["out_low"], row["out_high"])

@@ -197,7 +197,8 @@ def explain(error: ValidationError) -> str:
     for item in error.errors(include_url=False):
         field = ".".join(str(part) for part in item["loc"])
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {item['input']!r})"
-        lines.append(f"{field}: {item['msg']}{value}" if field else item["msg"])
+        message = "there is no such field" if item["type"] == "extra_forbidden" else item["msg"]
+        lines.append(f"{field}: {message}{value}" if field else message)
     return "; ".join(lines)
 
 

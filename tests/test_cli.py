@@ -41,6 +41,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
+        (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a scene file, which is TOML"),
         (["simulate", SCENE, "--duration", "1"], "statistics_from = 2.0"),
         (["simulate", SCENE, "--duration", "3.00005"], "duration = 3.00005"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.design_compare import Comparison, compare, summarise
+from agents.design_compare import Comparison, compare, print_comparison, summarise
 from agents.design_problem import OBJECTIVES, DesignProblem, design_problem
 from agents.design_search import search, sensitivity, trials_table
 from probe_env import Context, Design, Fidelity
@@ -153,7 +153,7 @@ def test_a_problem_that_makes_no_sense_is_refused(arguments, word):
         design_problem(*arguments).identity()
 
 
-def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path):
+def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, capsys):
     designs = {"original": Design(), "light": Design(line_density=0.1)}
     tubes = [Context(friction=0.15), Context(friction=0.2)]
     whole = compare(Comparison(designs, tubes), tmp_path / "whole")
@@ -162,6 +162,8 @@ def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path):
     assert parts.equals(whole)
     again = compare(Comparison(designs, tubes), tmp_path / "whole")
     assert again["reward"].to_numpy() == pytest.approx(whole["reward"].to_numpy(), rel=1e-12)
+    print_comparison(whole)
+    assert "time [s]" in capsys.readouterr().out  # a unit is no markup
     rows = summarise(whole).set_index(["design", "kpi"])
     assert rows.loc[("original", "reward"), "change"] == 0.0
     change = whole[whole["design"] == "light"]["reward"].mean() - whole[whole["design"] == "original"]["reward"].mean()

@@ -75,6 +75,15 @@ def test_pi_slows_down_while_loud_and_does_not_wind_up():
     assert feed_of(action)[0] > 0.2
 
 
+def test_a_schedule_beyond_the_device_is_told(tmp_path):
+    path = tmp_path / "fast.csv"
+    path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
+    with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s goes beyond .* 0.02 to 0.4 m/s"):
+        policy = make_policy(str(path), CONFIG)
+    observation = np.zeros((1, len(CONFIG.observations)), dtype=np.float32)
+    assert CONFIG.targets(policy.predict(observation)[0])[0, 0] == pytest.approx(0.4)
+
+
 def test_bad_specs_and_observations_are_named():
     with pytest.raises(ValueError, match="policy = 'fastest' is not one of constant"):
         make_policy("fastest", CONFIG)

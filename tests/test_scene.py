@@ -49,8 +49,8 @@ def test_all_figures_of_the_study_are_there():
 
 
 BROKEN = [
-    ({"feed_sped": 0.2}, "feed_sped", "Extra inputs"),
-    ({"contact": {"frictoin": 0.2}}, "contact.frictoin", "Extra inputs"),
+    ({"feed_sped": 0.2}, "feed_sped", "there is no such field"),
+    ({"contact": {"frictoin": 0.2}}, "contact.frictoin", "there is no such field"),
     ({"contact": {"friction": 1.5}}, "contact.friction", "1.5 is outside the accepted range 0 to 1"),
     ({"contact": {"friction": float("nan")}}, "contact.friction", "nan"),
     ({"contact": {"stiffness": 1e9}}, "contact.stiffness", "100 to 1e+08 N/m"),

@@ -36,6 +36,8 @@ class Simulate:
         """Simulate, store and print."""
         from agents.simulate import print_statistics, simulate_scene
 
+        if self.scene_file.suffix != ".toml":
+            raise ValueError(f"scene_file = {str(self.scene_file)!r} is not a scene file, which is TOML (.toml)")
         name = self.scene_file.stem
         output = self.output or Path("output") / name
         simulator = Simulator(self.scene, self.method, self.time_step, self.nodes_per_pitch, solver=self.solver)
