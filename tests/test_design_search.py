@@ -14,6 +14,7 @@ from agents.design_problem import OBJECTIVES, DesignProblem, design_problem
 from agents.design_search import search, sensitivity, trials_table
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
+from probe_env.fidelity import PRESETS
 from probe_env.trials import SPAN
 
 AGENT = Path(__file__).parents[1] / "results" / "agents" / "ppo" / "seed-0" / "agent.npz"
@@ -120,7 +121,7 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
 
 def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
     """The same probe by an agent and by the study's feed, and what makes two searches different problems."""
-    tube, fast = (Context(),), Fidelity(time_lapse=20.0)
+    tube, fast = (Context(),), PRESETS["fast"]
     driven = DesignProblem(tube, str(AGENT), True, fast)
     fed = DesignProblem(tube, "constant", True, fast)
     point = Design(guide_length=10.0).model_dump()

@@ -132,7 +132,7 @@ def test_the_stated_error_of_standard_holds_on_an_unseen_scene():
     """l = 40 m between the chart's lengths, another tube, friction and stiffness."""
     error = max(stated(PRESETS["standard"], 30.0), stated(PRESETS["standard"], 50.0))
     assert error < 0.25
-    confirmed(rms_at_constant_length(PRESETS["standard"], 16), rms_at_constant_length(PRESETS["reference"], 8), error)
+    confirmed(rms_at_constant_length(PRESETS["standard"], 16), rms_at_constant_length(PRESETS["reference"], 12), error)
 
 
 def rms_of_insertion(fidelity, members):

@@ -43,7 +43,7 @@ def run_batch(policies, contexts, fidelity="fast", config=None):
 def insertions():
     """The study's constant feed, crawling, and racing with least air, in the worst and a mild context."""
     policies = [CONSTANT, (0.02, 63.0 / 3600.0), (0.4, 130.0 / 3600.0), (0.4, 30.0 / 3600.0)]
-    return run_batch(policies, [WORST, MILD], {"time_lapse": 8.0})
+    return run_batch(policies, [WORST, MILD])
 
 
 def test_a_full_insertion_ends_at_the_helix_s_end(insertions):

@@ -175,7 +175,7 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
     torch.manual_seed(0)
     untrained = Agent(trained.description, build_policy(trained.description), config, "untrained")
     policies = {"trained": trained, "untrained": untrained, "constant": Constant(config)}
-    plan = Plan(policies, load_contexts("test")[1:4:2], (0,), config, PRESETS["fast"])
+    plan = Plan(policies, load_contexts("test")[:4], (0,), config, PRESETS["fast"])
     reward = run_plan(plan, tmp_path / "evaluation", progress=False).groupby("policy")["reward"].mean()
     print(reward)
     assert reward["trained"] > reward["constant"]
