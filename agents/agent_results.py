@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from agents.statistics import RESAMPLES, Interval, interquartile_means, over_seeds, seeds_by_contexts
+from agents.statistics import CONFIDENCE, Interval, interquartile_means, seeds_by_contexts
 
+RESAMPLES = 2000
 SHOWN = ("reward", "inspection_time_s", "share_within_limit")
 
 
@@ -34,6 +35,11 @@ def verdicts(table: pd.DataFrame, agent: str, others: Sequence[str], top: str) -
     share = gain_fraction(table, agent, others[0], top)
     lines.append(f"`{agent}` reaches {share.text(100.0)} % of what `{top}` gains over `{others[0]}` in reward.")
     return lines
+
+
+def over_seeds(table: pd.DataFrame, policy: str, kpi: str) -> Interval:
+    """Interquartile mean over training seeds of the mean over contexts."""
+    return _drawn(table, (policy,), kpi, lambda a: a)
 
 
 def difference(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
@@ -62,7 +68,7 @@ def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Calla
         chosen = rng.integers(contexts, size=contexts)
         drawn.append([part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays])
     means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
-    low, high = np.percentile(statistic(*means), [2.5, 97.5])
+    low, high = np.percentile(statistic(*means), [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
     measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
     return Interval(float(measured), float(low), float(high))
 

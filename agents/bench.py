@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.linalg import solve_banded
 from tqdm import tqdm
 
 from agents.bench_env import bench_environments
 from agents.provenance import provenance, write_json
+from agents.terminal import print_table
 from probe_env import Scene, Simulator, SimulatorBatch, schemes, ticm
 from probe_env.chain import build_chain
 from probe_env.drive import Drive
@@ -169,29 +168,20 @@ def _first_result() -> float:
 
 
 def _print(results: dict[str, Any]) -> None:
-    table = Table(title="Cost of a step of the study's scheme, l = 50 m")
-    for column in ("solver", "ns a node-step", "times the TICM's"):
-        table.add_column(column, justify="right")
-    for name, row in results["solvers"].items():
-        table.add_row(name, f"{row['ns_per_node_step']:.0f}", f"{row['times_ticm']:.1f}")
-    Console().print(table)
-    table = Table(title="The fast scheme against the study's, l = 50 m, one thread")
-    for column in ("method", "step, s", "ns a node-step", "node-step ratio", "ratio for a simulated second"):
-        table.add_column(column, justify="right")
-    for name, row in results["fast"].items():
-        cells = (row["ns_per_node_step"], row["node_step_ratio"], row["simulated_second_ratio"])
-        table.add_row(name, f"{row['time_step_s']:g}", *(f"{cell:.1f}" for cell in cells))
-    Console().print(table)
+    header: tuple[str, ...] = ("solver", "ns a node-step", "times the TICM's")
+    rows = [(n, f"{row['ns_per_node_step']:.0f}", f"{row['times_ticm']:.1f}") for n, row in results["solvers"].items()]
+    print_table("Cost of a step of the study's scheme, l = 50 m", header, rows)
+    header = ("method", "step [s]", "ns a node-step", "node-step ratio", "ratio for a simulated second")
+    figures = ("ns_per_node_step", "node_step_ratio", "simulated_second_ratio")
+    fast = [(n, f"{row['time_step_s']:g}", *(f"{row[f]:.1f}" for f in figures)) for n, row in results["fast"].items()]
+    print_table("The fast scheme against the study's, l = 50 m, one thread", header, fast)
     for name, seconds in results["insertion"].items():
         print(f"full insertion at 0.2 m/s, 16 probes, all cores, {name}: {seconds:.2f} s a probe")
     environments = results["environments"]
-    table = Table(title=f"Environment steps of 0.1 s, {environments['carrier_length_m']:g} m of carrier cable")
-    for column in ("kind, environments", "steps/s", "times the single one"):
-        table.add_column(column, justify="right")
-    single = environments["steps_per_second"]["single"]
-    for name, rate in environments["steps_per_second"].items():
-        table.add_row(name, f"{rate:.0f}", f"{rate / single:.1f}")
-    Console().print(table)
+    title = f"Environment steps of 0.1 s, {environments['carrier_length_m']:g} m of carrier cable"
+    rates = environments["steps_per_second"]
+    rows = [(name, f"{rate:.0f}", f"{rate / rates['single']:.1f}") for name, rate in rates.items()]
+    print_table(title, ("kind, environments", "steps/s", "times the single one"), rows)
     print(f"share of a step outside the kernel, batch of 16: {100.0 * environments['share_outside_kernel']:.1f} %")
     for name, seconds in environments["episode_s_per_probe"].items():
         print(f"an episode of fidelity {name}, batch of 16, all cores: {seconds:.2f} s a probe")

@@ -77,5 +77,5 @@ def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
             warnings.warn(
                 f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} goes beyond what the"
                 f" task gives, {low * factor:g} to {high * factor:g} {unit}: the nearest of these is taken",
-                stacklevel=3,
+                stacklevel=2,  # one place, whoever asks: told once
             )

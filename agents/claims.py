@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import mannwhitneyu
 
+from agents.terminal import print_table
 from probe_env import Scene
 from probe_env.chain import air_speed, build_chain
 
@@ -221,12 +220,10 @@ def print_findings(table: pd.DataFrame, scenes: Path) -> None:
     """The claims as a table on the terminal."""
     members = int(table.groupby("case").size().max())
     duration = float(table["duration_s"].iloc[0])
-    view = Table(title=f"The study's claims: {members} run(s) a case, {duration:g} s each", show_lines=True)
-    for column in ("claim", "figure", "found: mean (range)", "holds"):
-        view.add_column(column)
-    for finding in findings(table, scenes):
-        view.add_row(finding.claim, finding.figure, finding.found, finding.verdict)
-    Console().print(view)
+    title = f"The study's claims: {members} run(s) a case, {duration:g} s each"
+    header = ("claim", "figure", "found: mean (range)", "holds")
+    rows = ((finding.claim, finding.figure, finding.found, finding.verdict) for finding in findings(table, scenes))
+    print_table(title, header, rows, left=4, lines=True)
 
 
 def markdown(table: pd.DataFrame) -> str:

@@ -12,9 +12,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from tqdm import tqdm
 
 from agents.catalogue import make_policy
@@ -22,6 +19,7 @@ from agents.evaluate import read_journal
 from agents.policies import Scheduled
 from agents.provenance import kernel_hash, provenance, write_atomically, write_json
 from agents.statistics import Interval, mean_interval
+from agents.terminal import print_table
 from probe_env import Context, Design, Fidelity
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
@@ -171,11 +169,7 @@ HEADER = ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in 
 
 def print_comparison(table: pd.DataFrame) -> None:
     """The summary on the terminal."""
-    view = Table(title=f"Means over {table['context'].nunique()} tubes with 95 % intervals; change against the first")
-    for column in HEADER:
-        view.add_column(escape(column), justify="right" if column != "design" else "left")
-    for row in cells(summarise(table)):
-        view.add_row(*row)
-    Console(width=max(Console().width, 160)).print(view)
+    title = f"Means over {table['context'].nunique()} tubes with 95 % intervals; change against the first"
+    print_table(title, HEADER, cells(summarise(table)), least_width=160)
     for name, part in table.groupby("design", sort=False):
         print(f"{name}: {int(part['lost_drive'].sum())} lost drive, {int(part['diverged'].sum())} diverged")

@@ -19,8 +19,6 @@ import pandas as pd
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import NSGAIISampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import bootstrap, rankdata
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from tqdm import tqdm
@@ -28,6 +26,7 @@ from tqdm import tqdm
 from agents import figures
 from agents.design_problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
 from agents.provenance import provenance, write_atomically, write_json
+from agents.terminal import print_table
 from agents.workers import HERE, Workers
 from probe_env import Design
 from probe_env.design import RANGES
@@ -206,11 +205,8 @@ def reference_probes(table: pd.DataFrame, problem: DesignProblem) -> pd.DataFram
 
 
 def _print(front: pd.DataFrame, influence: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> None:
-    view = Table(title="Designs on the front")
-    for name in (*axes, *OBJECTIVES):
-        view.add_column(name, justify="right")
-    for row in front.to_dict("records"):
-        view.add_row(*(f"{row[name]:.3g}" for name in (*axes, *OBJECTIVES)))
-    Console(width=max(Console().width, 160)).print(view)
+    names = (*axes, *OBJECTIVES)
+    rows = ([f"{row[name]:.3g}" for name in names] for row in front.to_dict("records"))
+    print_table("Designs on the front", [name.replace("_", " ") for name in names], rows, left=0, least_width=160)
     for row in influence[influence["objective"] == OBJECTIVES[0]].to_dict("records"):
         print(f"vibration and {row['parameter']}: {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]")

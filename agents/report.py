@@ -12,9 +12,6 @@ from pathlib import Path
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from agents import figures
 from agents.catalogue import named_policies
@@ -22,6 +19,7 @@ from agents.evaluate import Plan, run_plan
 from agents.fidelity_check import Level, run_checks
 from agents.provenance import write_atomically, write_json
 from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
+from agents.terminal import print_table
 from agents.workers import HERE, Workers
 from probe_env.contexts import Split, spread_contexts
 from probe_env.fidelity_choice import resolve_fidelity
@@ -75,12 +73,9 @@ def evaluate(
 
 def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
-    view = Table(title="Means with 95 % intervals over the contexts")
-    for column in ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values())):
-        view.add_column(escape(column), justify="right" if column != "policy" else "left")
-    for policy, cells in kpi_cells(table):
-        view.add_row(policy, *cells)
-    Console(width=max(Console().width, 160)).print(view)
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()))
+    rows = ((policy, *cells) for policy, cells in kpi_cells(table))
+    print_table("Means with 95 % intervals over the contexts", header, rows, least_width=160)
     for name, row in endings(table).iterrows():
         print(
             f"{name}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"

@@ -7,12 +7,11 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from tqdm import tqdm
 
 from agents import figures
 from agents.provenance import provenance, write_atomically, write_json
+from agents.terminal import print_table
 from probe_env import Run, Simulator
 from probe_env.signals import dominant_frequencies, point_statistics
 
@@ -127,12 +126,7 @@ def _store(simulator: Simulator, run: Run, statistics: dict[str, float], start: 
 
 def print_statistics(statistics: dict[str, float], title: str) -> None:
     """The sensor's statistics as a table."""
-    table = Table(title=title)
-    table.add_column("at the sensor")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    for label, key, factor, unit in ROWS:
-        table.add_row(label, f"{statistics[key] * factor:.4g}", unit)
-    table.add_row("root tension, mean", f"{statistics['root_tension_mean_n']:.4g}", "N")
-    table.add_row("root tension, rms", f"{statistics['root_tension_rms_n']:.4g}", "N")
-    Console().print(table)
+    rows = [(label, f"{statistics[key] * factor:.4g}", unit) for label, key, factor, unit in ROWS]
+    rows.append(("root tension, mean", f"{statistics['root_tension_mean_n']:.4g}", "N"))
+    rows.append(("root tension, rms", f"{statistics['root_tension_rms_n']:.4g}", "N"))
+    print_table(title, ("at the sensor", "value", "unit"), rows)

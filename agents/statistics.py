@@ -10,7 +10,6 @@ import pandas as pd
 from scipy.stats import bootstrap, trim_mean
 
 CONFIDENCE: Final = 0.95
-RESAMPLES: Final = 2000
 KPIS: Final[dict[str, tuple[str, float, str]]] = {
     "reward": ("reward", 1.0, ""),
     "inspection_time_s": ("inspection time", 1.0, "s"),
@@ -88,19 +87,6 @@ def method_and_seed(policy: str) -> tuple[str, int]:
 def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:
     """A KPI of a method: training seeds in rows, contexts in columns, averaged over the seeds of the episodes."""
     return table[table["policy"] == policy].pivot_table(index="agent", columns="context", values=kpi)
-
-
-def over_seeds(table: pd.DataFrame, policy: str, kpi: str) -> Interval:
-    """Interquartile mean over training seeds of the mean over contexts; interval by drawing seeds and contexts anew."""
-    values = seeds_by_contexts(table, policy, kpi).to_numpy()
-    rng, (seeds, contexts) = np.random.default_rng(0), values.shape
-    means = [
-        values[rng.integers(seeds, size=seeds)][:, rng.integers(contexts, size=contexts)].mean(axis=1)
-        for _ in range(RESAMPLES)
-    ]
-    drawn = interquartile_means(np.array(means))
-    low, high = np.percentile(drawn, [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
-    return Interval(interquartile_mean(values.mean(axis=1)), float(low), float(high))
 
 
 def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import bootstrap
 from tqdm import tqdm
 
 from agents import figures
 from agents.provenance import provenance, write_atomically, write_json
+from agents.terminal import print_table
 from probe_env import Scene, SimulatorBatch
 from probe_env.fidelity import PRESETS
 
@@ -100,14 +99,9 @@ def markdown(summary: pd.DataFrame) -> str:
 
 def print_summary(summary: pd.DataFrame) -> None:
     """The ratios on the terminal."""
-    table = Table(title="Radial rms with time-lapse over that without, 95 % intervals")
-    for column in ("factor", "inserted length", "ratio", "interval"):
-        table.add_column(column, justify="right")
-    for row in summary.itertuples():
-        table.add_row(
-            str(row.factor),
-            f"{row.from_m:.0f}-{row.to_m:.0f} m",
-            f"{row.ratio:.2f}",
-            f"[{row.low:.2f}, {row.high:.2f}]",
-        )
-    Console().print(table)
+    rows = (
+        (str(row.factor), f"{row.from_m:.0f}-{row.to_m:.0f} m", f"{row.ratio:.2f}", f"[{row.low:.2f}, {row.high:.2f}]")
+        for row in summary.itertuples()
+    )
+    header = ("factor", "inserted length", "ratio", "interval")
+    print_table("Radial rms with time-lapse over that without, 95 % intervals", header, rows, left=0)

@@ -10,9 +10,6 @@ from typing import Any, Final
 import moocore
 import numpy as np
 import pandas as pd
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from scipy.stats import bootstrap
 
 from agents import figures
@@ -22,6 +19,7 @@ from agents.map_policies import Privileged, TensionScheduled
 from agents.policies import PI, Constant, FixedPolicy, OnOff, SlowDown
 from agents.provenance import write_atomically
 from agents.statistics import Interval, by_context, grouped, mean_interval, method_and_seed
+from agents.terminal import print_table
 from probe_env.contexts import Split, spread_contexts
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.task import TaskConfig
@@ -127,13 +125,12 @@ def _interval(time: np.ndarray, out: np.ndarray) -> Interval:
 
 
 def _print(front: pd.DataFrame, volumes: pd.DataFrame) -> None:
-    view = Table(title="Time against length out of the limit, 95 % intervals")
-    for column in ("family", "value", "time [s]", "out of limit [%]"):
-        view.add_column(escape(column), justify="right")
+    rows = []
     for row in front.to_dict("records"):
         time = Interval(row["time_s"], row["time_low"], row["time_high"])
         out = Interval(row["out_share"], row["out_low"], row["out_high"])
-        view.add_row(row["family"], f"{row['value']:g}", time.text(), out.text(100.0))
-    Console().print(view)
+        rows.append((row["family"], f"{row['value']:g}", time.text(), out.text(100.0)))
+    header = ("family", "value", "time [s]", "out of limit [%]")
+    print_table("Time against length out of the limit, 95 % intervals", header, rows, left=0)
     for row in volumes.to_dict("records"):
         print(f"{row['family']}: hypervolume {Interval(row['hypervolume'], row['low'], row['high']).text()}")

@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from rich.console import Console
-from rich.table import Table
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
@@ -32,6 +30,7 @@ from agents.catalogue import make_policy
 from agents.evaluate import Plan, run_plan
 from agents.imitation import imitate
 from agents.provenance import provenance, write_atomically, write_json
+from agents.terminal import print_table
 from agents.train_config import Training
 from agents.vec_env import ProbeVecEnv
 from agents.view import ViewVecEnv
@@ -237,14 +236,10 @@ def _restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
 
 def print_curves(curves: pd.DataFrame) -> None:
     """The phases of all seeds on the terminal."""
-    view = Table(title="Validation after each phase")
     names = {"seed": "seed", "phase": "phase", "steps": "steps", "reward": "reward", "inspection_time_s": "time [s]",
              "share_within_limit": "within the limit", "wall_s": "wall [s]"}  # fmt: skip
-    for name in names.values():
-        view.add_column(name, justify="right")
-    for row in curves[list(names)].itertuples(index=False):
-        view.add_row(*(f"{value:.4g}" for value in row))
-    Console().print(view)
+    rows = ([f"{value:.4g}" for value in row] for row in curves[list(names)].itertuples(index=False))
+    print_table("Validation after each phase", list(names.values()), rows, left=0)
 
 
 def _watched(update: Callable[[int], Any]) -> Callable[[int], None]:

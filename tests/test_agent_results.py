@@ -4,8 +4,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.agent_results import difference, gain_fraction, load_curves, markdown, relative_change, throughput, verdicts
-from agents.statistics import grouped, interquartile_mean, over_seeds
+from agents.agent_results import (
+    difference,
+    gain_fraction,
+    load_curves,
+    markdown,
+    over_seeds,
+    relative_change,
+    throughput,
+    verdicts,
+)
+from agents.statistics import grouped, interquartile_mean
 
 
 def table_of(rewards, times=None, shares=None):
