@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import probe_env
+from probe_env.cores import available_cores
 
 COMMON_SOURCES = ("chain.py", "drive.py")
 STUDY_SOURCES = ("schemes.py", "ticm.py")
@@ -42,7 +43,7 @@ def provenance(command: str | None = None) -> dict[str, Any]:
         "packages": {name: version(name) for name in PACKAGES},
         "machine": {
             "processor": _processor(),
-            "cores": len(os.sched_getaffinity(0)),
+            "cores": available_cores(),
             "system": f"{platform.system()} {platform.machine()}",
         },
     }
