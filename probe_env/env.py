@@ -130,7 +130,7 @@ class InsertionEnv(ProbeEnv):
     | 2, 3 | applied feed speed, applied air supply | 0.4 m/s, 130 m3/h |
     | 4, 5 | radial and axial accelerometer, rms | log10, 1 m/s2 |
     | 6 | eddy-current noise, proportional to the radial rms (5 % sensor noise) | log10, 0.1 mm |
-    | 7 | mean root tension (2 % sensor noise) | 20 N |
+    | 7 | mean root tension (2 % sensor noise; the load cell ends at 10 kN) | 20 N |
     | 8, 9 | previous action | - |
     | 10 | helix diameter | 2.5 m |
 
@@ -146,7 +146,8 @@ class InsertionEnv(ProbeEnv):
 
     ## Starting State
     A context is drawn (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
-    diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` fix any of these.
+    diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` fix any of these. A context that
+    the fidelity's step or the model cannot simulate is a `ValueError` that names it, see `probe_env.limits`.
 
     ## Episode End
     Terminated at the end of the helix, on lost drive (mean root tension below 0.8 N, an assumption for the rising
