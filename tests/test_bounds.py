@@ -77,16 +77,15 @@ def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
         )
         for k in range(count)
     ]  # fmt: skip
-    results = []
-    for calls in (None, []):
-        if calls is not None:
-            monkeypatch.setitem(lane_group.KERNELS, method, guarded(lane_group.KERNELS[method], calls))
+    results, plain_kernel, calls = [], lane_group.KERNELS[method], []
+    for kernel in (guarded(plain_kernel, calls), plain_kernel):  # the guarded first: it names what it finds
+        monkeypatch.setitem(lane_group.KERNELS, method, kernel)
         batch = SimulatorBatch(scenes, method, step, growing=True, time_lapse=1000.0, perturbation=1e-6, threads=1)
         batch.advance(0.25, 0.03, 480 * step, 8 * step)
         active = np.arange(count) % 3 != 1
         results.append((batch, batch.advance(0.25, 0.03, 4 * step, step, active, keep_samples=True)))
-        assert calls != []
-    (plain, first), (fenced, second) = results
+    assert calls
+    (fenced, second), (plain, first) = results
     assert not first.diverged.any()
     assert (first.radial == second.radial).all()
     assert (first.tension == second.tension).all()
