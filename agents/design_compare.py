@@ -14,11 +14,12 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from agents import stored
 from agents.catalogue import make_policy
-from agents.evaluate import read_journal
 from agents.policies import Scheduled
 from agents.provenance import kernel_hash, provenance, write_atomically, write_json
 from agents.statistics import Interval, mean_interval
+from agents.stored.records import Trial, set_aside
 from agents.terminal import print_table
 from probe_env import Context, Design, Fidelity
 from probe_env.schedule import Schedule
@@ -106,17 +107,20 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     """Run what is missing in ``output``, store designs.csv and summary.csv; one row a design and context.
 
     Raises:
-        ValueError: the feed does not fit; nothing was run.
+        ValueError: no designs, or the feed does not fit; nothing was run.
     """
+    if not comparison.designs:
+        raise ValueError("designs = none: give at least one design file (TOML), see configs/design/")
     if not comparison.full:
         comparison.schedule()
     journal = output / "designs.jsonl"
-    stored = read_journal(journal)
+    done = read_journal(journal)
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
-    missing = [unit for unit in units if keys[unit] not in stored]
+    missing = [unit for unit in units if keys[unit] not in done]
     if missing:
         output.mkdir(parents=True, exist_ok=True)
+        set_aside(journal)
         with journal.open("ab") as file, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
             for begin in range(0, len(missing), BATCH):
                 part = missing[begin : begin + BATCH]
@@ -126,11 +130,11 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
                     bar.update()
                 file.flush()
                 os.fsync(file.fileno())
-        stored = read_journal(journal)
+        done = read_journal(journal)
     rows: list[dict[str, Any]] = []
     for name, k in units:
         place = {"design": name, "context": k}
-        rows.append(place | comparison.contexts[k].model_dump() | stored[keys[name, k]]["kpis"])
+        rows.append(place | comparison.contexts[k].model_dump() | done[keys[name, k]]["kpis"])
     table = pd.DataFrame(rows)
     write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
@@ -138,6 +142,11 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     made |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
     write_json(output / "provenance.json", provenance() | made)
     return table
+
+
+def read_journal(path: Path) -> dict[str, dict[str, Any]]:
+    """Stored trials by key; a last line that was cut off by an interrupt is left out."""
+    return stored.read_journal(path, Trial)
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:

@@ -21,7 +21,9 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from agents import stored
 from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.stored.records import CARRIED, Episode, Setting, set_aside
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
@@ -29,7 +31,6 @@ from probe_env.episodes import Episodes
 from probe_env.starts import Probes
 from probe_env.task import SHOWN, TaskConfig, describe
 
-CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 BATCH = 16
 SHARED = ("fidelity", "kernel_hash", "probes")
 """What all episodes of a table have in common, besides the task."""
@@ -98,11 +99,12 @@ def run_plan(
         ValueError: the folder holds episodes of another setting; nothing is changed.
     """
     journal = output / "episodes.jsonl"
-    stored = _check_setting(plan, output)
-    missing = deque(unit for unit in plan.units() if plan.key(unit) not in stored)
+    done = _check_setting(plan, output)
+    missing = deque(unit for unit in plan.units() if plan.key(unit) not in done)
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         write_json(output / "setting.json", plan.setting())
+        set_aside(journal)
         with (
             journal.open("ab") as file,
             tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
@@ -112,10 +114,10 @@ def run_plan(
                 file.flush()
                 os.fsync(file.fileno())
                 bar.update()
-        stored = read_journal(journal)
+        done = read_journal(journal)
     rows, profiles = [], []
     for unit in plan.units():
-        record = stored[plan.key(unit)]
+        record = done[plan.key(unit)]
         name, k, seed = unit
         place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
         rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"])
@@ -129,32 +131,28 @@ def run_plan(
 
 
 def read_journal(path: Path) -> dict[str, dict[str, Any]]:
-    """Stored episodes by key; a last line that was cut off by an interrupt is left out (and cut off the file)."""
-    if not path.exists():
-        return {}
-    content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        write_atomically(path, whole)
-    return {record["key"]: record for record in map(json.loads, whole.decode().splitlines())}
+    """Stored episodes by key; a last line that was cut off by an interrupt is left out."""
+    return stored.read_journal(path, Episode)
 
 
 def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
-    path = output / "setting.json"
+    path, journal = output / "setting.json", output / "episodes.jsonl"
     if path.exists():
-        before, now = (_shared(setting) for setting in (json.loads(path.read_text()), plan.setting()))
+        this = Setting.model_validate_json(json.dumps(plan.setting()))
+        before, now = _shared(stored.read_json(path, Setting)), _shared(this)
         different = [name for name in now if before.get(name) != now[name]]
         if different:
             raise ValueError(
                 f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
             )
-    return read_journal(output / "episodes.jsonl")
+    elif read_journal(journal):
+        raise stored.FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
+    return read_journal(journal)
 
 
-def _shared(setting: Mapping[str, Any]) -> dict[str, Any]:
+def _shared(setting: Setting) -> dict[str, Any]:
     """What episodes must share: not what is observed, and fields newer than the results have their defaults."""
-    task = TaskConfig.model_validate_json(json.dumps(setting["task"])).model_dump(exclude=set(SHOWN))
-    return task | {"probes": "scene"} | {name: setting[name] for name in SHARED if name in setting}
+    return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in SHARED}
 
 
 def _lines(

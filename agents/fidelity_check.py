@@ -18,6 +18,8 @@ from agents.evaluate import Plan, run_plan
 from agents.policies import Scheduled
 from agents.provenance import write_atomically
 from agents.statistics import KPIS, Interval, by_context, mean_interval
+from agents.stored import read_parquet
+from agents.stored.tables import PROFILE
 from probe_env import Fidelity
 from probe_env.schedule import Schedule
 
@@ -41,7 +43,7 @@ def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path) -> N
         return
     checks = [check_half_step(plan, table, output)]
     if level in ("replayed", "all"):
-        checks.append(check_replayed(plan, table, pd.read_parquet(output / "profile.parquet"), output))
+        checks.append(check_replayed(plan, table, read_parquet(output / "profile.parquet", PROFILE), output))
     if level in ("acting", "all"):
         checks.append(check_acting(plan, table, output))
     report_checks(checks, output)

@@ -81,7 +81,7 @@ def grouped(table: pd.DataFrame) -> pd.DataFrame:
 def method_and_seed(policy: str) -> tuple[str, int]:
     """NAME@K as (NAME, K), anything else as (NAME, 0)."""
     name, mark, seed = policy.rpartition("@")
-    return (name, int(seed)) if mark and seed.isdigit() else (policy, 0)
+    return (name, int(seed)) if mark and seed.isdecimal() else (policy, 0)
 
 
 def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:

@@ -8,7 +8,7 @@ searches for schedules take seconds, and a controller that knows the tube can lo
 from __future__ import annotations
 
 import io
-import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,6 +21,10 @@ import pandas as pd
 from agents.evaluate import Plan, run_plan
 from agents.policies import FixedPolicy
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored import FileError, read_json, read_parquet
+from agents.stored.arrays import read_arrays
+from agents.stored.records import Quality
+from agents.stored.tables import PROFILE
 from probe_env import Context, load_contexts
 from probe_env.chain import FloatArray
 from probe_env.fidelity import PRESETS
@@ -73,10 +77,20 @@ class VibrationMap:
 
     @classmethod
     def load(cls, path: Path = STORED) -> VibrationMap:
-        """Read a stored map (plain arrays only, no pickles)."""
-        with np.load(path, allow_pickle=False) as arrays:
-            count = len(arrays.files) // 2
-            return cls(tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(count)))
+        """Read a stored map (plain arrays only, no pickles).
+
+        Raises:
+            FileNotFoundError: no such file.
+            FileError: not a map: other arrays, or shapes that do not follow on each other.
+        """
+        arrays = read_arrays(path, lambda name: "f" if re.fullmatch(r"(weights|biases)[0-2]", name, re.ASCII) else "")
+        sizes = [len(CONTEXT) + 3]
+        for k in range(3):
+            weights, biases = (arrays.get(f"{part}{k}", np.zeros(())) for part in ("weights", "biases"))
+            sizes.append(weights.shape[-1] if weights.ndim == 2 and k < 2 else 2)
+            if weights.shape != (sizes[-2], sizes[-1]) or biases.shape != (sizes[-1],):
+                raise FileError(path, f"layer {k}: not a map of vibration: its arrays are missing or of other shapes")
+        return cls(tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(3)))
 
     def save(self, path: Path) -> None:
         """Write it atomically."""
@@ -195,7 +209,7 @@ def make_map(seeds: int, output: Path, target: Path = STORED) -> VibrationMap:
     contexts = load_contexts("train")
     plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
     run_plan(plan, output)
-    fitted, quality = fit_map(with_contexts(pd.read_parquet(output / "profile.parquet"), contexts))
+    fitted, quality = fit_map(with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts))
     fitted.save(target)
     write_json(
         target.with_suffix(".json"), provenance() | {"contexts": "train", "episodes": len(plan.units()), **quality}
@@ -211,7 +225,6 @@ def with_contexts(profile: pd.DataFrame, contexts: Sequence[Context]) -> pd.Data
     return profile.assign(**columns, episode=profile["seed"] * len(contexts) + profile["context"])
 
 
-def load_quality(path: Path = STORED) -> dict[str, float]:
+def load_quality(path: Path = STORED) -> dict[str, Any]:
     """How the stored map was made and how well it tells."""
-    quality: dict[str, float] = json.loads(path.with_suffix(".json").read_text())
-    return quality
+    return read_json(path.with_suffix(".json"), Quality).model_dump()
