@@ -20,12 +20,12 @@ from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import NSGAIISampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from scipy.stats import bootstrap, rankdata
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from tqdm import tqdm
 
 from agents import figures
 from agents.design_problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored.database import open_study
 from agents.terminal import print_table
 from agents.workers import HERE, Workers
 from probe_env import Design
@@ -69,10 +69,7 @@ def search(
         starts: points to begin with, part of the first generation.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    try:
-        study = optuna.create_study(storage=storage, study_name=name, directions=list(DIRECTIONS), load_if_exists=True)
-    except (ArgumentError, NoSuchModuleError) as error:
-        raise ValueError(f"storage = {storage!r} is not the URL of a database: {error}") from error
+    study = open_study(storage, name, DIRECTIONS, axes)
     for stale in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study._storage.set_trial_state_values(stale._trial_id, TrialState.FAIL)  # of a run that was killed
     done = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))

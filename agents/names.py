@@ -21,9 +21,7 @@ def name_problem(name: str) -> str:
     if not name.isprintable() or name != name.strip():
         return "is not a name: it has characters that cannot be seen"
     if name[0] in FORMULA:
-        return (
-            f"is not a name: spreadsheets take for a formula what begins with one of {' '.join(FORMULA)}"
-        )
+        return f"is not a name: spreadsheets take for a formula what begins with one of {' '.join(FORMULA)}"
     return ""
 
 

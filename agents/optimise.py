@@ -24,6 +24,7 @@ from agents.evaluate import Plan, run_plan
 from agents.map_policies import LEAST_AIR
 from agents.policies import Scheduled
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored.database import open_study
 from agents.vibration_map import CONTEXT, FEEDS, features_of, metre_cost, stored_map
 from agents.vibration_map import STORED as MAP_FILE
 from probe_env import Context, load_contexts
@@ -127,9 +128,8 @@ def run_search(family_name: str, trials: int, output: Path, work: Path, simulate
             warn_independent_sampling=False,
         )
     problem = hashlib.sha256(repr((family, config, cost.tubes)).encode() + MAP_FILE.read_bytes()).hexdigest()[:12]
-    study = optuna.create_study(
-        storage=f"sqlite:///{work / family_name}.db", study_name=f"{family_name}-{problem}", load_if_exists=True,
-        direction="maximize", sampler=sampler,
+    study = open_study(
+        f"sqlite:///{work / family_name}.db", f"{family_name}-{problem}", ["maximize"], names, sampler
     )  # fmt: skip
     done = len(study.get_trials(states=[optuna.trial.TrialState.COMPLETE]))
     with tqdm(total=trials, initial=min(done, trials), desc=family_name, unit="trial") as bar:

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import platform
-import shlex
 import subprocess
 import sys
 import tempfile
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import probe_env
+from agents.masking import masked_command
 
 COMMON_SOURCES = ("chain.py", "drive.py")
 STUDY_SOURCES = ("schemes.py", "ticm.py")
@@ -36,7 +36,7 @@ PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 def provenance(command: str | None = None) -> dict[str, Any]:
     """Versions, commit, machine and command as a JSON-ready dictionary."""
     return {
-        "command": command or "probe-env " + shlex.join(sys.argv[1:]),
+        "command": command or "probe-env " + masked_command(sys.argv[1:]),
         "commit": commit(),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},

@@ -13,6 +13,8 @@ from agents.chart.insertions import run_insertions
 from agents.chart.smooth import run_smooth
 from agents.chart.store import as_csv
 from agents.provenance import write_atomically
+from agents.stored import read_csv
+from agents.stored.tables import COSTS, ENSEMBLE, METHODS
 
 STUDY = Path("results/study/ensemble.csv")
 """The slow methods' runs: `probe-env study` made them."""
@@ -30,12 +32,12 @@ def run_chart(output: Path) -> None:
 def draw_chart(output: Path) -> None:
     """Tables of errors, figures, and ``measured_errors.csv``, what ``fidelity="auto"`` goes by, from stored runs."""
     constant, inserted = error_tables(output)
-    costs = pd.read_csv(output / "costs.csv")
+    costs = read_csv(output / "costs.csv", COSTS)
     write_atomically(output / "errors.csv", as_csv(constant, 4))
     write_atomically(output / "insertion-errors.csv", as_csv(inserted, 4))
     measured = tables.measured_errors(constant, inserted)
     write_atomically(output / "measured_errors.csv", as_csv(measured, 4))
-    smooth = pd.read_csv(output / "smooth.csv")
+    smooth = read_csv(output / "smooth.csv", METHODS)
     chosen = tables.choices(constant, inserted)
     figures.smooth(smooth, output / "smooth.png")
     figures.chaos(constant, inserted, output / "chaos.png")
@@ -48,9 +50,9 @@ def draw_chart(output: Path) -> None:
 
 def error_tables(output: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors at constant length and over insertions, see ``errors``, from stored runs."""
-    costs = pd.read_csv(output / "costs.csv")
-    members = [pd.read_csv(output / "ensembles.csv")]
+    costs = read_csv(output / "costs.csv", COSTS)
+    members = [read_csv(output / "ensembles.csv", METHODS)]
     if STUDY.exists():
-        members.append(errors.study_members(pd.read_csv(STUDY)))
+        members.append(errors.study_members(read_csv(STUDY, ENSEMBLE)))
     constant = errors.constant_length(pd.concat(members, ignore_index=True), costs)
-    return constant, errors.insertion(pd.read_csv(output / "insertions.csv"), costs)
+    return constant, errors.insertion(read_csv(output / "insertions.csv", METHODS), costs)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
+
+from agents.stored import read_json
+from agents.stored.records import Made
 
 RESULTS = Path("results")
 
 
 def source(path: Path) -> str:
     """Command, commit and machine of stored results."""
-    made: dict[str, Any] = json.loads(path.read_text())
+    made = read_json(path, Made).model_dump()
     machine = made["machine"]
     return (
         f"Made by `{made['command']}` at commit {made['commit']}, {machine['cores']} cores"

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -49,10 +50,20 @@ CURVE: Final[Columns] = {
     **dict.fromkeys(("validation_s", "wall_s", "kernel_s"), "number"),
 }  # fmt: skip
 """``learning.csv``."""
+METHODS: Final[Columns] = {"method": "text", "kernels": "text"}
+"""Tables of the chart that grow row by row."""
+COSTS: Final[Columns] = {
+    "method": "text", "nodes_per_pitch": "count", "length": "number", "ns_per_node_step": "number"
+}  # fmt: skip
+"""``chart/costs.csv``."""
+ENSEMBLE: Final[Columns] = {
+    "case": "text", "kernel_hash": "text", "member": "count", "duration_s": "number", "diverged_at_s": "maybe"
+}  # fmt: skip
+"""``study/ensemble.csv``."""
 _HINT: Final = "restore the file, or make it again"
 
 
-def read_csv(path: Path, columns: Columns) -> pd.DataFrame:
+def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> pd.DataFrame:
     """A CSV table with a header; columns that are not named are numbers, truths or text, as all of their cells allow.
 
     Raises:
