@@ -13,10 +13,12 @@ from typing import Annotated, Any, Union
 import tyro
 from pydantic import ValidationError
 
+from agents.command_line import parsed
 from agents.commands.design import Compare, DesignSearch
 from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
 from agents.commands.study import Bench, Chart, Peers, Scaling, Simulate, Stability, Study, Timelapse
 from probe_env import Scene, SimulationError
+from probe_env.files import one_line
 from probe_env.scene import explain
 
 
@@ -40,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
         _show_choices()
-        command = tyro.cli(_commands(arguments), args=arguments, prog="probe-env", description=__doc__)
+        command = parsed(_commands(arguments), arguments, __doc__)
         command.run()
     except ValidationError as error:
         return _fail(explain(error))
@@ -94,7 +96,7 @@ def _commands(arguments: Sequence[str]) -> Any:
 
 
 def _fail(message: str, status: int = 2) -> int:
-    print(f"probe-env: error: {message}", file=sys.stderr)
+    print(f"probe-env: error: {one_line(message)}", file=sys.stderr)
     return status
 
 

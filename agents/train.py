@@ -30,6 +30,8 @@ from agents.catalogue import make_policy
 from agents.evaluate import Plan, run_plan
 from agents.imitation import imitate
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored import FileError, read_json
+from agents.stored.checkpoints import BUFFER, Run, read_checkpoint, settings_that_differ, variables
 from agents.terminal import print_table
 from agents.train_config import Training
 from agents.vec_env import ProbeVecEnv
@@ -40,7 +42,6 @@ from probe_env.contexts import spread_contexts
 from probe_env.fidelity_choice import resolve_fidelity
 
 CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
-BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def train_all(
@@ -57,6 +58,7 @@ def train_all(
     made = provenance(command)
     for folder in folders.values():
         _check_folder(training, folder, resume)
+    _check_checkpoints(training, folders)
     for seed, folder in folders.items():
         _note_run(training, seed, folder, made)
     if workers.here:
@@ -79,7 +81,7 @@ def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any])
     path = folder / RUN
     begun: dict[str, Any] = {"seed": seed} | made
     if path.exists():
-        begun = json.loads(path.read_text())
+        begun = json.loads(read_json(path, Run).model_dump_json())
         begun["resumed"] = [*begun.get("resumed", []), {"command": made["command"], "commit": made["commit"]}]
     teacher = make_policy(training.imitation.teacher, training.shown_task).describe() if training.imitation else None
     write_json(path, begun | {"config": json.loads(training.model_dump_json()), "teacher": teacher})
@@ -87,16 +89,42 @@ def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any])
 
 def _check_folder(training: Training, folder: Path, resume: bool) -> None:
     if not (folder / RUN).exists():
+        if (folder / CHECKPOINT).exists():
+            raise FileError(folder / RUN, f"missing beside {CHECKPOINT}: restore it, or choose another folder")
         return
     if not resume:
         raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
     # settings that are newer than the run have their defaults
-    noted = Training.model_validate_json(json.dumps(json.loads((folder / RUN).read_text())["config"]))
-    before, now = json.loads(noted.model_dump_json()), json.loads(training.model_dump_json())
-    # what is still to come may change: more phases, other seeds beside this one
-    different = [name for name in now if before.get(name) != now[name] and name not in ("seeds", "phases")]
+    different = settings_that_differ(read_json(folder / RUN, Run).config, training)
     if different:
         raise ValueError(f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder")
+
+
+def _check_checkpoints(training: Training, folders: dict[int, Path]) -> None:
+    """Raise unless all checkpoints can be gone on from: before any seed is trained."""
+    for seed, folder in folders.items():
+        if (folder / CHECKPOINT).exists():
+            model, env = _new_model(training, seed, None)
+            read_checkpoint(folder / CHECKPOINT, model, training)
+            env.close()
+
+
+def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv]:
+    """The algorithm with new weights and the environments that it learns in."""
+    shown = training.shown_task
+    batch = ProbeVecEnv(
+        training.environment.env_id, training.environment.num_envs, shown,
+        fidelity=training.environment.fidelity, contexts=training.environment.contexts,
+        probes=training.environment.probes, threads=threads,
+    )  # fmt: skip
+    env = ViewVecEnv(batch, training.view, shown, training.environment.reward_scale)
+    set_random_seed(seed)
+    algorithm, name = ALGORITHMS[training.algorithm]
+    model: BaseAlgorithm = algorithm(
+        name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
+        **training.learning,
+    )  # fmt: skip
+    return model, env
 
 
 def train(
@@ -113,19 +141,8 @@ def train(
         place: line of the progress bar.
     """
     torch.set_num_threads(1)
-    view, shown = training.view, training.shown_task
-    batch = ProbeVecEnv(
-        training.environment.env_id, training.environment.num_envs, shown,
-        fidelity=training.environment.fidelity, contexts=training.environment.contexts,
-        probes=training.environment.probes, threads=threads,
-    )  # fmt: skip
-    env = ViewVecEnv(batch, view, shown, training.environment.reward_scale)
-    set_random_seed(seed)
-    algorithm, name = ALGORITHMS[training.algorithm]
-    model: BaseAlgorithm = algorithm(
-        name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
-        **training.learning,
-    )  # fmt: skip
+    shown = training.shown_task
+    model, env = _new_model(training, seed, threads)
     rows = _restore(model, folder / CHECKPOINT)
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
     done = (imitated if rows else 0) + model.num_timesteps
@@ -200,7 +217,10 @@ def _save(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
     """Weights, optimisers, counts and learning curve, atomically; of off-policy algorithms also the replay buffer."""
     state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows}
     state["counts"] = {"num_timesteps": model.num_timesteps, "_n_updates": int(getattr(model, "_n_updates", 0))}
-    state["variables"] = {name: getattr(model, name).detach() for name in _variables(model)}
+    state["variables"] = {name: getattr(model, name).detach() for name in variables(model)}
+    config = _noted(path.with_name(RUN))
+    if config is not None:
+        state["config"] = config.model_dump_json()
     replay = getattr(model, "replay_buffer", None)
     if replay is not None:
         state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
@@ -210,16 +230,16 @@ def _save(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _variables(model: BaseAlgorithm) -> list[str]:
-    """Names of trained tensors that ``get_parameters`` leaves out: SAC's entropy coefficient."""
-    return list(model._get_torch_save_params()[1])
+def _noted(path: Path) -> Training | None:
+    """Settings of a run as they are noted."""
+    return read_json(path, Run).config if path.exists() else None
 
 
 def _restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
     """Set the model as it was at the checkpoint; the learning curve until then. Tensors and plain data only."""
     if not path.exists():
         return []
-    state = torch.load(path, weights_only=True)
+    state = read_checkpoint(path, model, _noted(path.with_name(RUN)))
     model.set_parameters(state["parameters"])
     for name, value in state["counts"].items():
         setattr(model, name, value)

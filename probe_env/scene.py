@@ -63,7 +63,7 @@ class Model(BaseModel):
         """
         data = read_toml(path)
         try:
-            return cls.model_validate(_tuples(data))
+            return cls.model_validate(tuples(data))
         except ValidationError as error:
             raise FileError(path, explain(error)) from error
         except (ValueError, OverflowError) as error:
@@ -189,11 +189,11 @@ def _impossible(message: str) -> PydanticCustomError:
     return PydanticCustomError("impossible_geometry", "{message}", {"message": message})
 
 
-def explain(error: ValidationError) -> str:
-    """Pydantic's errors as plain lines: field, what is wrong, the value given."""
+def explain(error: ValidationError, within: str = "") -> str:
+    """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
     lines, found = [], error.errors(include_url=False, include_context=False)
     for item in found[:ERRORS_TOLD]:
-        field = ".".join(str(part) for part in item["loc"])
+        field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
         message = "there is no such field" if item["type"] == "extra_forbidden" else item["msg"]
         lines.append(f"{field}: {message}{value}" if field else message)
@@ -206,8 +206,8 @@ def _short(value: Any) -> str:
     return text if len(text) <= 100 else f"{text[:100]} ..."
 
 
-def _tuples(value: Any) -> Any:
+def tuples(value: Any) -> Any:
     """TOML's lists as the tuples that frozen models hold."""
     if isinstance(value, dict):
-        return {key: _tuples(entry) for key, entry in value.items()}
-    return tuple(_tuples(entry) for entry in value) if isinstance(value, list) else value
+        return {key: tuples(entry) for key, entry in value.items()}
+    return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value

@@ -85,6 +85,7 @@ def test_curves_and_throughput(tmp_path):
         folder = tmp_path / f"seed-{seed}"
         folder.mkdir()
         rows = {"seed": seed, "phase": [0, 1], "steps": [0, 1000], "wall_s": [20.0, 20.0], "kernel_s": [15.0, 17.0]}
+        rows |= {"reward": -1.0, "inspection_time_s": 300.0, "share_within_limit": 0.9}
         pd.DataFrame(rows | {"validation_s": [10.0, 10.0]}).to_csv(folder / "learning.csv", index=False)
     curves = load_curves(tmp_path)
     assert len(curves) == 4
