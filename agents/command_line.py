@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from typing import Any, Final
 
 import tyro
@@ -24,7 +26,8 @@ def parsed(commands: Any, arguments: Sequence[str], description: str | None) -> 
     """
     given: dict[str, Any] = {"args": arguments, "prog": "probe-env", "description": description}
     try:
-        return tyro.cli(commands, **given, console_outputs=False)
+        with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
+            return tyro.cli(commands, **given)
     except SystemExit as stop:
         for error in _causes(stop):
             if isinstance(error, ValidationError):

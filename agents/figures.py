@@ -29,6 +29,11 @@ def _save(figure: Figure, path: Path) -> Path:
     return path
 
 
+def _plain(name: str) -> str:
+    """A name as it is: between dollar signs there would be a formula, and a line of a name with _ is not explained."""
+    return ("\u200b" if name.startswith("_") else "") + name.replace("$", r"\$")
+
+
 def time_histories(run: Run, point: str, path: Path, title: str = "") -> Path:
     """Axial and radial displacement of one point over time (the study's figures 11-12, 15-18, 20)."""
     column = run.column(point)
@@ -145,7 +150,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
         x, y = time["mean"], 100.0 * (1.0 - share["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
         along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
-        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=policy)
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=_plain(policy))
     return _save_time_against_vibration(figure, path)
 
 
@@ -157,7 +162,7 @@ def front(points: pd.DataFrame, path: Path) -> Path:
         x, y = ordered["time_s"], 100.0 * ordered["out_share"]
         across = [x - ordered["time_low"], ordered["time_high"] - x]
         along = [y - 100.0 * ordered["out_low"], 100.0 * ordered["out_high"] - y]
-        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=family)
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=_plain(family))
     return _save_time_against_vibration(figure, path)
 
 
@@ -184,7 +189,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
         groups = binned[binned["policy"] == policy].groupby("bin")
         for axis, (name, factor, label) in zip(axes, fields, strict=True):
             mean = groups[name].mean() * factor
-            axis.plot(mean.index, mean, color=colour, label=policy)
+            axis.plot(mean.index, mean, color=colour, label=_plain(policy))
             axis.set_ylabel(label)
         loud = groups["radial_rms_m"].quantile(0.9) * MM
         axes[2].plot(loud.index, loud, color=colour, linewidth=0.7)
@@ -216,7 +221,7 @@ def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Pa
         feed.set_ylabel("feed [m/s]", color=RED)
         feed.set_ylim(0.0, 0.42)
         axis.set_title(
-            f"{policy}: reward {worst['reward']:.0f}, friction {worst['friction']:.2f},"
+            f"{_plain(policy)}: reward {worst['reward']:.0f}, friction {worst['friction']:.2f},"
             f" helix {worst['helix_diameter']:g} m",
             fontsize=10,
         )

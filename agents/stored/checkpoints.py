@@ -120,9 +120,10 @@ def _loaded(path: Path, most: int) -> dict[str, Any]:
 
 def _most_bytes(model: BaseAlgorithm) -> int:
     """Weights, twice as much for the optimisers, and the replay buffer."""
-    weights = sum(value.numel() * value.element_size() for value in model.policy.state_dict().values())
+    weights: int = sum(value.numel() * value.element_size() for value in model.policy.state_dict().values())
     replay = getattr(model, "replay_buffer", None)
-    return 3 * weights + sum(getattr(replay, name).nbytes for name in BUFFER if replay is not None) + SLACK
+    stored: int = sum(getattr(replay, name).nbytes for name in BUFFER) if replay is not None else 0
+    return 3 * weights + stored + SLACK
 
 
 def _check_state(state: Named, model: BaseAlgorithm) -> None:

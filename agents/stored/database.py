@@ -46,12 +46,12 @@ def open_study(
     path = _sqlite_file(storage)
     if path is not None and path.exists():
         _check_sqlite(path)
-    place = str(path or masked(storage))
+    place, wanted = str(path or masked(storage)), [StudyDirection[direction.upper()] for direction in directions]
     try:
         study = optuna.create_study(
-            storage=storage, study_name=name, directions=list(directions), load_if_exists=True, sampler=sampler
+            storage=storage, study_name=name, directions=wanted, load_if_exists=True, sampler=sampler
         )
-        _check_study(place, study, directions, set(parameters))
+        _check_study(place, study, wanted, set(parameters))
     except FileError:
         raise
     except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError, RuntimeError, KeyError) as error:
@@ -96,8 +96,7 @@ def _check_sqlite(path: Path) -> None:
         raise FileError(path, f"a database of something else (tables {', '.join(sorted(tables)[:5])}) - {_RESTORE}")
 
 
-def _check_study(place: str, study: optuna.Study, directions: Sequence[str], parameters: set[str]) -> None:
-    wanted = [StudyDirection[direction.upper()] for direction in directions]
+def _check_study(place: str, study: optuna.Study, wanted: list[StudyDirection], parameters: set[str]) -> None:
     other = f"study {study.study_name!r} is of another search"
     if study.directions != wanted:
         raise FileError(place, f"{other}: it has other objectives - choose another folder or storage")
