@@ -15,7 +15,9 @@ from pydantic import ValidationError
 
 from agents.commands.design import Compare, DesignSearch
 from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
+from agents.commands.results import Results
 from agents.commands.study import Bench, Chart, Peers, Scaling, Simulate, Stability, Study, Timelapse
+from agents.publishing import in_its_place
 from probe_env import Scene, SimulationError
 from probe_env.scene import explain
 
@@ -41,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
         _show_choices()
         command = tyro.cli(_commands(arguments), args=arguments, prog="probe-env", description=__doc__)
-        command.run()
+        in_its_place(command).run()
     except ValidationError as error:
         return _fail(explain(error))
     except FileNotFoundError as error:
@@ -87,6 +89,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("train", Train),
             ("compare", Compare),
             ("design", DesignSearch),
+            ("results", Results),
             ("readme", Readme),
         )
     )

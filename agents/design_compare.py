@@ -15,9 +15,10 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents.catalogue import make_policy
+from agents.code_hash import class_hash, code_hash
 from agents.evaluate import read_journal
 from agents.policies import Scheduled
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.provenance import commit, provenance, write_atomically, write_json
 from agents.statistics import Interval, mean_interval
 from agents.terminal import print_table
 from probe_env import Context, Design, Fidelity
@@ -35,6 +36,8 @@ KPIS: dict[str, tuple[str, float, str]] = {
 }
 """KPI -> name, factor and unit for people."""
 BATCH = 16
+CODE = ("probe_env.trials:try_insertions", "probe_env.trials:try_sections", "probe_env.trials:judge")
+"""What a result depends on, besides the feed."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +77,12 @@ class Comparison:
 
     def key(self, design: Design, context: Context, place: int = 0) -> str:
         """Identity of one result; the context's place seeds the start."""
+        policy = make_policy(self.feed, self.config)
         parts = [
             place,
-            design.built.model_dump(), context.model_dump(), make_policy(self.feed, self.config).describe(), self.full,
-            self.fidelity.model_dump(), self.config.model_dump(mode="json"), kernel_hash(self.fidelity.method),
+            design.built.model_dump(), context.model_dump(), policy.describe(), class_hash(type(policy), "predict"),
+            self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
+            code_hash(CODE, self.fidelity.method),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -122,21 +127,22 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
                 part = missing[begin : begin + BATCH]
                 pairs = [(comparison.designs[name], comparison.contexts[k]) for name, k in part]
                 for unit, kpis in zip(part, comparison.run(pairs, [k for _, k in part]), strict=True):
-                    file.write((json.dumps({"key": keys[unit], "kpis": kpis}) + "\n").encode())
+                    file.write((json.dumps({"key": keys[unit], "commit": commit(), "kpis": kpis}) + "\n").encode())
                     bar.update()
                 file.flush()
                 os.fsync(file.fileno())
         stored = read_journal(journal)
     rows: list[dict[str, Any]] = []
     for name, k in units:
-        place = {"design": name, "context": k}
-        rows.append(place | comparison.contexts[k].model_dump() | stored[keys[name, k]]["kpis"])
+        place, record = {"design": name, "context": k}, stored[keys[name, k]]
+        made_at = {"commit": record.get("commit", "unknown")}
+        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | made_at)
     table = pd.DataFrame(rows)
     write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     made: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
     made |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
-    write_json(output / "provenance.json", provenance() | made)
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | made)
     return table
 
 

@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.code_hash import class_hash, code_hash
+from agents.provenance import commit, provenance, write_atomically, write_json
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
@@ -31,8 +32,10 @@ from probe_env.task import SHOWN, TaskConfig, describe
 
 CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 BATCH = 16
-SHARED = ("fidelity", "kernel_hash", "probes")
+SHARED = ("fidelity", "code", "probes")
 """What all episodes of a table have in common, besides the task."""
+CODE = ("probe_env.episodes:Episodes.reset", "probe_env.episodes:Episodes.step", "agents.evaluate:per_metre")
+"""What an episode depends on, besides its policy."""
 
 
 class Policy(Protocol):
@@ -66,7 +69,7 @@ class Plan:
         return {
             **describe(self.config),
             "fidelity": self.fidelity.model_dump(),
-            "kernel_hash": kernel_hash(self.fidelity.method),
+            "code": code_hash(CODE, self.fidelity.method),
             "probes": self.probes,
         }
 
@@ -75,9 +78,11 @@ class Plan:
         return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
 
     def key(self, unit: tuple[str, int, int]) -> str:
-        """Identity of an episode: policy as described, context and seed."""
+        """Identity of an episode: policy as described and written, context and seed."""
         name, k, seed = unit
-        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]  # the place is in the seed
+        policy = self.policies[name]
+        written = class_hash(type(policy), "predict")
+        parts = [policy.describe(), written, self.contexts[k].model_dump(), k, seed]  # the place is in the seed
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -118,13 +123,13 @@ def run_plan(
         record = stored[plan.key(unit)]
         name, k, seed = unit
         place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
-        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"])
+        made = {"commit": record.get("commit", "unknown")}
+        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | made)
         profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
     table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
     _write_tables(table, profile, output)
-    write_json(
-        output / "provenance.json", provenance() | {"policies": {n: p.describe() for n, p in plan.policies.items()}}
-    )
+    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
     return table
 
 
@@ -231,7 +236,7 @@ def _line(
     probe: dict[str, float] | None,
 ) -> str:
     columns = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(profile).items()}
-    record = {"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}
+    record = {"key": plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis, "profile": columns}
     return json.dumps(record | ({"probe": probe} if probe else {})) + "\n"
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from agents import design_compare
-from agents.readme_blocks.sources import RESULTS, source
+from agents.readme_blocks.sources import RESULTS, command, source
 
 DESIGN_TABLES = {
     "countermeasures": "The study's countermeasures (its section 4.3) one by one, in sections of constant length at its"
@@ -65,4 +65,4 @@ def _compared(folder: Path, title: str) -> str:
     tubes = pd.read_csv(folder / "designs.csv")["context"].nunique()
     lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
     lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
-    return "\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}."
+    return "\n".join(lines) + f"\n\nMade by `{command(made)}` at commit {made['commit']}."
