@@ -26,6 +26,7 @@ from agents.policies import Scheduled
 from agents.provenance import provenance, write_atomically, write_json
 from agents.vibration_map import CONTEXT, FEEDS, features_of, metre_cost, stored_map
 from agents.vibration_map import STORED as MAP_FILE
+from agents.work import Work, announce
 from probe_env import Context, load_contexts
 from probe_env.chain import FloatArray
 from probe_env.contexts import HELIX_DIAMETERS
@@ -131,7 +132,12 @@ def run_search(family_name: str, trials: int, output: Path, work: Path, simulate
         storage=f"sqlite:///{work / family_name}.db", study_name=f"{family_name}-{problem}", load_if_exists=True,
         direction="maximize", sampler=sampler,
     )  # fmt: skip
-    done = len(study.get_trials(states=[optuna.trial.TrialState.COMPLETE]))
+
+    def complete() -> int:
+        return len(study.get_trials(deepcopy=False, states=[optuna.trial.TrialState.COMPLETE]))
+
+    done = complete()
+    announce(Work("trial", trials, complete, work / f"{family_name}.db"))
     with tqdm(total=trials, initial=min(done, trials), desc=family_name, unit="trial") as bar:
         for _ in range(done, trials):
             trial = study.ask()

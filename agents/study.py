@@ -16,6 +16,7 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.work import Work, announce
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.signals import point_statistics
 
@@ -101,10 +102,11 @@ def run_study(
     Rows that are stored already, for the same duration and kernels, are not run again.
     """
     chosen = [case for case in CASES if not names or case.name in names]
-    stored = load_rows(output, duration)
-    done = set(zip(stored["case"], stored["member"], strict=True)) if len(stored) else set()
+    stored, done = load_rows(output, duration), _done(output, duration)
     missing = [(case, member) for member in range(members) for case in chosen if (case.name, member) not in done]
     rows = stored.to_dict("records")
+    wanted = {(case.name, member) for member in range(members) for case in chosen}
+    announce(Work("run", len(wanted), lambda: len(wanted & _done(output, duration)), output / "ensemble.csv"))
     hashes = {case.name: kernel_hash(case.method) for case in chosen}
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
     work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
@@ -112,8 +114,14 @@ def run_study(
         rows.append(row | {"kernel_hash": hashes[str(row["case"])]})
         _store(rows, output)
     table = pd.DataFrame(rows)
-    wanted = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
-    return table[wanted].sort_values(["case", "member"]).reset_index(drop=True)
+    asked = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
+    return table[asked].sort_values(["case", "member"]).reset_index(drop=True)
+
+
+def _done(output: Path, duration: float) -> set[tuple[str, int]]:
+    """Case and member of the rows that are stored."""
+    stored = load_rows(output, duration)
+    return set(zip(stored["case"], stored["member"], strict=True)) if len(stored) else set()
 
 
 def load_rows(output: Path, duration: float | None = None) -> pd.DataFrame:

@@ -13,6 +13,7 @@ from tqdm import tqdm
 from agents.chart.ensembles import SAMPLE_PERIOD, member_statistics
 from agents.chart.store import Store
 from agents.study import PERTURBATION
+from agents.work import Work, announce
 from probe_env import Scene, SimulatorBatch
 
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]
@@ -48,9 +49,14 @@ def run_insertions(output: Path) -> pd.DataFrame:
     """
     keys = ("method", "time_step", "time_lapse")
     store = Store(output / "insertions.csv", (*keys, "member", "from_m"))
-    for insertion in INSERTIONS:
+
+    def stored(insertion: Insertion) -> bool:
         key = tuple(asdict(insertion)[name] for name in keys)
-        if not store.has(*key, insertion.members - 1, END - STRETCH):
+        return store.has(*key, insertion.members - 1, END - STRETCH)
+
+    announce(Work("setting", len(INSERTIONS), lambda: sum(map(stored, INSERTIONS)), store.path))
+    for insertion in INSERTIONS:
+        if not stored(insertion):
             store.add(*_insert(insertion))
     return store.table
 

@@ -19,6 +19,7 @@ from tqdm import tqdm
 from agents.chart import closed_forms
 from agents.chart.chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
 from agents.chart.store import Store
+from agents.work import Work, announce
 from probe_env import Scene
 from probe_env.chain import Chain, FloatArray, air_speed, build_chain, sensor_node
 from probe_env.methods import SCHEMES
@@ -164,6 +165,7 @@ def run_smooth(output: Path) -> pd.DataFrame:
         for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
     ]
     missing = [cell for cell in todo if not store.has(*cell)]
+    announce(Work("run", len(todo), lambda: sum(store.has(*cell) for cell in todo), store.path))
     truth: dict[str, FloatArray] = {}
     for name, method, time_step in tqdm(missing, desc="before chaos", unit="run", disable=not missing):
         case = cases()[name]

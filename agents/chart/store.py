@@ -44,8 +44,8 @@ class Store:
         new = pd.DataFrame([dict(row) | {COLUMN: _hash(str(row["method"]))} for row in rows])
         table = new if self.table.empty else pd.concat([self.table, new], ignore_index=True)
         self.table = table.drop_duplicates(list(self.keys), keep="last").reset_index(drop=True)
-        self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
         write_atomically(self.path, as_csv(self.table, 6))
+        self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
         write_json(self.path.with_name(f"{self.path.stem}-provenance.json"), provenance())
 
 
