@@ -28,7 +28,7 @@ import cloudpickle
 ATTEMPTS: Final = 5
 """Times in a row that work may be lost with its worker without anything having been found."""
 GRACE: Final = 2.0
-"""Seconds that a worker may take to end."""
+"""Seconds that workers may take to end."""
 Kind = Literal["item", "done", "error"]
 
 
@@ -126,9 +126,10 @@ class Pool:
         self._idle, self._busy = [], {}
         for worker in workers:
             worker.pipe.close()
+        deadline = time.monotonic() + GRACE
         for worker in workers:
             try:
-                worker.process.wait(GRACE)
+                worker.process.wait(max(deadline - time.monotonic(), 0.0))
             except subprocess.TimeoutExpired:
                 worker.process.kill()
                 worker.process.wait()

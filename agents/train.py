@@ -56,8 +56,6 @@ def train_all(
     made = provenance(command)
     for folder in folders.values():
         _check_folder(training, folder, resume)
-    for seed, folder in folders.items():
-        _note_run(training, seed, folder, made)
     phases = training.phases + (training.imitation is not None)
     announce(
         Work(
@@ -65,6 +63,8 @@ def train_all(
             "the same command with --resume goes on",
         )
     )  # fmt: skip
+    for seed, folder in folders.items():
+        _note_run(training, seed, folder, made)
     if workers.here:
         curves = [train(training, seed, folder, made) for seed, folder in folders.items()]
         return pd.concat(curves, ignore_index=True)
