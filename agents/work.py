@@ -74,11 +74,12 @@ def account() -> str:
     """What the command has stored until now, in words."""
     if _current:
         return _current[0].account()
-    if not _files:
+    files = [path for path in _files if path.exists()]
+    if not files:
         return "nothing was stored"
-    folders = list(dict.fromkeys(path.parent for path in _files))
-    names = [path.name for path in _files[:FILES_NAMED]] + ["..."] * (len(_files) > FILES_NAMED)
-    verb = "is" if len(_files) == 1 else "are"
+    folders = list(dict.fromkeys(path.parent for path in files))
+    names = [path.name for path in files[:FILES_NAMED]] + ["..."] * (len(files) > FILES_NAMED)
+    verb = "is" if len(files) == 1 else "are"
     return f"{', '.join(names)} {verb} stored in {', '.join(map(str, folders))}, and nothing else"
 
 
