@@ -25,6 +25,7 @@ def _run(arguments: Sequence[str]) -> int:
     import tyro
     from pydantic import ValidationError
 
+    from agents.notices import said_when_compiling
     from probe_env import SimulationError
     from probe_env.scene import explain
 
@@ -32,7 +33,8 @@ def _run(arguments: Sequence[str]) -> int:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
         _show_choices()
         command = tyro.cli(_commands(arguments), args=arguments, prog="probe-env", description=__doc__)
-        command.run()
+        with said_when_compiling():
+            command.run()
     except ValidationError as error:
         return _fail(explain(error))
     except FileNotFoundError as error:
