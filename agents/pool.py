@@ -60,9 +60,9 @@ class Pool:
         self._busy: dict[Any, tuple[_Worker, int]] = {}
 
     @property
-    def processes(self) -> list[int]:
-        """Ids of the workers' processes."""
-        return [worker.process.pid for worker in (*self._idle, *(worker for worker, _ in self._busy.values()))]
+    def busy(self) -> bool:
+        """Whether tasks are being done."""
+        return bool(self._busy)
 
     def stream(self, function: Callable[[Any], Iterable[Any]], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
         """Pairs of a task and an item that the function gives for it, as they come, of all tasks in any order.
@@ -73,8 +73,6 @@ class Pool:
         Raises:
             RuntimeError: workers are lost again and again.
         """
-        if self._busy:
-            raise RuntimeError("the workers are busy with tasks that were given before")
         left, attempts, given, skip = deque(enumerate(tasks)), 0, Counter[int](), Counter[int]()
         work = cloudpickle.dumps(function)
         try:
@@ -139,12 +137,14 @@ _POOLS: dict[int, Pool] = {}
 
 
 def pool_of(size: int) -> Pool:
-    """This process' pool; one of another size is ended."""
+    """This process' pool; one of another size is ended, one that is still read from is left to its reader."""
     here = os.getpid()  # what was forked from this process has none
-    if here not in _POOLS or _POOLS[here].size != size:
-        stop_pool()
-        _POOLS[here] = Pool(size)
-    return _POOLS[here]
+    pool = _POOLS.get(here)
+    if pool is None or pool.size != size or pool.busy:
+        if pool is not None and not pool.busy:
+            pool.stop()
+        _POOLS[here] = pool = Pool(size)
+    return pool
 
 
 @atexit.register

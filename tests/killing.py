@@ -42,10 +42,22 @@ def hook_replace(name, count, action):
 def kill(pids_file=None):
     """End this process without a word; before, write the ids of its workers to a file."""
     if pids_file:
-        from agents.pool import pool_of
-
-        Path(pids_file).write_text(" ".join(map(str, pool_of(2).processes)))
+        Path(pids_file).write_text(" ".join(map(str, children())))
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def children():
+    """Ids of the processes that this one has started."""
+    stats = ((int(path.name), stat_of(path.name)) for path in Path("/proc").glob("[0-9]*"))
+    return [pid for pid, stat in stats if stat and int(stat[1]) == os.getpid()]
+
+
+def stat_of(pid):
+    """State, parent and so on of a process; nothing if there is none."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
 
 
 def killed(function, *arguments):
@@ -68,7 +80,4 @@ def all_gone(pids_file):
 
 def alive(pid):
     """Whether a process runs; one that waits for its parent to look at its end does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+    return stat_of(pid)[:1] not in ([], ["Z"])

@@ -2,16 +2,17 @@
 
 import os
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
+import joblib
 import pytest
-from killing import alive, all_gone, kill, killed
+from killing import alive, all_gone, children, kill, killed
 
 from agents.atomic import write_atomically
 from agents.design_problem import DesignProblem
 from agents.evaluate import Plan, run_plan
 from agents.policies import Constant
-from agents.pool import pool_of
 from agents.workers import Workers
 from probe_env import Context, Design, load_contexts
 from probe_env.task import TaskConfig
@@ -113,9 +114,34 @@ def test_workers_end_with_a_command_that_is_killed(tmp_path):
 def busy(pids):
     stream = TWO.stream(sleeping, [0.0, 1e6])
     next(stream)
-    while len(pool_of(2).processes) < 2:
+    while len(children()) < 2:
         time.sleep(0.01)
     kill(pids)
+
+
+def test_a_stream_that_is_still_read_does_not_disturb_another():
+    first = TWO.stream(counting, [3, 5])
+    begun = [next(first)]
+    assert sorted(item for _, item in TWO.stream(counting, [2])) == [0, 1]
+    assert sorted(item for _, item in begun + list(first)) == [0, 0, 1, 1, 2, 2, 3, 4]
+
+
+def counting(task):
+    yield from range(task)
+
+
+def test_a_cluster_s_items_come_with_the_task_s_end(monkeypatch):
+    """Ray's part of joblib, with threads in the place of a cluster."""
+
+    @contextmanager
+    def cluster(_):
+        with joblib.parallel_config(backend="threading"):
+            yield lambda: 2
+
+    monkeypatch.setattr(Workers, "_cluster", cluster)
+    found = list(Workers(2, "ray").stream(counting, [1, 2, 3, 4, 5]))
+    assert sorted(found) == sorted((task, item) for task in (1, 2, 3, 4, 5) for item in range(task))
+    assert sorted(Workers(2, "ray").map(square, range(9))) == [(k, k * k) for k in range(9)]
 
 
 def sleeping(seconds):
