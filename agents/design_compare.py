@@ -21,6 +21,7 @@ from agents.policies import Scheduled
 from agents.provenance import commit, provenance, write_atomically, write_json
 from agents.statistics import Interval, mean_interval
 from agents.terminal import print_table
+from agents.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
@@ -120,6 +121,8 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
     missing = [unit for unit in units if keys[unit] not in stored]
+    every = set(keys.values())
+    announce(Work("trial", len(every), lambda: len(every & read_journal(journal).keys()), output))
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         with journal.open("ab") as file, tqdm(total=len(missing), desc="designs", unit="trial") as bar:

@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from agents.code_hash import class_hash, code_hash
 from agents.provenance import commit, provenance, write_atomically, write_json
+from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
@@ -88,7 +89,7 @@ class Plan:
 
 def run_plan(
     plan: Plan,
-    output: Path,
+    output: Path | None,
     batch: int = BATCH,
     progress: bool = True,
     threads: int | None = None,
@@ -96,15 +97,24 @@ def run_plan(
 ) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
-    Every episode is appended to ``episodes.jsonl`` as it ends; at the end ``episodes.csv`` and ``episodes.parquet``
-    (KPIs) and ``profile.parquet`` (per metre of inserted length) are written.
+    Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
+    end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
+    written. Without an output nothing is read or written.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
     """
+    if output is None:
+        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
+        return _tables(plan, {record["key"]: record for record in map(json.loads, lines)})[0]
     journal = output / "episodes.jsonl"
     stored = _check_setting(plan, output)
-    missing = deque(unit for unit in plan.units() if plan.key(unit) not in stored)
+    units = {plan.key(unit): unit for unit in plan.units()}
+    missing = deque(unit for key, unit in units.items() if key not in stored)
+    announce(
+        Work("episode", len(units), lambda: len(units.keys() & read_journal(journal).keys()), output),
+        quiet=not progress,
+    )
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         write_json(output / "setting.json", plan.setting())
@@ -118,6 +128,15 @@ def run_plan(
                 os.fsync(file.fileno())
                 bar.update()
         stored = read_journal(journal)
+    table, profile = _tables(plan, stored)
+    _write_tables(table, profile, output)
+    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
+    return table
+
+
+def _tables(plan: Plan, stored: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """KPIs and profiles of all episodes of the plan."""
     rows, profiles = [], []
     for unit in plan.units():
         record = stored[plan.key(unit)]
@@ -126,11 +145,7 @@ def run_plan(
         made = {"commit": record.get("commit", "unknown")}
         rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | made)
         profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
-    table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
-    _write_tables(table, profile, output)
-    described = {name: policy.describe() for name, policy in plan.policies.items()}
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
-    return table
+    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
 
 
 def read_journal(path: Path) -> dict[str, dict[str, Any]]:
@@ -171,8 +186,8 @@ def _lines(
         return
     size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, lines in workers.map(partial(_portion, plan), portions):
-        yield from lines
+    for _, line in workers.stream(partial(_portion, plan), portions):
+        yield line
 
 
 def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
@@ -180,12 +195,12 @@ def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
     return max(min(batch, episodes // (2 * jobs)), 1)
 
 
-def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> list[str]:
+def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> Iterator[str]:
     """What a worker does: some episodes side by side on one thread."""
-    return list(_run_units(plan, deque(units), len(units), 1))
+    return _run_units(plan, deque(units), len(units), 1)
 
 
-def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Any:
+def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Iterator[str]:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
     count = min(batch, len(missing))
     episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)

@@ -67,8 +67,8 @@ class Store:
         table = new if self._rows.empty else pd.concat([self._rows, new], ignore_index=True)
         old = table.duplicated(list(self.keys), keep="last")
         self._rows = table.assign(**{SUPERSEDED: table[SUPERSEDED].astype(bool) | old})
-        self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
         write_atomically(self.path, as_csv(self._rows, 6))
+        self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
         commits = _counting(self._rows)[COMMIT]
         write_json(self.path.with_name(f"{self.path.stem}-provenance.json"), provenance(commits=commits))
 

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from agents.code_hash import code_hash
 from agents.store import Store, stored_rows
+from agents.work import Work, announce
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.signals import point_statistics
 
@@ -105,9 +106,13 @@ def run_study(
     """
     chosen = [case for case in CASES if not names or case.name in names]
     store = open_store(output)
-    missing = [
-        (case, member) for member in range(members) for case in chosen if not store.has(case.name, member, duration)
-    ]
+    wanted = [(case, member) for member in range(members) for case in chosen]
+
+    def stored() -> int:
+        return sum(store.has(case.name, member, duration) for case, member in wanted)
+
+    missing = [(case, member) for case, member in wanted if not store.has(case.name, member, duration)]
+    announce(Work("run", len(wanted), stored, store.path))
     for case in chosen:
         code_hash(CODE, case.method)  # here, and not in the threads
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
@@ -115,8 +120,8 @@ def run_study(
     for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
         store.add(row)
     table = store.table
-    wanted = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
-    return _in_order(table[wanted & (table["duration_s"] == duration)])
+    asked = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
+    return _in_order(table[asked & (table["duration_s"] == duration)])
 
 
 def open_store(output: Path) -> Store:

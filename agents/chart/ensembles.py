@@ -18,6 +18,7 @@ from tqdm import tqdm
 from agents.code_hash import code_hash
 from agents.store import Store
 from agents.study import PERTURBATION
+from agents.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.signals import dominant_frequencies
 
@@ -129,8 +130,14 @@ def member_statistics(window: Window, member: int) -> dict[str, float]:
 def run_ensembles(output: Path) -> pd.DataFrame:
     """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
     store = open_store(output)
-    todo = [s for s in (*step_settings(), *model_settings()) if not store.has(*s.key.values(), s.members - 1)]
+    settings = (*step_settings(), *model_settings())
+
+    def stored(setting: Setting) -> bool:
+        return store.has(*setting.key.values(), setting.members - 1)
+
+    todo = [setting for setting in settings if not stored(setting)]
     todo.sort(key=_work)
+    announce(Work("setting", len(settings), lambda: sum(map(stored, settings)), store.path))
     with tqdm(total=sum(map(_work, todo)), desc="chaos", unit="Gnode-step", unit_scale=1e-9, disable=not todo) as bar:
         for setting in todo:
             store.add(*run_setting(setting))

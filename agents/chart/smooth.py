@@ -20,6 +20,7 @@ from agents.chart import closed_forms
 from agents.chart.chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
 from agents.code_hash import code_hash
 from agents.store import Store
+from agents.work import Work, announce
 from probe_env import Scene
 from probe_env.chain import Chain, FloatArray, air_speed, build_chain, sensor_node
 from probe_env.methods import SCHEMES
@@ -169,6 +170,7 @@ def run_smooth(output: Path) -> pd.DataFrame:
         for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
     ]
     missing = [cell for cell in todo if not store.has(*cell)]
+    announce(Work("run", len(todo), lambda: sum(store.has(*cell) for cell in todo), store.path))
     truth: dict[str, FloatArray] = {}
     for name, method, time_step in tqdm(missing, desc="before chaos", unit="run", disable=not missing):
         case = cases()[name]
