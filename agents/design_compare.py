@@ -16,11 +16,13 @@ from tqdm import tqdm
 
 from agents import stored
 from agents.catalogue import make_policy
+from agents.code_hash import class_hash, code_hash
 from agents.policies import Scheduled
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.provenance import commit, provenance, write_atomically, write_json
 from agents.statistics import Interval, mean_interval
 from agents.stored.records import Trial, set_aside
 from agents.terminal import print_table
+from agents.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
@@ -36,6 +38,8 @@ KPIS: dict[str, tuple[str, float, str]] = {
 }
 """KPI -> name, factor and unit for people."""
 BATCH = 16
+CODE = ("probe_env.trials:try_insertions", "probe_env.trials:try_sections", "probe_env.trials:judge")
+"""What a result depends on, besides the feed."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +79,12 @@ class Comparison:
 
     def key(self, design: Design, context: Context, place: int = 0) -> str:
         """Identity of one result; the context's place seeds the start."""
+        policy = make_policy(self.feed, self.config)
         parts = [
             place,
-            design.built.model_dump(), context.model_dump(), make_policy(self.feed, self.config).describe(), self.full,
-            self.fidelity.model_dump(), self.config.model_dump(mode="json"), kernel_hash(self.fidelity.method),
+            design.built.model_dump(), context.model_dump(), policy.describe(), class_hash(type(policy), "predict"),
+            self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
+            code_hash(CODE, self.fidelity.method),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -118,6 +124,8 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
     missing = [unit for unit in units if keys[unit] not in done]
+    every = set(keys.values())
+    announce(Work("trial", len(every), lambda: len(every & read_journal(journal).keys()), output))
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         set_aside(journal)
@@ -126,21 +134,22 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
                 part = missing[begin : begin + BATCH]
                 pairs = [(comparison.designs[name], comparison.contexts[k]) for name, k in part]
                 for unit, kpis in zip(part, comparison.run(pairs, [k for _, k in part]), strict=True):
-                    file.write((json.dumps({"key": keys[unit], "kpis": kpis}) + "\n").encode())
+                    file.write((json.dumps({"key": keys[unit], "commit": commit(), "kpis": kpis}) + "\n").encode())
                     bar.update()
                 file.flush()
                 os.fsync(file.fileno())
         done = read_journal(journal)
     rows: list[dict[str, Any]] = []
     for name, k in units:
-        place = {"design": name, "context": k}
-        rows.append(place | comparison.contexts[k].model_dump() | done[keys[name, k]]["kpis"])
+        place, record = {"design": name, "context": k}, done[keys[name, k]]
+        made_at = {"commit": record.get("commit", "unknown")}
+        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | made_at)
     table = pd.DataFrame(rows)
     write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     made: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
     made |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
-    write_json(output / "provenance.json", provenance() | made)
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | made)
     return table
 
 

@@ -22,8 +22,10 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents import stored
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.code_hash import class_hash, code_hash
+from agents.provenance import commit, provenance, write_atomically, write_json
 from agents.stored.records import CARRIED, Episode, Setting, set_aside
+from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
@@ -32,8 +34,10 @@ from probe_env.starts import Probes
 from probe_env.task import SHOWN, TaskConfig, describe
 
 BATCH = 16
-SHARED = ("fidelity", "kernel_hash", "probes")
+SHARED = ("fidelity", "code", "probes")
 """What all episodes of a table have in common, besides the task."""
+CODE = ("probe_env.episodes:Episodes.reset", "probe_env.episodes:Episodes.step", "agents.evaluate:per_metre")
+"""What an episode depends on, besides its policy."""
 
 
 class Policy(Protocol):
@@ -67,7 +71,7 @@ class Plan:
         return {
             **describe(self.config),
             "fidelity": self.fidelity.model_dump(),
-            "kernel_hash": kernel_hash(self.fidelity.method),
+            "code": code_hash(CODE, self.fidelity.method),
             "probes": self.probes,
         }
 
@@ -76,15 +80,17 @@ class Plan:
         return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
 
     def key(self, unit: tuple[str, int, int]) -> str:
-        """Identity of an episode: policy as described, context and seed."""
+        """Identity of an episode: policy as described and written, context and seed."""
         name, k, seed = unit
-        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]  # the place is in the seed
+        policy = self.policies[name]
+        written = class_hash(type(policy), "predict")
+        parts = [policy.describe(), written, self.contexts[k].model_dump(), k, seed]  # the place is in the seed
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def run_plan(
     plan: Plan,
-    output: Path,
+    output: Path | None,
     batch: int = BATCH,
     progress: bool = True,
     threads: int | None = None,
@@ -92,15 +98,24 @@ def run_plan(
 ) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
-    Every episode is appended to ``episodes.jsonl`` as it ends; at the end ``episodes.csv`` and ``episodes.parquet``
-    (KPIs) and ``profile.parquet`` (per metre of inserted length) are written.
+    Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
+    end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
+    written. Without an output nothing is read or written.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
     """
+    if output is None:
+        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
+        return _tables(plan, {record["key"]: record for record in map(json.loads, lines)})[0]
     journal = output / "episodes.jsonl"
     done = _check_setting(plan, output)
-    missing = deque(unit for unit in plan.units() if plan.key(unit) not in done)
+    units = {plan.key(unit): unit for unit in plan.units()}
+    missing = deque(unit for key, unit in units.items() if key not in done)
+    announce(
+        Work("episode", len(units), lambda: len(units.keys() & read_journal(journal).keys()), output),
+        quiet=not progress,
+    )
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         write_json(output / "setting.json", plan.setting())
@@ -115,19 +130,24 @@ def run_plan(
                 os.fsync(file.fileno())
                 bar.update()
         done = read_journal(journal)
+    table, profile = _tables(plan, done)
+    _write_tables(table, profile, output)
+    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
+    return table
+
+
+def _tables(plan: Plan, done: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """KPIs and profiles of all episodes of the plan."""
     rows, profiles = [], []
     for unit in plan.units():
         record = done[plan.key(unit)]
         name, k, seed = unit
         place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
-        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"])
+        made = {"commit": record.get("commit", "unknown")}
+        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | made)
         profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
-    table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
-    _write_tables(table, profile, output)
-    write_json(
-        output / "provenance.json", provenance() | {"policies": {n: p.describe() for n, p in plan.policies.items()}}
-    )
-    return table
+    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
 
 
 def read_journal(path: Path) -> dict[str, dict[str, Any]]:
@@ -164,8 +184,8 @@ def _lines(
         return
     size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, lines in workers.map(partial(_portion, plan), portions):
-        yield from lines
+    for _, line in workers.stream(partial(_portion, plan), portions):
+        yield line
 
 
 def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
@@ -173,12 +193,12 @@ def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
     return max(min(batch, episodes // (2 * jobs)), 1)
 
 
-def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> list[str]:
+def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> Iterator[str]:
     """What a worker does: some episodes side by side on one thread."""
-    return list(_run_units(plan, deque(units), len(units), 1))
+    return _run_units(plan, deque(units), len(units), 1)
 
 
-def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Any:
+def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Iterator[str]:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
     count = min(batch, len(missing))
     episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)
@@ -229,7 +249,7 @@ def _line(
     probe: dict[str, float] | None,
 ) -> str:
     columns = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(profile).items()}
-    record = {"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}
+    record = {"key": plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis, "profile": columns}
     return json.dumps(record | ({"probe": probe} if probe else {})) + "\n"
 
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -30,12 +28,14 @@ from agents.catalogue import make_policy
 from agents.evaluate import Plan, run_plan
 from agents.imitation import imitate
 from agents.provenance import provenance, write_atomically, write_json
-from agents.stored import FileError, read_json
+from agents.stored import FileError, read_csv, read_json
 from agents.stored.checkpoints import BUFFER, Run, read_checkpoint, settings_that_differ, variables
+from agents.stored.tables import CURVE as CURVE_COLUMNS
 from agents.terminal import print_table
 from agents.train_config import Training
 from agents.vec_env import ProbeVecEnv
 from agents.view import ViewVecEnv
+from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import lane_group
 from probe_env.contexts import spread_contexts
@@ -59,6 +59,13 @@ def train_all(
     for folder in folders.values():
         _check_folder(training, folder, resume)
     _check_checkpoints(training, folders)
+    phases = training.phases + (training.imitation is not None)
+    announce(
+        Work(
+            "phase", len(folders) * phases, lambda: sum(map(_phases_done, folders.values())), output,
+            "the same command with --resume goes on",
+        )
+    )  # fmt: skip
     for seed, folder in folders.items():
         _note_run(training, seed, folder, made)
     if workers.here:
@@ -74,6 +81,16 @@ def train_all(
 def _train_task(training: Training, made: dict[str, Any], task: tuple[int, Path, int]) -> pd.DataFrame:
     seed, folder, place = task
     return train(training, seed, folder, made, 1, place)
+
+
+def _phases_done(folder: Path) -> int:
+    """Phases that a run's curve holds, and so its checkpoint."""
+    curve = folder / CURVE
+    return len(read_csv(curve, CURVE_COLUMNS)) if curve.exists() else 0
+
+
+def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
+    write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
 
 
 def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any]) -> None:
@@ -145,11 +162,12 @@ def train(
     model, env = _new_model(training, seed, threads)
     rows = _restore(model, folder / CHECKPOINT)
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
+    if rows:
+        _write_curve(rows, folder)  # the checkpoint tells: the curve may be of the phase before
     done = (imitated if rows else 0) + model.num_timesteps
     total = imitated + training.phases * training.phase_steps
     first = 0 if training.imitation else 1
     with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=place) as bar:
-        report = _watched(bar.update) if threads == 1 else bar.update
         for phase in range(first + len(rows), training.phases + 1):
             begin = time.perf_counter()
             set_random_seed(_seed_of(seed, phase))
@@ -158,15 +176,15 @@ def train(
             with _Stopwatch() as watch:
                 if phase == 0:
                     assert training.imitation is not None
-                    imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, report)  # type: ignore[arg-type]
+                    imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, bar.update)  # type: ignore[arg-type]
                 else:
                     model.set_logger(_logger(folder, phase))
-                    model.learn(training.phase_steps, _Bar(report), reset_num_timesteps=False)
+                    model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
             wall = time.perf_counter() - begin
             rows.append(_validated(training, model, seed, phase, made, folder, rows, threads))
             rows[-1] |= {"wall_s": wall, "kernel_s": watch.seconds}
-            write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
             _save(model, rows, folder / CHECKPOINT)
+            _write_curve(rows, folder)
     return pd.DataFrame(rows)
 
 
@@ -190,8 +208,7 @@ def _validated(
     fidelity = resolve_fidelity(training.validation.fidelity)
     begin = time.perf_counter()
     plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity, training.environment.probes)
-    with tempfile.TemporaryDirectory() as scratch:
-        table = run_plan(plan, Path(scratch), progress=False, threads=threads)
+    table = run_plan(plan, None, threads=threads)
     row = {"seed": seed, "phase": phase, "steps": model.num_timesteps, "reward": float(table["reward"].mean())}
     row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}
     row["validation_s"] = time.perf_counter() - begin
@@ -260,18 +277,6 @@ def print_curves(curves: pd.DataFrame) -> None:
              "share_within_limit": "within the limit", "wall_s": "wall [s]"}  # fmt: skip
     rows = ([f"{value:.4g}" for value in row] for row in curves[list(names)].itertuples(index=False))
     print_table("Validation after each phase", list(names.values()), rows, left=0)
-
-
-def _watched(update: Callable[[int], Any]) -> Callable[[int], None]:
-    """The progress bar's update, which also ends a worker whose command was killed: two must not write one run."""
-    parent = os.getppid()
-
-    def report(steps: int) -> None:
-        if os.getppid() != parent:
-            raise SystemExit("the command that started this training is gone")
-        update(steps)
-
-    return report
 
 
 class _Bar(BaseCallback):

@@ -34,6 +34,8 @@ SEGMENT: Final = 3.0  # [m] of constant feed and air
 FEEDS: Final = (0.04, 0.4)  # [m/s]; slower ones would take most of the time and ring least
 CONTEXT: Final = ("friction", "contact_stiffness", "drag_factor", "helix_diameter")
 HIDDEN, EPOCHS, BATCH = 64, 300, 512
+HELD_OUT: Final = 12
+"""Tubes, the first of the training list, on which the map is tested and not fitted: two of each helix diameter."""
 STORED: Final = Path(__file__).parent / "data" / "vibration-map.npz"
 
 
@@ -151,17 +153,15 @@ def metre_cost(
 
 
 def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[str, float]]:
-    """Fit by the likelihood of all but every eighth episode, and say how well it tells those.
-
-    With the shipped list these are tubes of helix diameter 1.2, 1.7 and 2.5 m.
+    """Fit by the likelihood of the metres on all but the first ``HELD_OUT`` tubes, and say how well it tells those.
 
     Args:
-        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``episode``.
+        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
         seed: of the network's start.
 
     Returns:
-        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on held-out
-        episodes.
+        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on the tubes
+        that were left out.
     """
     import torch
 
@@ -169,7 +169,7 @@ def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[st
     length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
     inputs = features_of(length, feed, air, profile[list(CONTEXT)].to_numpy(float))
     logarithm = np.log10(np.maximum(profile["radial_rms_m"].to_numpy(float), 1e-7) / 1e-4)
-    held = (profile["episode"].to_numpy() % 8) == 7
+    held = profile["context"].to_numpy() < HELD_OUT
     x, y = (torch.tensor(values, dtype=torch.float32) for values in (inputs[~held], logarithm[~held]))
     network = torch.nn.Sequential(
         torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Tanh(),
@@ -197,8 +197,8 @@ def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[st
     return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
 
 
-def make_map(seeds: int, output: Path, target: Path = STORED) -> VibrationMap:
-    """Wander on all training contexts (resumable), fit the map, store it with how it was made.
+def make_map(seeds: int, output: Path, target: Path) -> VibrationMap:
+    """Wander on all training contexts (resumable in ``output``), fit the map, store it in ``target``.
 
     Raises:
         ValueError: the number of seeds is out of range.
@@ -211,18 +211,17 @@ def make_map(seeds: int, output: Path, target: Path = STORED) -> VibrationMap:
     run_plan(plan, output)
     fitted, quality = fit_map(with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts))
     fitted.save(target)
-    write_json(
-        target.with_suffix(".json"), provenance() | {"contexts": "train", "episodes": len(plan.units()), **quality}
-    )
+    made = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
+    write_json(target.with_suffix(".json"), provenance() | made | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
     return fitted
 
 
 def with_contexts(profile: pd.DataFrame, contexts: Sequence[Context]) -> pd.DataFrame:
-    """The profile with the columns of ``CONTEXT`` and a number for each episode."""
+    """The profile with the columns of ``CONTEXT``."""
     values = np.array([[getattr(c, name) for name in CONTEXT] for c in contexts])
     columns: dict[str, Any] = {name: values[profile["context"], k] for k, name in enumerate(CONTEXT)}
-    return profile.assign(**columns, episode=profile["seed"] * len(contexts) + profile["context"])
+    return profile.assign(**columns)
 
 
 def load_quality(path: Path = STORED) -> dict[str, Any]:

@@ -11,15 +11,14 @@ from scipy.stats import linregress
 
 from agents.chart import closed_forms, ensembles, errors, insertions, smooth
 from agents.chart.chains import LAPACK
-from agents.chart.ensembles import Setting, run_ensembles, run_setting
+from agents.chart.ensembles import Setting, open_store, run_ensembles, run_setting
 from agents.chart.figures import RESOLVED, resolved
 from agents.chart.report import draw_chart
-from agents.chart.store import Store
-from agents.provenance import kernel_hash
+from agents.store import stored_rows
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "results" / "chart"
-SMOOTH = pd.read_csv(FOLDER / "smooth.csv")
+SMOOTH = stored_rows(FOLDER / "smooth.csv")
 
 
 def test_modal_closed_form_equals_the_matrix_exponential():
@@ -105,7 +104,7 @@ def test_stored_members_are_found_again():
     """Four members of a stored ensemble in a smaller batch; rounding of another processor grows in contact chatter."""
     setting = Setting(time_step=2.5e-4, length=10.0, members=4)
     again = pd.DataFrame(run_setting(setting))
-    stored = pd.read_csv(FOLDER / "ensembles.csv")
+    stored = stored_rows(FOLDER / "ensembles.csv")
     stored = stored[(stored[list(setting.key)] == list(setting.key.values())).all(axis=1) & (stored["member"] < 4)]
     for name, margin in (("axial_mean_m", 0.01), ("tension_mean_n", 0.01), ("radial_rms_m", 0.1), ("axial_rms_m", 0.1)):
         assert np.allclose(again[name], stored[name], rtol=margin)
@@ -148,31 +147,22 @@ def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
     assert len(ran) == 3  # no short decimal tells a seventh of a millisecond, and it is found again
 
 
-def test_rows_of_other_kernels_are_dropped(tmp_path):
-    store = Store(tmp_path / "rows.csv", ("method", "k"))
-    store.add({"method": "imex", "k": 1, "value": 2.0}, {"method": "newmark", "k": 1, "value": 3.0})
-    text = (tmp_path / "rows.csv").read_text()
-    (tmp_path / "rows.csv").write_text(text.replace(kernel_hash("imex"), "of-an-older-one"))
-    again = Store(tmp_path / "rows.csv", ("method", "k"))
-    assert not again.has("imex", 1)
-    assert again.has("newmark", 1)
-
-
 def test_the_figures_and_tables_come_from_the_stored_runs(tmp_path, monkeypatch):
     """What `make chart` draws without running anything; the shipped table of "auto" is that of the stored runs."""
     monkeypatch.chdir(ROOT)
     for name in ("smooth", "ensembles", "insertions", "costs"):
         (tmp_path / f"{name}.csv").write_text((FOLDER / f"{name}.csv").read_text())
-    draw_chart(tmp_path)
+    draw_chart(tmp_path, tmp_path / "measured_errors.csv")
     assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in ("smooth", "chaos", "model"))
-    for name in ("errors.csv", "insertion-errors.csv", "measured_errors.csv"):
+    for name in ("errors.csv", "insertion-errors.csv"):
         assert (tmp_path / name).read_text() == (FOLDER / name).read_text()
-    assert (tmp_path / "measured_errors.csv").read_text() == (ROOT / "probe_env" / "measured_errors.csv").read_text()
+    shipped = ROOT / "probe_env" / "data" / "measured_errors.csv"
+    assert (tmp_path / "measured_errors.csv").read_text() == shipped.read_text()
 
 
 def test_every_setting_of_the_chart_is_stored():
     constant, inserted = (pd.read_csv(FOLDER / name) for name in ("errors.csv", "insertion-errors.csv"))
-    store = Store(FOLDER / "ensembles.csv", (*Setting().key, "member"))
+    store = open_store(FOLDER)
     for setting in (*ensembles.step_settings(), *ensembles.model_settings()):
         assert store.has(*setting.key.values(), setting.members - 1)
     assert len(inserted) == 2 * len(insertions.INSERTIONS)

@@ -12,7 +12,6 @@ from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, Reco
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import probe_env
-from probe_env.contexts import FILE, SPLIT_SIZES, load_contexts, make_file
 
 IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v0", "probe_env/Snapshot-v0"])
 SHORT = {"probe_env/Insertion-v0": {"fidelity": "fast"}, "probe_env/Snapshot-v0": {}}
@@ -134,17 +133,3 @@ def test_rendering_needs_no_display_and_shows_the_probe_moving():
     assert first.dtype == np.uint8
     assert (first != second).any()
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
-
-
-def test_shipped_contexts_are_what_made_them_and_lists_do_not_overlap(monkeypatch):
-    assert FILE.read_text() == make_file()
-    lists = {split: load_contexts(split) for split in SPLIT_SIZES}
-    assert {split: len(contexts) for split, contexts in lists.items()} == SPLIT_SIZES
-    every = [context for contexts in lists.values() for context in contexts]
-    assert len(set(every)) == len(every)
-    with pytest.raises(ValueError, match="split = 'exam'"):
-        load_contexts("exam")
-    load_contexts.cache_clear()
-    monkeypatch.setattr("probe_env.contexts.FILE_HASH", "0123")
-    with pytest.raises(ValueError, match="was changed"):
-        load_contexts("test")

@@ -102,7 +102,9 @@ def test_environments_take_auto():
 
 def test_the_table_is_whole():
     rows = list(
-        csv.DictReader((Path(__file__).parents[1] / "probe_env" / "measured_errors.csv").read_text().splitlines())
+        csv.DictReader(
+            (Path(__file__).parents[1] / "probe_env" / "data" / "measured_errors.csv").read_text().splitlines()
+        )
     )
     assert len(rows) == len(measured()) > 200
     assert all(row.error >= 0.0 and row.cost > 0.0 for row in measured())

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from agents.claims import Ensemble, findings, steady_root_tension
-from agents.provenance import kernel_hash
-from agents.study import CASES, load_rows, run_case
+from agents.code_hash import code_hash
+from agents.study import CASES, CODE, load_rows, run_case
 from probe_env import Scene
 
 ROOT = Path(__file__).parents[1]
@@ -17,8 +17,8 @@ ENSEMBLE = Ensemble(TABLE)
 
 
 def test_stored_ensembles_are_complete_and_belong_to_these_kernels():
-    present = TABLE["case"].map({case.name: kernel_hash(case.method) for case in CASES})
-    assert (TABLE["kernel_hash"] == present).all(), "make study"
+    present = TABLE["case"].map({case.name: code_hash(CODE, case.method) for case in CASES})
+    assert (TABLE["code"] == present).all(), "make study"
     assert (TABLE.groupby("case").size() >= 6).all()
     assert set(TABLE["case"]) == {case.name for case in CASES}
 

@@ -56,7 +56,7 @@ def synthetic(episodes=64, seed=0):
             "contact_stiffness": rng.uniform(0.7e5, 1.4e5, count),
             "drag_factor": rng.uniform(0.9, 1.1, count),
             "helix_diameter": rng.choice([1.0, 1.7, 2.5], count),
-            "episode": np.repeat(np.arange(episodes), 50),
+            "context": np.repeat(np.arange(episodes), 50),
         }
     )
     logarithm = 0.8 * np.log(table["feed_speed"] / 0.12) + (table["inserted_length"] - 30.0) / 40.0

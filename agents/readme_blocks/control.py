@@ -7,7 +7,7 @@ from pathlib import Path
 from agents import agent_results
 from agents.catalogue import DATA
 from agents.fidelity_check import words
-from agents.readme_blocks.sources import RESULTS, source
+from agents.readme_blocks.sources import RESULTS, command, source
 from agents.report import compared_with, kpi_cells
 from agents.statistics import KPIS, Interval, endings, grouped, sentences
 from agents.stored import read_csv, read_json
@@ -78,7 +78,7 @@ def map_quality() -> str:
     return (
         f"The map is fitted to {quality['episodes']} wandering insertions on the training tubes. Of every eighth, left"
         f" out of the fit (helix diameters 1.2, 1.7 and 2.5 m), it tells {share:.0f} % of the variance of log rms."
-        f" Made by `{quality['command']}` at commit {quality['commit']}; stored in `agents/data/`."
+        f" Made by `{command(quality)}` at commit {quality['commit']}; stored in `agents/data/`."
     )
 
 

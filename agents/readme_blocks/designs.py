@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from agents import design_compare
-from agents.readme_blocks.sources import RESULTS, source
+from agents.readme_blocks.sources import RESULTS, command, source
 from agents.stored import read_csv, read_json
 from agents.stored.records import Made
 from probe_env import Design
@@ -64,4 +64,4 @@ def _compared(folder: Path, title: str) -> str:
     tubes = read_csv(folder / "designs.csv")["context"].nunique()
     lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
     lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
-    return "\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}."
+    return "\n".join(lines) + f"\n\nMade by `{command(made)}` at commit {made['commit']}."

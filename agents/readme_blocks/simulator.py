@@ -15,6 +15,7 @@ from agents.chart.costs import REPEATS
 from agents.chart.report import error_tables
 from agents.claims import markdown
 from agents.readme_blocks.sources import RESULTS, source
+from agents.store import stored_rows
 from agents.stored import read_csv, read_json
 from agents.stored.records import Made
 from agents.study import load_rows
@@ -25,7 +26,7 @@ def study() -> str:
     folder = RESULTS / "study"
     table = load_rows(folder)
     members = int(table.groupby("case").size().max())
-    made = source(folder / "provenance.json")
+    made = source(folder / "ensemble-provenance.json")
     note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {made}"
     return f"{markdown(table)}\n\n{note}"
 
@@ -85,7 +86,7 @@ def _chart_errors() -> tuple[pd.DataFrame, pd.DataFrame]:
 def smooth() -> str:
     """Slopes and errors before chaos."""
     folder = RESULTS / "chart"
-    return f"{chart.smooth(read_csv(folder / 'smooth.csv'))} {source(folder / 'smooth-provenance.json')}"
+    return f"{chart.smooth(stored_rows(folder / 'smooth.csv'))} {source(folder / 'smooth-provenance.json')}"
 
 
 def choices() -> str:

@@ -78,7 +78,8 @@ class Setting(Stored):
 
     task: TaskConfig
     fidelity: dict[str, Any]
-    kernel_hash: str
+    code: str = ""
+    """Hash of the code that made them."""
     probes: Probes = "scene"
 
 

@@ -25,8 +25,8 @@ from agents.stored.records import CARRIED, ENDINGS
 from probe_env.contexts import Context
 from probe_env.files import MEBI, FileError, read_bytes, read_text
 
-Kind = Literal["name", "text", "count", "number", "maybe"]
-"""A name (``agents.names``); any text; a whole number of 0 or more; a finite number; a number or nothing."""
+Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
+"""A name (``agents.names``); any text; a whole number of 0 or more; a finite number; a number or nothing; a truth."""
 Columns = Mapping[str, Kind]
 MOST_CSV: Final = 64 * MEBI
 MOST_PARQUET: Final = 1024 * MEBI
@@ -50,16 +50,10 @@ CURVE: Final[Columns] = {
     **dict.fromkeys(("validation_s", "wall_s", "kernel_s"), "number"),
 }  # fmt: skip
 """``learning.csv``."""
-METHODS: Final[Columns] = {"method": "text", "kernels": "text"}
-"""Tables of the chart that grow row by row."""
 COSTS: Final[Columns] = {
     "method": "text", "nodes_per_pitch": "count", "length": "number", "ns_per_node_step": "number"
 }  # fmt: skip
 """``chart/costs.csv``."""
-ENSEMBLE: Final[Columns] = {
-    "case": "text", "kernel_hash": "text", "member": "count", "duration_s": "number", "diverged_at_s": "maybe"
-}  # fmt: skip
-"""``study/ensemble.csv``."""
 _HINT: Final = "restore the file, or make it again"
 
 
@@ -132,9 +126,11 @@ def check_table(path: Path, table: pd.DataFrame, columns: Columns) -> pd.DataFra
         values = table[name]
         if kind in ("name", "text"):
             _check_names(path, name, list(values.unique()), kind)
-        elif values.dtype.kind not in "iuf":
-            raise FileError(path, f"column {name!r}: {values.dtype}, not numbers - {_HINT}")
-        elif kind != "maybe":
+        elif values.dtype.kind not in ("b" if kind == "truth" else "iuf"):
+            raise FileError(
+                path, f"column {name!r}: {values.dtype}, not {'truths' if kind == 'truth' else 'numbers'} - {_HINT}"
+            )
+        elif kind in ("count", "number"):
             numbers = values.to_numpy()
             bad = ~np.isfinite(numbers) if kind == "number" else ~((numbers >= 0) & (numbers == np.floor(numbers)))
             if bad.any():
@@ -163,8 +159,8 @@ def _check_names(path: Path, column: str, values: list[Any], kind: Kind) -> None
 
 
 def _converted(path: Path, name: str, cells: list[str], lines: list[int], kind: Kind) -> list[Any] | np.ndarray:
-    if kind in ("name", "text"):
-        return cells
+    if kind in ("name", "text", "truth"):
+        return _inferred(cells) if kind == "truth" else cells
     numbers: list[float] = []
     for line, cell in zip(lines, cells, strict=True):
         number = _number(cell) if cell or kind != "maybe" else math.nan
