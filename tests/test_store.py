@@ -55,7 +55,7 @@ def test_every_row_knows_its_commit_and_the_table_names_them(tmp_path, monkeypat
 
 def test_a_table_of_another_kind_is_refused(tmp_path):
     (tmp_path / "rows.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match=r"rows\.csv: no column method, k, code, commit, superseded"):
+    with pytest.raises(ValueError, match=r"rows\.csv: column .code. is missing"):
         open_with(tmp_path / "rows.csv", "code")
     assert (tmp_path / "rows.csv").read_text() == "a,b\n1,2\n"
 

@@ -21,7 +21,7 @@ from probe_env.task import TaskConfig
 MOST_JSON: Final = 16 * MEBI
 MOST_JOURNAL: Final = 4096 * MEBI
 MOST_LINE: Final = 4 * MEBI
-CARRIED: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 """Columns of an episode's profile."""
 ENDINGS: Final = ("complete", "lost_drive", "diverged")
 TRIAL_KPIS: Final = (
