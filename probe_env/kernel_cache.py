@@ -36,7 +36,7 @@ def ensure_kernel_cache() -> None:
     given = os.environ.get("NUMBA_CACHE_DIR", "")
     given = given and f"NUMBA_CACHE_DIR = {given} nor "
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    numba.config.reload_config()
+    numba.config.reload_config()  # type: ignore[no-untyped-call]
     warnings.warn(
         f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
         " can be written; set NUMBA_CACHE_DIR to choose another",
