@@ -1,8 +1,8 @@
 """A hash of the code that a result depends on: definitions found by following names from where the work starts.
 
-It is blind to where a definition stands, to comments, docstrings, annotations, imports, the wording of errors and
-warnings, and to Python's version, so files can be moved and typed without making stored results old. What counts is
-the body of every function, class and constant that can be reached: a class (annotations name classes too) with its
+It is blind to where a definition stands, to comments, docstrings, annotations, imports, checks, the wording of errors
+and warnings, and to Python's version, so files can be moved and typed without making stored results old. What counts
+is the body of every function, class and constant that can be reached: a class (annotations name classes too) with its
 fields and those of its methods whose names occur in what is reached. A method's results do not depend on the modules
 of other methods.
 """
@@ -131,7 +131,10 @@ def _walk(node: ast.AST, counts: bool = True) -> Iterator[tuple[ast.AST, bool]]:
 
 
 def _is_wording(node: ast.AST) -> bool:
-    """Imports, docstrings and other bare strings, raised errors, warnings and what is logged or printed."""
+    """Imports, docstrings and other bare strings, raised errors, checks, warnings and what is logged or printed.
+
+    A check (``check_...`` or ``within``, its value not used) raises or does nothing.
+    """
     if isinstance(node, ast.Import | ast.ImportFrom | ast.Raise):
         return True
     if not isinstance(node, ast.Expr):
@@ -139,9 +142,10 @@ def _is_wording(node: ast.AST) -> bool:
     if isinstance(node.value, ast.Constant):
         return True
     called = node.value.func if isinstance(node.value, ast.Call) else None
-    if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
-        return called.value.id in ("warnings", "logger", "logging")
-    return isinstance(called, ast.Name) and called.id == "print"
+    if isinstance(called, ast.Attribute):
+        spoken = isinstance(called.value, ast.Name) and called.value.id in ("warnings", "logger", "logging")
+        return spoken or called.attr.lstrip("_").startswith("check_")
+    return isinstance(called, ast.Name) and (called.id in ("print", "within") or called.id.startswith("check_"))
 
 
 def _canonical(node: object) -> str:

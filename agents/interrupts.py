@@ -11,14 +11,16 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
 from agents import work
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+TIMED = hasattr(signal, "setitimer")
+"""Not on Windows, where unwinding takes the time that it takes."""
 GRACE = 3.0
 """Seconds that unwinding may take."""
 TELLING = 1.0
@@ -55,7 +57,7 @@ def heard(own: bool) -> Iterator[None]:
     _heard.clear()
     _told.clear()
     work.forget()
-    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)}
+    before = {number: signal.getsignal(number) for number in (*SIGNALS, *([signal.SIGALRM] if TIMED else []))}
     hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     for number in SIGNALS:
         if before[number] is not signal.SIG_IGN:  # nohup, or a job in the background of a script
@@ -63,7 +65,8 @@ def heard(own: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if TIMED:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, signal.SIG_DFL if own and handler is not signal.SIG_IGN else handler)
@@ -82,9 +85,14 @@ def _hear(number: int, frame: FrameType | None) -> None:
     if _heard or _importing(frame):
         _leave(number)
     _heard.append(number)
-    signal.signal(signal.SIGALRM, lambda *_: _leave(number))
-    signal.setitimer(signal.ITIMER_REAL, GRACE)
+    _after(GRACE, lambda *_: _leave(number))
     raise Interrupt(number)
+
+
+def _after(seconds: float, handler: Callable[..., Any]) -> None:
+    if TIMED:
+        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -104,8 +112,7 @@ def _unraisable(problem: Any) -> None:
 
 def _leave(number: int) -> NoReturn:
     """End here and now, with the line if it has not been said."""
-    signal.signal(signal.SIGALRM, lambda *_: os._exit(128 + number))  # counting may need a lock that is held
-    signal.setitimer(signal.ITIMER_REAL, TELLING)
+    _after(TELLING, lambda *_: os._exit(128 + number))  # counting may need a lock that is held
     with suppress(BaseException):
         if not _told and sys.stderr.isatty():
             print(file=sys.stderr)  # below a progress bar

@@ -25,6 +25,8 @@ from typing import Any, Final, Literal
 
 import cloudpickle
 
+from probe_env.cores import available_cores
+
 ATTEMPTS: Final = 5
 """Times in a row that work may be lost with its worker without anything having been found."""
 GRACE: Final = 2.0
@@ -37,7 +39,7 @@ class _Worker:
 
     def __init__(self, workers: int) -> None:
         self.pipe, theirs = Pipe()
-        number = str(max(len(os.sched_getaffinity(0)) // workers, 1))
+        number = str(max(available_cores() // workers, 1))
         threads = {f"{library}_NUM_THREADS": number for library in ("OMP", "OPENBLAS", "MKL")}
         code = f"import sys; sys.path[:] = {sys.path!r}; from agents.pool import serve; serve({theirs.fileno()})"
         with theirs:

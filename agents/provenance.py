@@ -15,6 +15,7 @@ from typing import Any
 
 from agents.atomic import write_atomically as write_atomically
 from agents.masking import masked_command
+from probe_env.cores import available_cores
 
 CHECKOUT = Path(__file__).parents[1]
 CODE = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
@@ -41,7 +42,7 @@ def provenance(command: str | None = None, commits: Iterable[str] | None = None)
         "packages": {name: version(name) for name in PACKAGES},
         "machine": {
             "processor": _processor(),
-            "cores": len(os.sched_getaffinity(0)),
+            "cores": available_cores(),
             "system": f"{platform.system()} {platform.machine()}",
         },
     }

@@ -176,16 +176,16 @@ def _run(stage: Stage) -> None:
     state, work = stage.state(), stage.work
     clock = work / "seconds.txt"
     before = float(clock.read_text()) if clock.exists() else 0.0
-    print(f"{stage.name}: probe-env {stage.command}", flush=True)
+    command = stage.command.format(work=work.relative_to(CHECKOUT))
+    print(f"{stage.name}: probe-env {command.strip()}", flush=True)
     begin = time.perf_counter()
     try:
-        command = [
-            sys.executable,
-            "-m",
-            "agents.cli",
-            *shlex.split(stage.command.format(work=work.relative_to(CHECKOUT))),
-        ]
-        status = subprocess.run(command, cwd=CHECKOUT, env=os.environ | {STAGE_VARIABLE: stage.name}, check=False)
+        status = subprocess.run(
+            [sys.executable, "-m", "agents.cli", *shlex.split(command)],
+            cwd=CHECKOUT,
+            env=os.environ | {STAGE_VARIABLE: stage.name},
+            check=False,
+        )
     finally:
         seconds = before + time.perf_counter() - begin
         if work.exists():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from pathlib import Path
 from typing import Final
@@ -18,6 +17,7 @@ from agents.provenance import provenance, write_atomically, write_json
 from agents.workers import Workers
 from probe_env import TaskConfig
 from probe_env.contexts import spread_contexts
+from probe_env.cores import available_cores
 from probe_env.fidelity import PRESETS
 
 EPISODES: Final = 1000
@@ -37,7 +37,7 @@ def run_scaling(output: Path) -> pd.DataFrame:
         [(size, _seconds(size, Workers()) / size) for size in tqdm(SIZES, desc="portions", unit="size")],
         columns=["size", "seconds_an_insertion"],
     )
-    cores = len(os.sched_getaffinity(0))
+    cores = available_cores()
     jobs = pd.DataFrame(
         [(n, _seconds(MEASURED, Workers(jobs=n), fresh=n > 1)) for n in (1, cores)], columns=["jobs", "seconds"]
     )

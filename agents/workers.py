@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -63,8 +64,8 @@ class Workers:
         Raises:
             RuntimeError: the backend is not installed, or workers are lost again and again.
         """
-        if self.backend == "ray":
-            for task, items in self._on_ray(partial(_gathered, function), tasks):
+        if self.backend == "ray" or (os.name == "nt" and not self.here):  # the pool's pipes are POSIX'
+            for task, items in self._through_joblib(partial(_gathered, function), tasks):
                 yield from ((task, item) for item in items)
         elif self.here:
             for task in tasks:
@@ -72,7 +73,7 @@ class Workers:
         else:
             yield from pool_of(self.jobs).stream(function, tasks)
 
-    def _on_ray(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    def _through_joblib(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
         left, attempts = dict(enumerate(tasks)), 0
         with self._cluster() as at_once:
             while left:
@@ -92,7 +93,10 @@ class Workers:
 
     @contextmanager
     def _cluster(self) -> Iterator[Callable[[], int]]:
-        """Ray as joblib's backend; how many can work just now."""
+        """Ray as joblib's backend, or processes here; how many can work just now."""
+        if self.backend == "local":
+            yield lambda: self.jobs
+            return
         try:
             import ray
             from ray.util.joblib import register_ray

@@ -8,6 +8,10 @@
 
 import gymnasium
 
+from probe_env.kernel_cache import ensure_kernel_cache
+
+ensure_kernel_cache()  # before anything imports a kernel
+
 from probe_env.batch import SimulatorBatch, Window
 from probe_env.contexts import Context, load_contexts, spread_contexts
 from probe_env.design import Design

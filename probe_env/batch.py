@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
@@ -15,9 +14,11 @@ import numpy.typing as npt
 
 from probe_env.chain import FloatArray
 from probe_env.checks import whole_steps
+from probe_env.cores import available_cores
 from probe_env.errors import SimulationError
+from probe_env.kernel_call import Sampling, check_array, check_points
 from probe_env.lane_group import LANES, Lane, advance_group
-from probe_env.methods import Sampling
+from probe_env.saved import FORMAT, check_format, check_names, check_types
 from probe_env.scene import Scene
 from probe_env.signals import window_statistics
 from probe_env.simulator import STEPS_PER_CALL, Simulator
@@ -81,7 +82,7 @@ class SimulatorBatch:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads!r} is outside the accepted range 1 and more")
         seeds = range(len(scenes)) if seeds is None else seeds
-        self.threads: Final = threads or len(os.sched_getaffinity(0))
+        self.threads: Final = threads or available_cores()
         self.simulators: Final = [
             Simulator(scene, method, time_step, nodes_per_pitch, seed=seed, **options)
             for scene, seed in zip(scenes, seeds, strict=True)
@@ -93,15 +94,38 @@ class SimulatorBatch:
     def __len__(self) -> int:
         return len(self.simulators)
 
-    def snapshot(self) -> list[Any]:
-        """Everything that changes with time, as a copy for ``restore``."""
-        return [(s.snapshot(), before.copy()) for s, before in zip(self.simulators, self._before, strict=True)]
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        probes = [s.snapshot() for s in self.simulators]
+        return {"format": FORMAT, "probes": probes, "before": [before.copy() for before in self._before]}
 
-    def restore(self, snapshot: list[Any]) -> None:
-        """Back to a snapshot."""
-        for simulator, (state, _) in zip(self.simulators, snapshot, strict=True):
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Back to a snapshot of this batch, or of one with the same probes in the same places.
+
+        Raises:
+            ValueError: not such a snapshot; names the probe and the field. Nothing has been changed then.
+        """
+        saved = check_names("snapshot", check_format("snapshot", snapshot), ("format", "probes", "before"))
+        for name in ("probes", "before"):
+            check_types("snapshot", saved, {name: list})
+            if len(saved[name]) != len(self):
+                raise ValueError(f"snapshot: {len(saved[name])} {name}; here are {len(self)}")
+        for k, (simulator, state, before) in enumerate(
+            zip(self.simulators, saved["probes"], saved["before"], strict=True)
+        ):
+            simulator.checked(state, f"snapshot: probe {k}")
+            check_array(f"snapshot: before[{k}]", before, (2, 3))
+        for simulator, state in zip(self.simulators, saved["probes"], strict=True):
             simulator.restore(state)
-        self._before = [before.copy() for _, before in snapshot]
+        self._before = [before.copy() for before in saved["before"]]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"format": FORMAT} | self.__dict__
+
+    def __setstate__(self, saved: Mapping[str, Any]) -> None:
+        given = dict(check_format("pickled SimulatorBatch", saved))
+        del given["format"]
+        self.__dict__.update(given)
 
     def replace(self, index: int, simulator: Simulator) -> None:
         """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
@@ -141,6 +165,8 @@ class SimulatorBatch:
             simulator.check_targets(speed, air)
         chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
         running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
+        for k in running:  # all before any: the kernels check no bounds
+            self._check_fits(k)
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
@@ -152,6 +178,15 @@ class SimulatorBatch:
         for k in running:
             self._before[k] = signals[k, -2:].copy()
         return self._window(signals, running, every, keep_samples)
+
+    def _check_fits(self, k: int) -> None:
+        simulator = self.simulators[k]
+        try:
+            simulator.check_fits()
+            check_points(np.array([simulator.sensor]), simulator.root)
+            check_array("before", self._before[k], (2, 3))
+        except ValueError as error:
+            raise ValueError(f"probe {k}: {error}") from error
 
     def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> None:
         """Advance the probes of a group; sensor x, y and root V go to ``signals`` after the two samples before."""

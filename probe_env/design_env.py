@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import gymnasium as gym
 import numpy as np
@@ -13,13 +14,25 @@ from probe_env.design import RANGES, Design
 from probe_env.env import Observation, task_config
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
+from probe_env.limits import check_simulable
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
-from probe_env.starts import Contexts, drawn_context
-from probe_env.task import PRIVILEGED, TaskConfig
-from probe_env.trials import Controller, judge, try_insertions, try_sections
+from probe_env.starts import SETTLING, Contexts, Starts, drawn_context
+from probe_env.task import OBSERVATIONS, PRIVILEGED, TaskConfig
+from probe_env.trials import Controller, judge, section_scenes, try_insertions, try_sections
 
 STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
+
+
+def _corner(*high: str) -> Design:
+    return Design.from_unit([1.0 if name in high else 0.0 for name in RANGES])
+
+
+HARDEST: Final = (
+    _corner("tensile_rigidity", "flexural_rigidity"),
+    _corner("guide_length", "guide_float_diameter", "carrier_float_diameter"),
+)
+"""The stiff, light design that asks for the shortest step and the hardest wall; the one that drag stretches most."""
 
 
 class DesignEnv(gym.Env[Observation, Observation]):
@@ -47,7 +60,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
     other ranges are assumptions.
 
     ## Observation Space
-    `Box(0, inf, (1,), float32)`: helix diameter / 2.5 m. `config={"privileged": True}` adds friction / 0.25, contact
+    `Box(0, 4000, (1,), float32)`: helix diameter / 2.5 m. `config={"privileged": True}` adds friction / 0.25, contact
     stiffness / 1e5 N/m and drag over table 2's.
 
     ## Rewards
@@ -87,15 +100,17 @@ class DesignEnv(gym.Env[Observation, Observation]):
     ) -> None:
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v0 with options")
-        self.config, self.scene = task_config({}, config), scene or Scene()
-        self.fidelity, self.contexts = resolve_fidelity(fidelity, self.scene, full), contexts
+        self.config, self.scene, self.contexts = task_config({}, config), scene or Scene(), contexts
+        # an insertion settles like that of Insertion-v0; the probes are those that the action may build
+        self.starts = Starts(self.config, self.scene, contexts, "random", *SETTLING)
+        self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, full)
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
         if not full and not isinstance(self.feed, Schedule):
             raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")
-        size = 1 + (len(PRIVILEGED) if self.config.privileged else 0)
-        self.observation_space = gym.spaces.Box(0.0, np.inf, (size,), dtype=np.float32)
+        shown = {"helix_diameter": OBSERVATIONS["helix_diameter"]} | (PRIVILEGED if self.config.privileged else {})
+        low, high = np.array([bounds[:2] for bounds in shown.values()], dtype=np.float32).T
+        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(RANGES),), dtype=np.float32)
-        drawn_context(contexts, np.random.default_rng(0), {})  # names a list that is not there
         self.context: Context | None = None
 
     @staticmethod
@@ -118,9 +133,19 @@ class DesignEnv(gym.Env[Observation, Observation]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a tube."""
+        """Draw a tube.
+
+        Raises:
+            ValueError: an option is not known or not valid, or there is a design that this fidelity or the model cannot
+                simulate in such a tube, see ``limits``.
+        """
         super().reset(seed=seed)
-        self.context = drawn_context(self.contexts, self.np_random, dict(options or {}))
+        trial = copy.deepcopy(self.np_random)  # the generator itself moves on only if all is valid
+        context = drawn_context(self.contexts, trial, dict(options or {}))
+        for design in HARDEST:
+            self._check_simulable(design, context)
+        drawn_context(self.contexts, self.np_random, {})
+        self.context = context
         return self._observation(), {"context": self.context.model_dump()}
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -151,6 +176,16 @@ class DesignEnv(gym.Env[Observation, Observation]):
         observation = self._observation()
         self.context = None
         return observation, float(sum(info["reward_terms"].values())), True, False, info
+
+    def _check_simulable(self, design: Design, context: Context) -> None:
+        most_air = self.config.air_supply_rates[1]
+        if self.full:
+            scene = self.starts.build(context, {"probe": design.built.model_dump()})
+            check_simulable(scene, self.fidelity, scene.tube.helix_length, most_air)
+        else:
+            assert isinstance(self.feed, Schedule)
+            for scene in section_scenes(design, context, self.feed, self.scene):
+                check_simulable(scene, self.fidelity, scene.inserted_length, scene.air_supply_rate)
 
     def _observation(self) -> Observation:
         assert self.context is not None

@@ -21,9 +21,10 @@ from probe_env.design import RANGES
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
 from probe_env.kpis import Tally
+from probe_env.limits import check_simulable
 from probe_env.scene import Scene
 from probe_env.simulator import Simulator
-from probe_env.starts import Contexts, Probes, Starts
+from probe_env.starts import SETTLING, Contexts, Probes, Starts
 from probe_env.task import MEASURES, BoolArray, TaskConfig, observe, reward_terms
 
 SAMPLE_PERIOD: Final = 1e-3  # [s]
@@ -66,8 +67,8 @@ class Episodes:
         scene: Scene | None = None,
         fidelity: str | Fidelity | Mapping[str, Any] = "standard",
         contexts: Contexts = "random",
-        feed_speed: float = 0.2,
-        air_supply_rate: float = 63.0 / 3600.0,
+        feed_speed: float = SETTLING[0],
+        air_supply_rate: float = SETTLING[1],
         probes: Probes = "scene",
         threads: int | None = None,
     ) -> None:
@@ -75,7 +76,7 @@ class Episodes:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         self.config = config
         self.starts = Starts(config, scene or Scene(), contexts, probes, feed_speed, air_supply_rate)
-        self.fidelity = resolve_fidelity(fidelity, self.starts.scene, config.growing)
+        self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, config.growing)
         self.start_action = config.action(feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
@@ -110,12 +111,14 @@ class Episodes:
         to change; "carrier_length" [m] where the length is constant.
 
         Raises:
-            ValueError: an option is not known or not valid; nothing has been changed then.
+            ValueError: an option is not known or not valid, or asks for what this fidelity or the model cannot
+                simulate, see ``limits``; nothing has been changed then.
         """
         prepared = {}
         for k in which:
             trial = copy.deepcopy(rngs[k])  # the generator itself moves on only if all is valid
             prepared[k] = self.starts.draw(trial, (options or {}).get(k) or {})
+            self._check_simulable(k, prepared[k][1])
         for k, (context, scene) in prepared.items():
             rng = rngs[k]
             self.starts.draw(rng, {})
@@ -217,6 +220,13 @@ class Episodes:
                 )
         self.window = window
         return Step(self.observation.copy(), reward, terminated, truncated, infos)
+
+    def _check_simulable(self, k: int, scene: Scene) -> None:
+        longest = scene.tube.helix_length if self.config.growing else scene.inserted_length
+        try:
+            check_simulable(scene, self.fidelity, longest, self.config.air_supply_rates[1])
+        except ValueError as error:
+            raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
 
     def _count(
         self, chosen: BoolArray, good: BoolArray, window: Window, travel: FloatArray, ratio: FloatArray, air: FloatArray

@@ -4,33 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import Final
 
 from probe_env import banded, implicit, schemes, ticm, transfer_matrix
 from probe_env.chain import Chain, FloatArray
+from probe_env.kernel_call import Sampling, check_call, check_chain, check_lane_chain
 from probe_env.lane_group import KERNELS, Lane, advance_group, lane_constants
 from probe_env.linear_part import implicit_weights
 
 SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
 SCHEMES: Final[dict[str, Callable[[float], schemes.Scheme]]] = {"newmark": schemes.newmark, "wilson": schemes.wilson}
 METHODS: Final = (*SCHEMES, "implicit", *KERNELS)
-
-
-class Sampling(NamedTuple):
-    """What to record during a call, see ``ticm.advance``: (p,) nodes, -1 for the root; (k, p, 4); (n + 1,).
-
-    ``counts`` (2,) gains the iterations of ``implicit`` and its steps that did not converge.
-    """
-
-    first: int
-    every: int
-    points: npt.NDArray[np.int64]
-    samples: FloatArray
-    tension_sum: FloatArray
-    counts: npt.NDArray[np.int64]
 
 
 Advance = Callable[[FloatArray, int, schemes.State, Sampling], tuple[int, int, int, int]]
@@ -42,18 +26,33 @@ def build_method(
 ) -> Advance:
     """The advance function of a method, with its constant matrices and scratch prepared.
 
-    ``sensor`` is the sensor's node; guide floats reach from the tip up to it.
+    ``sensor`` is the sensor's node; guide floats reach from the tip up to it. What the function is called with is
+    checked once a call: an array that does not fit the chain is a ``ValueError`` that names it.
 
     Raises:
-        ValueError: no such method or solver.
+        ValueError: no such method or solver, arrays of the chain that do not fit each other, or a chain with what the
+            method does not simulate.
     """
     if method not in METHODS:
         raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
     if solver not in SOLVERS:
         raise ValueError(f"solver = {solver!r} is not one of {', '.join(SOLVERS)}")
+    check_chain(chain, sensor, nodes_per_pitch)
+    return partial(_checked, _unchecked(method, solver, chain, time_step, sensor, nodes_per_pitch), chain.node_count)
+
+
+def _checked(
+    advance: Advance, nodes: int, inputs: FloatArray, root: int, state: schemes.State, sampling: Sampling
+) -> tuple[int, int, int, int]:
+    check_call(nodes, inputs, root, state, sampling)
+    return advance(inputs, root, state, sampling)
+
+
+def _unchecked(method: str, solver: str, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
     if method in KERNELS:
         if solver != "ticm":
             raise ValueError(f"solver = {solver!r} is for newmark and wilson; {method} has its own")
+        check_lane_chain(method, chain, sensor, nodes_per_pitch)
         return partial(
             _single_lane, method, time_step, nodes_per_pitch,
             *lane_constants(method, chain, sensor, nodes_per_pitch, time_step),

@@ -6,7 +6,7 @@ import copy
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -16,9 +16,11 @@ from probe_env.chain import FloatArray, air_speed, build_chain, sensor_node
 from probe_env.checks import whole_steps, within
 from probe_env.drive import Drive
 from probe_env.errors import SimulationError, StabilityWarning
+from probe_env.kernel_call import Sampling, check_state
 from probe_env.lane_group import lane_constants
-from probe_env.methods import Advance, Sampling, build_method
+from probe_env.methods import Advance, build_method
 from probe_env.run import Run, point_name, shapes_of
+from probe_env.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
 from probe_env.stability import check_rounding, stable_time_step
 
@@ -119,19 +121,48 @@ class Simulator:
             self.state.d[: self.root, 1] = self.perturbation * noise
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that changes with time, as a copy for ``restore``."""
-        return copy.deepcopy({key: self.__dict__[key] for key in _CHANGING})
+        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
 
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Back to a snapshot of this simulator (or of one built alike); goes on bit for bit as it did."""
-        self.__dict__.update(copy.deepcopy(snapshot))
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Back to a snapshot of this simulator (or of one built alike); goes on bit for bit as it did.
+
+        Alike is all but ``perturbation`` and ``seed``, which only ``reset`` looks at.
+
+        Raises:
+            ValueError: not a snapshot, of another version, or of one built otherwise; names the field, what was found
+                and what is accepted. Nothing has been changed then.
+        """
+        self.__dict__.update(copy.deepcopy(self.checked(snapshot)))
+
+    def checked(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
+        """What ``restore`` would take from a snapshot; its errors name it ``what``."""
+        snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
+        check_same(what, snapshot["built"], self._built())
+        changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
+        check_types(what, changing, _CHANGING_TYPES)
+        check_names(f"{what}: drive", vars(changing["drive"]), vars(self.drive))
+        check_state(changing["state"], changing["root"], self.chain.node_count, f"{what}: state")
+        if not isinstance(changing["_error"], SimulationError | None):
+            raise ValueError(f"{what}: _error = {changing['_error']!r} is not a SimulationError or None")
+        return changing
+
+    def _built(self) -> dict[str, Any]:
+        """What a state depends on, as plain values."""
+        return {name: getattr(self, name) for name in _BUILT} | {"scene": self.scene.model_dump()}
+
+    def _changing(self) -> dict[str, Any]:
+        """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
+        return {name: value for name, value in self.__dict__.items() if name not in FIXED}
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the method's closure and scratch, which are rebuilt."""
-        return {key: value for key, value in self.__dict__.items() if key != "_advance"}
+        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "_advance"}
 
-    def __setstate__(self, saved: dict[str, Any]) -> None:
-        self.__dict__.update(saved)
+    def __setstate__(self, saved: Mapping[str, Any]) -> None:
+        given = dict(check_format("pickled Simulator", saved))
+        del given["format"]
+        self.__dict__.update(given)
         self._advance = self._build()
 
     def _build(self) -> Advance:
@@ -207,6 +238,7 @@ class Simulator:
         self.check_targets(feed_speed, air_supply_rate)
         if self._error is not None:
             raise self._error
+        self.check_fits()
         self.set_targets(feed_speed, air_supply_rate)
         samples = np.zeros((steps // every + 1, len(nodes), 4))
         tension_sum = np.zeros(self.chain.node_count)
@@ -290,6 +322,10 @@ class Simulator:
         if air_supply_rate is not None:
             self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
 
+    def check_fits(self) -> None:
+        """Raise ValueError if the state is not one of this chain any more: its arrays are open to the user."""
+        check_state(self.state, self.root, self.chain.node_count)
+
     def lane_constants(self) -> tuple[FloatArray, FloatArray]:
         """Parameters and factors with which this probe runs in a lane."""
         return lane_constants(self.method, self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
@@ -324,4 +360,13 @@ class Simulator:
         return whole
 
 
-_CHANGING: Final = ("state", "steps_done", "root", "drive", "iterations", "unconverged_steps", "_error")
+_BUILT: Final = (
+    "method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag",
+)  # fmt: skip
+FIXED: Final = frozenset(_BUILT) | {
+    "scene", "perturbation", "seed", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
+}  # fmt: skip
+"""Attributes that nothing changes after the constructor; all others are in a snapshot."""
+_CHANGING_TYPES: Final[dict[str, type]] = {
+    "state": schemes.State, "drive": Drive, "steps_done": int, "root": int, "iterations": int, "unconverged_steps": int
+}  # fmt: skip

@@ -42,14 +42,23 @@ def check_rounding(method: str, time_step: float) -> None:
         )
 
 
+def contact_time_step(scene: Scene, nodes_per_pitch: int, method: str) -> float:
+    """Largest time step [s] that contact allows, whatever damping and mesh; infinite for ``implicit``.
+
+    Beyond ``stable_time_step`` nothing may be known, beyond this it is known to diverge.
+    """
+    if method in ("implicit", "explicit"):
+        return stable_time_step(scene, nodes_per_pitch, method)
+    return FULL / _contact_frequency(scene, nodes_per_pitch)
+
+
 def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark") -> float:
     """Largest time step [s] known to hold for a method; 0 where none is known, infinite for ``implicit``."""
     if method == "implicit":
         return math.inf
     if method == "explicit":
         return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))
-    mass = scene.probe.line_density * scene.probe.float_pitch / nodes_per_pitch
-    omega = math.sqrt(scene.contact.stiffness / mass)
+    omega = _contact_frequency(scene, nodes_per_pitch)
     delta, friction = scene.probe.damping_time, scene.contact.friction
     fine = nodes_per_pitch >= 4
     if fine and (delta >= TABLE_2_DAMPING or (delta >= 5e-6 and friction <= 0.5)):
@@ -57,6 +66,12 @@ def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark"
     if delta >= TABLE_2_DAMPING or (fine and delta >= 1e-6 and friction <= 0.5):
         return REDUCED / omega
     return 0.0
+
+
+def _contact_frequency(scene: Scene, nodes_per_pitch: int) -> float:
+    """Of a float on its contact spring [rad/s]."""
+    mass = scene.probe.line_density * scene.probe.float_pitch / nodes_per_pitch
+    return math.sqrt(scene.contact.stiffness / mass)
 
 
 def explicit_time_step(chain: Chain) -> float:

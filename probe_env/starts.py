@@ -8,14 +8,16 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from probe_env.contexts import Context, Split, draw_context, load_contexts
-from probe_env.design import Design
-from probe_env.scene import Scene
+from probe_env.contexts import STIFFNESS, Context, Split, draw_context, load_contexts
+from probe_env.design import RANGES, Design
+from probe_env.scene import Probe, Scene
 from probe_env.task import TaskConfig
 
 Contexts = Literal["random"] | Split
 Probes = Literal["scene", "random"]
 SHORTEST_START: Final = 5.0  # [m] inserted
+SETTLING: Final = (0.2, 63.0 / 3600.0)
+"""Feed speed [m/s] and air supply [m3/s] before an episode, unless others are given."""
 CARRIER_AT_START: Final = 2.5  # [m], at least
 
 
@@ -46,6 +48,18 @@ class Starts:
             raise ValueError(f"probes = {self.probes!r} is not one of {', '.join(get_args(Probes))}")
         drawn_context(self.contexts, np.random.default_rng(0), {})  # names a list that is not there
 
+    @property
+    def stiffest(self) -> Scene:
+        """The scene with the hardest contact and the lightest floats that may be drawn: a step for it holds for all."""
+        listed = load_contexts(self.contexts) if self.contexts != "random" else ()
+        drawn = max((context.contact_stiffness for context in listed), default=STIFFNESS[1])
+        update: dict[str, Any] = {"contact": {"stiffness": max(drawn, self.scene.contact.stiffness)}}
+        if self.probes == "random":
+            lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
+            probe = Design.model_validate(lightest).probe(self.scene.probe)
+            update |= {"probe": probe, "carrier_length": _whole_pitches(self.scene.carrier_length, probe)}
+        return self.scene.model_copy(update=update)
+
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
         """Context and scene of an episode, see ``Episodes.reset`` for the options; whatever they fix is drawn as well.
 
@@ -67,7 +81,7 @@ class Starts:
         probe = scene.probe.model_copy(update=changes.get("probe", {}))
         carrier = changes.get("carrier_length", scene.carrier_length)
         if self.probes == "random":  # of any pitch
-            carrier = round(int(carrier / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
+            carrier = _whole_pitches(carrier, probe)
         if self.config.growing:
             start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
             carrier = round((start - probe.guide_length) / probe.float_pitch) * probe.float_pitch
@@ -78,6 +92,11 @@ class Starts:
             "air_supply_rate": self.air_supply_rate,
         }
         return scene.model_copy(update=update)
+
+
+def _whole_pitches(length: float, probe: Probe) -> float:
+    """A length cut to whole float pitches [m]."""
+    return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
 
 
 def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:

@@ -97,17 +97,15 @@ def try_sections(
         raise ValueError("feed: a schedule over time has no meaning at constant length; give one over inserted length")
     fidelity, base = fidelity or Fidelity(), scene or Scene()
     shape = (len(designs), len(POSITIONS))
-    scenes, speed, air, inserted = [], np.empty(shape), np.empty(shape), np.empty(shape)
-    for k, (design, context, feed) in enumerate(zip(designs, contexts, feeds, strict=True)):
-        probe, tube = design.probe(base.probe), context.apply(base)
-        for j, position in enumerate(POSITIONS):
-            carrier = round(round(position / probe.float_pitch) * probe.float_pitch, 6)
-            inserted[k, j] = carrier + probe.guide_length
-            fed, blown = map(float, feed.at(inserted[k, j]))
-            speed[k, j], air[k, j] = fed, blown
-            room = max(base.tube.helix_length, float(inserted[k, j]))  # rounding to the pitch may go some cm beyond
-            update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": blown}
-            scenes.append(tube.model_copy(update={"tube": {"helix_length": room}, **update}))
+    scenes = [
+        scene
+        for design, context, feed in zip(designs, contexts, feeds, strict=True)
+        for scene in section_scenes(design, context, feed, base)
+    ]
+    inserted, speed, air = (
+        np.array([getattr(scene, name) for scene in scenes]).reshape(shape)
+        for name in ("inserted_length", "feed_speed", "air_supply_rate")
+    )
     each = range(len(designs)) if seeds is None else seeds
     batch = SimulatorBatch(
         scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
@@ -123,6 +121,19 @@ def try_sections(
     widths = np.where(reached, WIDTHS, 0.0)
     lost, broken = np.asarray(slack.any(axis=1)), np.asarray(diverged.any(axis=1))
     return Trial(widths, speed, air, rms, tension, deep & ~diverged, lost, broken)
+
+
+def section_scenes(design: Design, context: Context, feed: Schedule, base: Scene) -> list[Scene]:
+    """What is simulated of a design in a tube, for each of ``POSITIONS``."""
+    probe, tube, scenes = design.probe(base.probe), context.apply(base), []
+    for position in POSITIONS:
+        carrier = round(round(position / probe.float_pitch) * probe.float_pitch, 6)
+        inserted = carrier + probe.guide_length
+        fed, blown = map(float, feed.at(inserted))
+        room = max(base.tube.helix_length, inserted)  # rounding to the pitch may go some cm beyond
+        update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": blown}
+        scenes.append(tube.model_copy(update={"tube": {"helix_length": room}, **update}))
+    return scenes
 
 
 def try_insertions(

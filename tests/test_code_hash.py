@@ -71,6 +71,7 @@ SAME = {
     "docstring": ("work", '"""Docstring."""\n    if', '"""Another."""\n    if'),
     "annotation": ("work", "-> float", "-> int"),
     "wording of an error": ("work", "times = {times}", "times = {times} is negative"),
+    "check": ("work", "    return machine", "    check_times(times)\n    return machine"),
     "constant that is not used": ("parts", "UNUSED = 7", "UNUSED = 8"),
     "method that is not used": ("parts", "return 0", "return 1"),
     "import": ("work", "import probe_env.tools as tools", "import math\nimport probe_env.tools as tools"),

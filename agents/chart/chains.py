@@ -10,8 +10,9 @@ import numpy as np
 from probe_env import Scene
 from probe_env.chain import Chain, FloatArray, build_chain
 from probe_env.drive import Drive
+from probe_env.kernel_call import Sampling
 from probe_env.linear_part import node_matrices
-from probe_env.methods import Sampling, build_method
+from probe_env.methods import build_method
 from probe_env.schemes import State
 from probe_env.ticm import OK
 
