@@ -8,13 +8,12 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import warnings
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import torch
 
@@ -23,9 +22,13 @@ from agents.catalogue import name_and_spec, named_policies
 from agents.cli import main
 from agents.design_compare import Comparison
 from agents.evaluate import Plan, run_plan
+from agents.policies import Constant
+from agents.report import write_report
+from agents.statistics import grouped
 from agents.stored import read_csv
 from agents.stored.records import TRIAL_KPIS, set_aside
 from agents.stored.tables import FRONT
+from agents.terminal import print_table
 from agents.train import CHECKPOINT, RUN, train_all
 from agents.train_config import Training
 from agents.vibration_map import STORED as MAP
@@ -233,14 +236,6 @@ def rewritten_table(change):
     return damage
 
 
-def long_table(path):
-    """A hundred million rows in a few kilobytes."""
-    table, rows = pa.table({"policy": pa.DictionaryArray.from_arrays(np.zeros(10**6, np.int8), ["a"])}), 100
-    with pq.ParquetWriter(path, table.schema) as writer:
-        for _ in range(rows):
-            writer.write_table(table)
-
-
 TABLES = ANYWHERE | {
     "cut off": lambda path: path.write_bytes(path.read_bytes()[:-100]),
     "other columns": rewritten_table(lambda table: pd.DataFrame({"a": [1]})),
@@ -263,9 +258,9 @@ def test_tables(name, damage, stored, refused):
     refused(["report", stored], str(stored / name))
 
 
-def test_a_table_of_a_hundred_million_rows(stored, refused):
-    long_table(stored / "episodes.parquet")
-    refused(["report", stored], str(stored / "episodes.parquet"), "column 'context' is missing")
+def test_tables_of_more_rows_than_any(stored, refused, monkeypatch):
+    monkeypatch.setattr("agents.stored.tables.MOST_ROWS", 3)
+    refused(["report", stored], f"{stored / 'episodes.parquet'}: 4 rows: a table has 1 to 3")
 
 
 @pytest.mark.parametrize(
@@ -402,7 +397,7 @@ def optimiser_state(state, value):
 
 def other_archive(path):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("archive/data.pkl", b"\0" * (1 << 28))
+        archive.writestr("archive/data.pkl", b"\0" * (1 << 25))
 
 
 CHECKPOINTS = {name: ANYWHERE[name] for name in ("pipe", "folder", "huge", "empty", "binary")} | {
@@ -508,7 +503,8 @@ def described(**changes):
 
 def member(name, content, compression=zipfile.ZIP_STORED):
     def damage(path):
-        with zipfile.ZipFile(path, "a", compression) as archive:
+        with zipfile.ZipFile(path, "a", compression) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a name twice
             archive.writestr(name, content)
 
     return damage
@@ -537,7 +533,7 @@ def many_members(path):
 
 ARCHIVES = {name: ANYWHERE[name] for name in ("pipe", "folder", "huge", "empty", "binary")} | {
     "cut off": lambda path: path.write_bytes(path.read_bytes()[:-30]),
-    "bomb": member("weight:x.npy", header((1 << 28,)) + b"\0" * (1 << 30), zipfile.ZIP_DEFLATED),
+    "bomb": member("weight:x.npy", header((1 << 23,)) + b"\0" * (1 << 25), zipfile.ZIP_DEFLATED),
     "huge header": member("weight:x.npy", header((1 << 45,))),
     "long header": member("weight:x.npy", b"\x93NUMPY\x02\x00\xff\xff\xff\x0f" + b"{" * 20_000),
     "negative shape": member("weight:x.npy", header((-1,))),
@@ -578,14 +574,16 @@ BUNDLES = ARCHIVES | {
 
 
 @pytest.mark.parametrize("damage", BUNDLES)
-def test_bundles(damage, bundle, tmp_path, refused):
+def test_bundles(damage, bundle, tmp_path, refused, monkeypatch):
+    monkeypatch.setattr("agents.stored.arrays.MOST_UNPACKED", 1 << 24)  # a bomb of 32 MiB will do
     path = Path(shutil.copy(bundle, tmp_path / "agent.npz"))
     BUNDLES[damage](path)
     refused(["evaluate", path, *FAST], f"{path}: ")
 
 
 @pytest.mark.parametrize("damage", [*ARCHIVES, "NaN", "other layers", "one layer", "text"])
-def test_maps(damage, tmp_path):
+def test_maps(damage, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.stored.arrays.MOST_UNPACKED", 1 << 24)
     path = Path(shutil.copy(MAP, tmp_path / "map.npz"))
     arrays = arrays_of(path)
     others = {
@@ -812,14 +810,8 @@ def test_options_end_where_the_user_says_so(tmp_path, monkeypatch, capsys):
 
 
 def test_names_like_numbers_and_markup_stay_what_they_are(tmp_path, capsys):
-    from agents.report import write_report
-    from agents.statistics import grouped
-    from agents.terminal import print_table
-
     names = ["null", "1e5", "nan", "NA", "<b>x</b>", "[red]y", "$\\frac$", "_z", "v@²"]
     config = TaskConfig(growing=False, period=0.1, time_limit=0.1, settle_time=0.1)
-    from agents.policies import Constant
-
     plan = Plan(
         {name: Constant(config, feed_speed=0.1 + 0.01 * k) for k, name in enumerate(names)},
         spread_contexts("validation", 2), (0,), config, Fidelity(),

@@ -93,12 +93,13 @@ def read_parquet(path: Path, columns: Columns) -> pd.DataFrame:
     content = read_bytes(path, MOST_PARQUET)
     texts = [name for name, kind in columns.items() if kind in ("name", "text")]
     try:
-        file = pq.ParquetFile(io.BytesIO(content), read_dictionary=texts)
+        file = pq.ParquetFile(io.BytesIO(content))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
         _check_header(path, names, columns)
         if not 0 < rows <= MOST_ROWS:
             raise FileError(path, f"{rows} rows: a table has 1 to {MOST_ROWS} - {_HINT}")
-        table = file.read(columns=[name for name in names if name in columns])
+        dictionaries = pq.ParquetFile(io.BytesIO(content), read_dictionary=texts)
+        table = dictionaries.read(columns=[name for name in names if name in columns])
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         if isinstance(error, FileError):
             raise
