@@ -1,5 +1,6 @@
 """Probe designs: what can be built, Design-v0 by the checkers, and its figures against handmade and single runs."""
 
+import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -87,11 +88,12 @@ def test_broken_design_files_are_named(text, tmp_path):
     assert BROKEN[text] in str(error.value)
 
 
-@pytest.mark.filterwarnings("ignore:.*we recommend you to use a symmetric and normalized.*")
-@pytest.mark.filterwarnings("ignore:.*Box observation space m.*imum value is")
-def test_checkers_find_nothing():
-    check_env(gym.make("probe_env/Design-v0").unwrapped, skip_render_check=True)
-    sb3_check_env(gym.make("probe_env/Design-v0", config={"privileged": True}).unwrapped)
+@pytest.mark.parametrize("variant", [{}, {"privileged": True}])
+def test_checkers_find_nothing(variant):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make("probe_env/Design-v0", config=variant).unwrapped)
+        sb3_check_env(gym.make("probe_env/Design-v0", config=variant).unwrapped)
 
 
 def test_a_step_is_an_episode_and_repeats_with_its_seed():
