@@ -135,7 +135,7 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:  # numpy leaves a cut-off file open
             arrays = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise
