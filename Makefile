@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
+.PHONY: setup demo test test-processors test-pythons test-bounds lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
 
 setup: $(STAMP)
 
@@ -34,6 +34,28 @@ kernels: setup
 test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
 	$(BIN)/pytest --numprocesses 2 --dist worksteal
+
+# the statistics as other processors round them, and with other seeds
+test-processors: setup
+	$(BIN)/python tests/processors.py --numprocesses 2 --dist worksteal
+
+# every kernel, compiled anew with bounds checks
+test-bounds: setup
+	$(BIN)/pytest tests/test_bounds.py
+
+# torch has no wheel for processors alone on every index, and is not needed by the physics and the environments: tests
+# that need it or an agent library are skipped there, and the run says so
+PYTHONS ?= 3.12 3.13
+PYTHON3.12 ?= python3.12
+PYTHON3.13 ?= python3.13
+WITHOUT_TORCH := cmaes moocore optuna
+test-pythons: $(PYTHONS:%=test-python-%)
+
+test-python-%:
+	test -x .venv-$*/bin/python || $(PYTHON$*) -m venv .venv-$*
+	.venv-$*/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]' $(WITHOUT_TORCH)
+	.venv-$*/bin/python -m probe_env.compile_kernels
+	.venv-$*/bin/pytest --numprocesses 2 --dist worksteal -ra
 
 # Everything published, again, where it is stale; `make results` says first what and how long. STAGES narrows it down.
 results: setup
@@ -80,5 +102,5 @@ readme: setup
 	$(BIN)/probe-env readme
 
 clean:
-	rm -rf $(VENV) $(RAY) $(PEERS) output
+	rm -rf $(VENV) $(RAY) $(PEERS) $(PYTHONS:%=.venv-%) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

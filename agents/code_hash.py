@@ -1,10 +1,10 @@
 """A hash of the code that a result depends on: definitions found by following names from where the work starts.
 
 It is blind to where a definition stands, to comments, docstrings, annotations, imports, checks, the wording of errors
-and warnings, and to Python's version, so files can be moved and typed without making stored results old. What counts
-is the body of every function, class and constant that can be reached: a class (annotations name classes too) with its
-fields and those of its methods whose names occur in what is reached. A method's results do not depend on the modules
-of other methods.
+and warnings, to what reads and writes files, and to Python's version, so files can be moved and typed without making
+stored results old. What counts is the body of every function, class and constant that can be reached: a class
+(annotations name classes too) with its fields and those of its methods whose names occur in what is reached. A
+method's results do not depend on the modules of other methods.
 """
 
 from __future__ import annotations
@@ -31,6 +31,11 @@ METHOD_MODULES: Final[dict[str, tuple[str, ...]]] = {
 }
 """The modules of ``probe_env`` in which a method is written."""
 ALL_METHODS: Final = frozenset({*TICM, *LANES, "implicit", "banded", "transfer_matrix"})
+ASIDE: Final = (
+    "agents.atomic", "agents.provenance", "agents.store", "agents.stored", "agents.terminal", "agents.work",
+    "probe_env.errors", "probe_env.files",
+)  # fmt: skip
+"""Modules that read, write and tell: no result depends on them. With the modules in them."""
 IGNORED_FIELDS: Final = frozenset({"annotation", "returns", "type_comment", "type_params", "ctx", "kind"})
 
 
@@ -81,7 +86,7 @@ def _texts(roots: tuple[str, ...], without: frozenset[str]) -> Iterator[str]:
     seen: set[tuple[str, str]] = set()
     while todo:
         found = todo.pop()
-        if found is None or found.module in without or (found.module, found.name) in seen:
+        if found is None or found.module in without or _is_aside(found.module) or (found.module, found.name) in seen:
             continue
         seen.add((found.module, found.name))
         parts: list[ast.AST] = [found.node]
@@ -100,6 +105,10 @@ def _texts(roots: tuple[str, ...], without: frozenset[str]) -> Iterator[str]:
             todo += targets
         for name in names_used & methods.keys():
             todo += methods.pop(name)
+
+
+def _is_aside(module: str) -> bool:
+    return any(module == name or module.startswith(f"{name}.") for name in ASIDE)
 
 
 def _uses(node: ast.AST, module: str) -> tuple[set[str], list[Definition | None]]:

@@ -180,6 +180,7 @@ def train(
                 else:
                     model.set_logger(_logger(folder, phase))
                     model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
+                    model.logger.close()
             wall = time.perf_counter() - begin
             rows.append(_validated(training, model, seed, phase, made, folder, rows, threads))
             rows[-1] |= {"wall_s": wall, "kernel_s": watch.seconds}

@@ -25,7 +25,10 @@ class SimulationError(RuntimeError):
         elif time_step > stable:
             hint = f"a time step of {stable:.2g} s or less is known to hold for this scene"
         else:
-            hint = f"the step is within the known limit of {stable:.2g} s: halve it, and check the scene"
+            hint = (
+                f"the step is within the known limit of {stable:.2g} s: most likely the cable was compressed and"
+                " buckled between its floats, which a shorter step does not change and the method implicit bounds"
+            )
         super().__init__(
             f"{method} with time_step {time_step:g} s diverged at t = {time:.6g} s;"
             f" worst at node {node}, {distance:g} m from the tip; {hint}"

@@ -54,6 +54,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["study", "--scenes", "nowhere", "--duration", "1"], "no such file: nowhere"),
     ],
 )
+@pytest.mark.filterwarnings("ignore:time_step = 0.001 s is beyond the known stable limit")  # and then it diverges
 def test_errors_are_one_line_and_leave_nothing_behind(arguments, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2

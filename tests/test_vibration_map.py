@@ -65,6 +65,7 @@ def synthetic(episodes=64, seed=0):
 
 
 def test_a_known_law_is_found_again():
+    """Of three seeds 0.0485 to 0.0498 decades are left, of which the deviation tells 0.0484 to 0.0492, and 99.5 %."""
     table, logarithm = synthetic()
     fitted, quality = fit_map(table)
     columns = [table[name].to_numpy() for name in ("inserted_length", "feed_speed", "air_supply_rate")]

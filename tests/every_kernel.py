@@ -1,0 +1,57 @@
+"""Short runs that reach every branch of every kernel; with NUMBA_BOUNDSCHECK=1 an index out of bounds is an error.
+
+A script, because the flag must stand before numba is imported, and must not mix with kernels compiled without it.
+"""
+
+import itertools
+
+import numpy as np
+
+from probe_env import Scene, Simulator, SimulatorBatch
+
+STEPS = {"newmark": 1e-4, "wilson": 1e-4, "implicit": 1e-4, "imex": 2e-4, "imex32": 2e-4, "explicit": 5e-6}
+LANES = ("imex", "imex32", "explicit")
+
+
+def scene(walls, guide=0.3, carrier=0.5):
+    """A short probe in a narrow tube; growing it meets the helix's end, where no node is appended any more."""
+    return Scene(
+        tube={"helix_length": guide + carrier + 0.05, "inner_diameter": 0.01902},
+        probe={"guide_length": guide}, carrier_length=carrier,
+        contact={"walls": walls, "stiffness": 1e4, "friction": 0.3},
+    )  # fmt: skip
+
+
+def thrown(simulator):
+    """Onto both walls in turn."""
+    d = simulator.state.d[: simulator.root, 1]
+    d += 1e-5 - 2e-5 * np.cos(np.pi * np.arange(len(d)) / 8)
+
+
+def run_all():
+    """Number of runs."""
+    runs = 0
+    for (method, step), walls, growing in itertools.product(STEPS.items(), ("both", "inner"), (False, True)):
+        simulator = Simulator(scene(walls), method, step, growing=growing, time_lapse=1000.0 if growing else 1.0)
+        thrown(simulator)
+        simulator.advance(0.25, 0.03, 90 * step, 9 * step, ("sensor", "tip", "root", 0.2))
+        assert simulator.root == simulator.chain.node_count - 1  # to the helix's end
+        runs += 1
+    for solver in ("banded", "transfer-matrix"):
+        simulator = Simulator(scene("both", 0.0, 0.2), solver=solver)
+        thrown(simulator)
+        simulator.advance(duration=2e-3)
+        runs += 1
+    for method, count in itertools.product(LANES, range(1, 10)):
+        scenes = [scene(("both", "inner")[k % 2], 0.1 * (k % 3), 0.3 + 0.1 * k) for k in range(count)]
+        batch = SimulatorBatch(scenes, method, STEPS[method], growing=True, time_lapse=100.0, threads=1)
+        for simulator in batch.simulators:
+            thrown(simulator)
+        batch.advance(0.25, 0.03, 40 * STEPS[method], 4 * STEPS[method])
+        batch.advance(0.25, 0.03, 3 * STEPS[method], STEPS[method], np.arange(count) % 2 == 0)
+        runs += 1
+    return runs
+
+
+if __name__ == "__main__":
+    print(run_all())
