@@ -24,7 +24,8 @@ from tqdm import tqdm
 from agents import stored
 from agents.code_hash import class_hash, code_hash
 from agents.provenance import commit, provenance, write_atomically, write_json
-from agents.stored.records import CARRIED, Episode, Setting, set_aside
+from agents.statistics import CARRIED
+from agents.stored.records import Episode, Setting, set_aside
 from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity

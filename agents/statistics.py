@@ -22,6 +22,9 @@ KPIS: Final[dict[str, tuple[str, float, str]]] = {
 }
 """KPI -> name, factor and unit for people."""
 
+CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+"""Columns of an episode's profile, SI units."""
+
 
 @dataclass(frozen=True)
 class Interval:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.statistics import KPIS
+from agents.statistics import CARRIED, KPIS
 from probe_env.design import RANGES
 from probe_env.files import MEBI, FileError, as_text, open_regular, read_text
 from probe_env.scene import explain
@@ -21,8 +21,6 @@ from probe_env.task import TaskConfig
 MOST_JSON: Final = 16 * MEBI
 MOST_JOURNAL: Final = 4096 * MEBI
 MOST_LINE: Final = 4 * MEBI
-CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
-"""Columns of an episode's profile."""
 ENDINGS: Final = ("complete", "lost_drive", "diverged")
 TRIAL_KPIS: Final = (
     "reward", "radial_rms_m", "share_within_limit", "inspection_time_s", "inspected_m", "drive_margin_n",

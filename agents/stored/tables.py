@@ -20,8 +20,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from agents.names import name_problem
-from agents.statistics import KPIS
-from agents.stored.records import CARRIED, ENDINGS
+from agents.statistics import CARRIED, KPIS
+from agents.stored.records import ENDINGS
 from probe_env.contexts import Context
 from probe_env.files import MEBI, FileError, read_bytes, read_text
 
