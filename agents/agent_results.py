@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 
 from agents.statistics import CONFIDENCE, Interval, interquartile_means, seeds_by_contexts
+from agents.stored import read_csv
+from agents.stored.tables import CURVE
 
 RESAMPLES = 2000
 SHOWN = ("reward", "inspection_time_s", "share_within_limit")
@@ -99,7 +101,7 @@ def load_curves(folder: Path) -> pd.DataFrame:
     paths = sorted(folder.glob("seed-*/learning.csv"))
     if not paths:
         raise FileNotFoundError(2, "no learning curve is stored there", str(folder / "seed-*/learning.csv"))
-    return pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
+    return pd.concat([read_csv(path, CURVE) for path in paths], ignore_index=True)
 
 
 def throughput(curves: pd.DataFrame, imitation_steps: int) -> dict[str, float]:

@@ -7,35 +7,39 @@ from __future__ import annotations
 
 import hashlib
 import io
-import zipfile
-import zlib
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import BasePolicy
 
 from agents.provenance import write_atomically
+from agents.stored.arrays import read_arrays
 from agents.view import View
-from probe_env.scene import Model, explain
+from probe_env.files import FileError
+from probe_env.scene import Model, explain, quantity
 from probe_env.task import TaskConfig
 
+WEIGHT: Final = "weight:"
+_RESTORE: Final = "restore the file, or train again"
 Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
 ALGORITHMS: Final[dict[str, tuple[Any, str]]] = {
     "ppo": (PPO, "MlpPolicy"),
     "sac": (SAC, "MlpPolicy"),
     "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
 }
-UNREADABLE: Final = (
-    ValueError, OSError, EOFError, KeyError, TypeError, NotImplementedError, zipfile.BadZipFile, zlib.error
-)  # fmt: skip
-"""What numpy raises on files that are no archive of plain arrays."""
+MOST_WEIGHTS: Final = 1 << 24
+"""Weights between the hidden layers, so that what a file describes cannot fill the memory."""
+LARGEST_WEIGHT: Final = 1e6
+LONGEST_DESCRIPTION: Final = 1 << 20
 ACTED: Final = ("growing", "period", "feed_speeds", "air_supply_rates")
 """Fields of the task that give an action its meaning: an agent runs in no task where they differ."""
 
@@ -44,8 +48,15 @@ class Network(Model):
     """Size of the policy's networks; ``lstm_hidden_size`` is for recurrent-ppo alone."""
 
     net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
-    lstm_hidden_size: int = Field(default=64, ge=1, le=4096)
-    log_std_init: float = -1.0
+    lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
+    log_std_init: Annotated[float, quantity(-20.0, 5.0, "")] = -1.0
+
+    @model_validator(mode="after")
+    def _fits_in_memory(self) -> Self:
+        weights = sum(a * b for a, b in pairwise(self.net_arch))
+        if weights > MOST_WEIGHTS:
+            raise PydanticCustomError("weights", f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
+        return self
 
     def arguments(self, algorithm: Algorithm) -> dict[str, Any]:
         """SB3's ``policy_kwargs``."""
@@ -106,6 +117,8 @@ class Agent:
         start = np.ones(len(rows), dtype=bool) if state is None else new
         actions, inner = self.policy.predict(features, inner, start, deterministic)
         acted = self.description.view.env_actions(self.config, actions)
+        if not np.isfinite(acted).all():
+            raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
         return (acted[0] if np.ndim(observation) == 1 else acted), (averages, inner)
 
     def describe(self) -> dict[str, Any]:
@@ -117,7 +130,7 @@ def save_bundle(path: Path, description: Description, policy: BasePolicy) -> str
     """Write a bundle atomically; returns its hash."""
     weights = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
     text = description.model_dump_json()
-    arrays = {f"weight:{name}": value for name, value in weights.items()}
+    arrays = {f"{WEIGHT}{name}": value for name, value in weights.items()}
     digest = _hash(text, weights)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, description=np.array(text), hash=np.array(digest), **arrays)
@@ -130,48 +143,61 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: not a bundle, changed since it was written, of another format, or for another task. Pickles, such
+        FileError: not a bundle, changed since it was written, of another format, or for another task. Pickles, such
             as SB3's zip files hold, are refused and never executed.
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise
-    except UNREADABLE as error:
-        raise ValueError(f"{path}: not a bundle of plain arrays; nothing in it was run") from error
-    if not {"description", "hash"} <= set(arrays) or not _plain(arrays):
-        raise ValueError(f"{path}: not a bundle: it must hold a description, a hash and weights, all plain arrays")
+        arrays = read_arrays(path, _expected)
+    except FileError as error:
+        raise FileError(path, f"not a bundle of plain arrays: {error.problem} - {_RESTORE}") from error
+    if not {"description", "hash"} <= set(arrays) or arrays["description"].size != 1 or arrays["hash"].size != 1:
+        raise FileError(path, f"not a bundle: it must hold a description, a hash and weights - {_RESTORE}")
     text, digest = str(arrays["description"]), str(arrays["hash"])
-    weights = {name.removeprefix("weight:"): value for name, value in arrays.items() if name.startswith("weight:")}
+    weights = {name.removeprefix(WEIGHT): value for name, value in arrays.items() if name.startswith(WEIGHT)}
     if _hash(text, weights) != digest:
-        raise ValueError(f"{path}: changed or cut off since it was written: its hash does not match")
+        raise FileError(path, f"changed or cut off since it was written: its hash does not match - {_RESTORE}")
     try:
+        if len(text) > LONGEST_DESCRIPTION:
+            raise FileError(path, f"description: longer than {LONGEST_DESCRIPTION} characters - {_RESTORE}")
         description = Description.model_validate_json(text)
     except ValidationError as error:
-        raise ValueError(f"{path}: description: {explain(error)}") from error
-    policy = build_policy(description)
-    try:
-        policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
-    except (RuntimeError, TypeError) as error:
-        raise ValueError(f"{path}: weights do not fit the described network: {error}") from error
+        raise FileError(path, f"description: {explain(error)}") from error
+    policy = build_policy(description, initialised=False)
+    _check_weights(path, policy, weights)
+    policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
     try:
         return Agent(description, policy, config or description.task, digest)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise FileError(path, str(error)) from error
 
 
-def build_policy(description: Description) -> BasePolicy:
-    """SB3's policy of a description, with new weights."""
+def _expected(name: str) -> str:
+    return "f" if name.startswith(WEIGHT) else "U" if name in ("description", "hash") else ""
+
+
+def _check_weights(path: Path, policy: BasePolicy, weights: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Raise unless names, shapes and types are those of the network, and the values any that training could give."""
+    wrong = "weights do not fit the described network"
+    network = {name: value.numpy() for name, value in policy.state_dict().items()}
+    for name in sorted(network.keys() ^ weights.keys()):
+        raise FileError(path, f"{wrong}: {name!r} is {'missing' if name in network else 'not part of it'}")
+    for name, value in weights.items():
+        given, needed = (f"{array.dtype} {array.shape}" for array in (value, network[name]))
+        if given != needed:
+            raise FileError(path, f"{wrong}: {name!r} is {given}, not {needed}")
+        if np.abs(value).max(initial=0.0) > LARGEST_WEIGHT:
+            raise FileError(path, f"weights: {name!r} holds values beyond {LARGEST_WEIGHT:g}: nothing that was trained")
+
+
+def build_policy(description: Description, initialised: bool = True) -> BasePolicy:
+    """SB3's policy of a description, with new weights; ``initialised``: with those that training begins from."""
     algorithm, name = ALGORITHMS[description.algorithm]
     arguments = description.network.arguments(description.algorithm)
+    if not initialised and description.algorithm != "sac":
+        arguments["ortho_init"] = False  # which takes long for large networks
     policy: BasePolicy = algorithm.policy_aliases[name](*description.view.spaces, lambda _: 0.0, **arguments)
     return policy
-
-
-def _plain(arrays: Mapping[str, Any]) -> bool:
-    return all(isinstance(value, np.ndarray) and value.dtype != object for value in arrays.values())
 
 
 def _hash(text: str, weights: Mapping[str, npt.NDArray[Any]]) -> str:

@@ -9,6 +9,7 @@ from typing import Final
 
 from agents.evaluate import Policy
 from agents.map_policies import MAP_POLICIES, ByDiameter
+from agents.names import checked_name, name_of
 from agents.policies import BUILT_IN, Scheduled
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
@@ -24,9 +25,9 @@ def named_policies(specs: Sequence[str], config: TaskConfig) -> dict[str, Policy
     """Policies by the names that tables give them: "NAME=SPEC", or the name or file name in the spec.
 
     Raises:
-        ValueError: none, or one name twice; and what ``make_policy`` raises.
+        ValueError: none, or one name twice, or what no name may be; and what ``make_policy`` raises.
     """
-    pairs = [spec.split("=", 1) if "=" in spec else (Path(spec).stem if "." in spec else spec, spec) for spec in specs]
+    pairs = [name_and_spec(spec) for spec in specs]
     names = [name for name, _ in pairs]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or not names:
@@ -34,7 +35,20 @@ def named_policies(specs: Sequence[str], config: TaskConfig) -> dict[str, Policy
             f"policies = {', '.join(specs) or 'none'}: at least one is needed, and no name twice"
             + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
         )
-    return {name: make_policy(spec, config) for name, spec in pairs}
+    return {checked_name(name, "policy", "NAME=FILE gives a name"): make_policy(spec, config) for name, spec in pairs}
+
+
+def name_and_spec(given: str) -> tuple[str, str]:
+    """Name and spec of a policy as it is given. A file that is there wins, whatever its name has in it."""
+    places = [place for place, character in enumerate(given) if character == "="]
+    if _is_file(given) or not places:
+        return name_of(Path(given)) if "." in given else given, given
+    splits = [(given[:place], given[place + 1 :]) for place in places]
+    return next((split for split in splits if split[1] in NAMES or _is_file(split[1])), splits[0])
+
+
+def _is_file(spec: str) -> bool:
+    return Path(spec).suffix in (".csv", ".toml", ".npz") and Path(spec).exists()
 
 
 def make_policy(spec: str, config: TaskConfig) -> Policy:

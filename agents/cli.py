@@ -1,68 +1,73 @@
-"""The ``probe-env`` command: errors as one line, subcommands from ``agents.commands``."""
+"""The ``probe-env`` command: errors and interrupts as one line, subcommands from ``agents.commands``."""
 
+# the packages behind the commands take seconds to load, during which interrupts must be heard: they are loaded in _run
 from __future__ import annotations
 
-import logging
 import sys
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, Union
+from typing import Any
 
-import tyro
-from pydantic import ValidationError
-
-from agents.commands.design import Compare, DesignSearch
-from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
-from agents.commands.study import Bench, Chart, Peers, Scaling, Simulate, Stability, Study, Timelapse
-from probe_env import Scene, SimulationError
-from probe_env.scene import explain
-
-
-@dataclass(frozen=True)
-class Readme:
-    """Rewrite the README's tables and figures from the stored results."""
-
-    check: bool = False
-    """Change nothing; fail if the README is not what the stored results say."""
-
-    def run(self) -> None:
-        """Rewrite or check."""
-        from agents.readme import check_readme, rewrite_readme
-
-        check_readme() if self.check else rewrite_readme()
+from agents.interrupts import heard, tell
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    with heard(own=arguments is None):
+        try:
+            return _run(sys.argv[1:] if arguments is None else list(arguments))
+        except KeyboardInterrupt as error:
+            return tell(error)
+
+
+def _run(arguments: Sequence[str]) -> int:
+    import warnings
+
+    from pydantic import ValidationError
+
+    from agents.command_line import parsed
+    from agents.notices import said_when_compiling
+    from agents.publishing import in_its_place
+    from probe_env import SimulationError
+    from probe_env.scene import explain
+
     try:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
         _show_choices()
-        command = tyro.cli(_commands(arguments), args=arguments, prog="probe-env", description=__doc__)
-        command.run()
+        command = parsed(_commands(arguments), arguments, __doc__)
+        with said_when_compiling():
+            in_its_place(command).run()
     except ValidationError as error:
         return _fail(explain(error))
     except FileNotFoundError as error:
         return _fail(f"no such file: {error.filename}")
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
         return _fail(str(error))
-    except KeyboardInterrupt:
-        return _fail("interrupted; what was finished is stored", 130)
     return 0
 
 
 def _show_choices() -> None:
-    """Print what "auto" picks and why."""
+    """Print what "auto" picks and why, and how much there is to do."""
+    import logging
+
     logger = logging.getLogger("probe_env")
-    if not logger.handlers:
-        logger.addHandler(logging.StreamHandler(sys.stderr))
-        logger.setLevel(logging.INFO)
+    logger.handlers = [logging.StreamHandler(sys.stderr)]
+    logger.setLevel(logging.INFO)
 
 
 def _commands(arguments: Sequence[str]) -> Any:
     """The subcommands; the scene file named on the command line gives the defaults of --scene options."""
+    from pathlib import Path
+    from typing import Annotated, Union
+
+    import tyro
+
+    from agents.commands.design import Compare, DesignSearch
+    from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
+    from agents.commands.readme import Readme
+    from agents.commands.results import Results
+    from agents.commands.study import Bench, Chart, Peers, Scaling, Simulate, Stability, Study, Timelapse
+    from probe_env import Scene
+
     simulate = tyro.conf.subcommand("simulate")
     if arguments[:1] == ["simulate"]:
         files = [argument for argument in arguments[1:] if argument.endswith(".toml")]
@@ -87,6 +92,7 @@ def _commands(arguments: Sequence[str]) -> Any:
             ("train", Train),
             ("compare", Compare),
             ("design", DesignSearch),
+            ("results", Results),
             ("readme", Readme),
         )
     )
@@ -94,7 +100,9 @@ def _commands(arguments: Sequence[str]) -> Any:
 
 
 def _fail(message: str, status: int = 2) -> int:
-    print(f"probe-env: error: {message}", file=sys.stderr)
+    from probe_env.files import one_line
+
+    print(f"probe-env: error: {one_line(message)}", file=sys.stderr)
     return status
 
 

@@ -14,12 +14,15 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from agents import stored
 from agents.catalogue import make_policy
-from agents.evaluate import read_journal
+from agents.code_hash import class_hash, code_hash
 from agents.policies import Scheduled
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.provenance import commit, provenance, write_atomically, write_json
 from agents.statistics import Interval, mean_interval
+from agents.stored.records import Trial, set_aside
 from agents.terminal import print_table
+from agents.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
@@ -35,6 +38,8 @@ KPIS: dict[str, tuple[str, float, str]] = {
 }
 """KPI -> name, factor and unit for people."""
 BATCH = 16
+CODE = ("probe_env.trials:try_insertions", "probe_env.trials:try_sections", "probe_env.trials:judge")
+"""What a result depends on, besides the feed."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +79,12 @@ class Comparison:
 
     def key(self, design: Design, context: Context, place: int = 0) -> str:
         """Identity of one result; the context's place seeds the start."""
+        policy = make_policy(self.feed, self.config)
         parts = [
             place,
-            design.built.model_dump(), context.model_dump(), make_policy(self.feed, self.config).describe(), self.full,
-            self.fidelity.model_dump(), self.config.model_dump(mode="json"), kernel_hash(self.fidelity.method),
+            design.built.model_dump(), context.model_dump(), policy.describe(), class_hash(type(policy), "predict"),
+            self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
+            code_hash(CODE, self.fidelity.method),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -106,38 +113,49 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     """Run what is missing in ``output``, store designs.csv and summary.csv; one row a design and context.
 
     Raises:
-        ValueError: the feed does not fit; nothing was run.
+        ValueError: no designs, or the feed does not fit; nothing was run.
     """
+    if not comparison.designs:
+        raise ValueError("designs = none: give at least one design file (TOML), see configs/design/")
     if not comparison.full:
         comparison.schedule()
     journal = output / "designs.jsonl"
-    stored = read_journal(journal)
+    done = read_journal(journal)
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
-    missing = [unit for unit in units if keys[unit] not in stored]
+    missing = [unit for unit in units if keys[unit] not in done]
+    every = set(keys.values())
+    announce(Work("trial", len(every), lambda: len(every & read_journal(journal).keys()), output))
     if missing:
         output.mkdir(parents=True, exist_ok=True)
+        set_aside(journal)
         with journal.open("ab") as file, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
             for begin in range(0, len(missing), BATCH):
                 part = missing[begin : begin + BATCH]
                 pairs = [(comparison.designs[name], comparison.contexts[k]) for name, k in part]
                 for unit, kpis in zip(part, comparison.run(pairs, [k for _, k in part]), strict=True):
-                    file.write((json.dumps({"key": keys[unit], "kpis": kpis}) + "\n").encode())
+                    file.write((json.dumps({"key": keys[unit], "commit": commit(), "kpis": kpis}) + "\n").encode())
                     bar.update()
                 file.flush()
                 os.fsync(file.fileno())
-        stored = read_journal(journal)
+        done = read_journal(journal)
     rows: list[dict[str, Any]] = []
     for name, k in units:
-        place = {"design": name, "context": k}
-        rows.append(place | comparison.contexts[k].model_dump() | stored[keys[name, k]]["kpis"])
+        place, record = {"design": name, "context": k}, done[keys[name, k]]
+        made_at = {"commit": record.get("commit", "unknown")}
+        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | made_at)
     table = pd.DataFrame(rows)
     write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     made: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
     made |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
-    write_json(output / "provenance.json", provenance() | made)
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | made)
     return table
+
+
+def read_journal(path: Path) -> dict[str, dict[str, Any]]:
+    """Stored trials by key; a last line that was cut off by an interrupt is left out."""
+    return stored.read_journal(path, Trial)
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:

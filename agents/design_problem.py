@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from agents.catalogue import make_policy
-from agents.design_compare import Comparison
+from agents.code_hash import code_hash
+from agents.design_compare import CODE, Comparison
 from agents.map_policies import LEAST_AIR
-from agents.provenance import kernel_hash
 from agents.vibration_map import FEEDS
 from agents.workers import HERE, Workers
 from probe_env import Context, Design
@@ -79,7 +79,7 @@ class DesignProblem:
         tubes = [context.model_dump() for context in self.contexts]
         parts = [
             self.axes, tubes, feed, self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
-            kernel_hash(self.fidelity.method),
+            code_hash(CODE, self.fidelity.method),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 

@@ -20,13 +20,15 @@ from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import NSGAIISampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from scipy.stats import bootstrap, rankdata
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from tqdm import tqdm
 
 from agents import figures
 from agents.design_problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
+from agents.masking import masked
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored.database import open_study
 from agents.terminal import print_table
+from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import Design
 from probe_env.design import RANGES
@@ -55,6 +57,7 @@ def search(
     population: int = 24,
     seed: int = 0,
     starts: Sequence[Mapping[str, float]] = (),
+    place: Path | None = None,
 ) -> optuna.Study:
     """Run a search, or what is left of it, and return the study.
 
@@ -67,15 +70,18 @@ def search(
         population: designs in a generation.
         seed: of the search.
         starts: points to begin with, part of the first generation.
+        place: what is called the place of the trials; default: ``storage``, without its password.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    try:
-        study = optuna.create_study(storage=storage, study_name=name, directions=list(DIRECTIONS), load_if_exists=True)
-    except (ArgumentError, NoSuchModuleError) as error:
-        raise ValueError(f"storage = {storage!r} is not the URL of a database: {error}") from error
+    study = open_study(storage, name, DIRECTIONS, axes)
     for stale in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study._storage.set_trial_state_values(stale._trial_id, TrialState.FAIL)  # of a run that was killed
-    done = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+
+    def complete() -> int:
+        return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+
+    done = complete()
+    announce(Work("design", trials, complete, place or masked(storage)))
     with tqdm(total=trials, initial=min(done, trials), desc=name, unit="design") as bar:
         for number in range(done, min(len(starts), trials)):
             distributions: dict[str, BaseDistribution] = {
@@ -167,6 +173,7 @@ def run_design_search(
     study = search(
         problem.axes, partial(problem.value, workers=workers), trials, storage or f"sqlite:///{output / 'study.db'}",
         f"{problem.feed} {identity} seed {seed}", seed=seed, starts=problem.starts(),
+        place=None if storage else output,
     )  # fmt: skip
     table = trials_table(study)
     front = table[table["on_front"]].sort_values("mean_square_ratio")

@@ -21,7 +21,12 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents import stored
+from agents.code_hash import class_hash, code_hash
+from agents.provenance import commit, provenance, write_atomically, write_json
+from agents.statistics import CARRIED
+from agents.stored.records import Episode, Setting, set_aside
+from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
@@ -29,10 +34,11 @@ from probe_env.episodes import Episodes
 from probe_env.starts import Probes
 from probe_env.task import SHOWN, TaskConfig, describe
 
-CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 BATCH = 16
-SHARED = ("fidelity", "kernel_hash", "probes")
+SHARED = ("fidelity", "code", "probes")
 """What all episodes of a table have in common, besides the task."""
+CODE = ("probe_env.episodes:Episodes.reset", "probe_env.episodes:Episodes.step", "agents.evaluate:per_metre")
+"""What an episode depends on, besides its policy."""
 
 
 class Policy(Protocol):
@@ -66,7 +72,7 @@ class Plan:
         return {
             **describe(self.config),
             "fidelity": self.fidelity.model_dump(),
-            "kernel_hash": kernel_hash(self.fidelity.method),
+            "code": code_hash(CODE, self.fidelity.method),
             "probes": self.probes,
         }
 
@@ -75,15 +81,17 @@ class Plan:
         return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
 
     def key(self, unit: tuple[str, int, int]) -> str:
-        """Identity of an episode: policy as described, context and seed."""
+        """Identity of an episode: policy as described and written, context and seed."""
         name, k, seed = unit
-        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]  # the place is in the seed
+        policy = self.policies[name]
+        written = class_hash(type(policy), "predict")
+        parts = [policy.describe(), written, self.contexts[k].model_dump(), k, seed]  # the place is in the seed
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def run_plan(
     plan: Plan,
-    output: Path,
+    output: Path | None,
     batch: int = BATCH,
     progress: bool = True,
     threads: int | None = None,
@@ -91,18 +99,28 @@ def run_plan(
 ) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
-    Every episode is appended to ``episodes.jsonl`` as it ends; at the end ``episodes.csv`` and ``episodes.parquet``
-    (KPIs) and ``profile.parquet`` (per metre of inserted length) are written.
+    Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
+    end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
+    written. Without an output nothing is read or written.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
     """
+    if output is None:
+        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
+        return _tables(plan, {record["key"]: record for record in map(json.loads, lines)})[0]
     journal = output / "episodes.jsonl"
-    stored = _check_setting(plan, output)
-    missing = deque(unit for unit in plan.units() if plan.key(unit) not in stored)
+    done = _check_setting(plan, output)
+    units = {plan.key(unit): unit for unit in plan.units()}
+    missing = deque(unit for key, unit in units.items() if key not in done)
+    announce(
+        Work("episode", len(units), lambda: len(units.keys() & read_journal(journal).keys()), output),
+        quiet=not progress,
+    )
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         write_json(output / "setting.json", plan.setting())
+        set_aside(journal)
         with (
             journal.open("ab") as file,
             tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
@@ -112,49 +130,50 @@ def run_plan(
                 file.flush()
                 os.fsync(file.fileno())
                 bar.update()
-        stored = read_journal(journal)
-    rows, profiles = [], []
-    for unit in plan.units():
-        record = stored[plan.key(unit)]
-        name, k, seed = unit
-        place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
-        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"])
-        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
-    table, profile = pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+        done = read_journal(journal)
+    table, profile = _tables(plan, done)
     _write_tables(table, profile, output)
-    write_json(
-        output / "provenance.json", provenance() | {"policies": {n: p.describe() for n, p in plan.policies.items()}}
-    )
+    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
     return table
 
 
+def _tables(plan: Plan, done: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """KPIs and profiles of all episodes of the plan."""
+    rows, profiles = [], []
+    for unit in plan.units():
+        record = done[plan.key(unit)]
+        name, k, seed = unit
+        place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
+        made = {"commit": record.get("commit", "unknown")}
+        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | made)
+        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
+    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+
+
 def read_journal(path: Path) -> dict[str, dict[str, Any]]:
-    """Stored episodes by key; a last line that was cut off by an interrupt is left out (and cut off the file)."""
-    if not path.exists():
-        return {}
-    content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        write_atomically(path, whole)
-    return {record["key"]: record for record in map(json.loads, whole.decode().splitlines())}
+    """Stored episodes by key; a last line that was cut off by an interrupt is left out."""
+    return stored.read_journal(path, Episode)
 
 
 def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
-    path = output / "setting.json"
+    path, journal = output / "setting.json", output / "episodes.jsonl"
     if path.exists():
-        before, now = (_shared(setting) for setting in (json.loads(path.read_text()), plan.setting()))
+        this = Setting.model_validate_json(json.dumps(plan.setting()))
+        before, now = _shared(stored.read_json(path, Setting)), _shared(this)
         different = [name for name in now if before.get(name) != now[name]]
         if different:
             raise ValueError(
                 f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
             )
-    return read_journal(output / "episodes.jsonl")
+    elif read_journal(journal):
+        raise stored.FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
+    return read_journal(journal)
 
 
-def _shared(setting: Mapping[str, Any]) -> dict[str, Any]:
+def _shared(setting: Setting) -> dict[str, Any]:
     """What episodes must share: not what is observed, and fields newer than the results have their defaults."""
-    task = TaskConfig.model_validate_json(json.dumps(setting["task"])).model_dump(exclude=set(SHOWN))
-    return task | {"probes": "scene"} | {name: setting[name] for name in SHARED if name in setting}
+    return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in SHARED}
 
 
 def _lines(
@@ -166,8 +185,8 @@ def _lines(
         return
     size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, lines in workers.map(partial(_portion, plan), portions):
-        yield from lines
+    for _, line in workers.stream(partial(_portion, plan), portions):
+        yield line
 
 
 def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
@@ -175,12 +194,12 @@ def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
     return max(min(batch, episodes // (2 * jobs)), 1)
 
 
-def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> list[str]:
+def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> Iterator[str]:
     """What a worker does: some episodes side by side on one thread."""
-    return list(_run_units(plan, deque(units), len(units), 1))
+    return _run_units(plan, deque(units), len(units), 1)
 
 
-def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Any:
+def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Iterator[str]:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
     count = min(batch, len(missing))
     episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)
@@ -231,7 +250,7 @@ def _line(
     probe: dict[str, float] | None,
 ) -> str:
     columns = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(profile).items()}
-    record = {"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": columns}
+    record = {"key": plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis, "profile": columns}
     return json.dumps(record | ({"probe": probe} if probe else {})) + "\n"
 
 

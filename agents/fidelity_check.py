@@ -18,12 +18,14 @@ from agents.evaluate import Plan, run_plan
 from agents.policies import Scheduled
 from agents.provenance import write_atomically
 from agents.statistics import KPIS, Interval, by_context, mean_interval
+from agents.stored import read_parquet
+from agents.stored.tables import PROFILE
 from probe_env import Fidelity
 from probe_env.schedule import Schedule
 
 Level = Literal["no", "half-step", "replayed", "acting", "all"]
 STUDY: Final = Fidelity(method="newmark", time_step=1e-4, time_lapse=4.0)
-SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 8
+SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 24
 COLUMNS: Final = ["check", "policy", "kpi", "before", "mean", "low", "high", "rank", "rank_before"]
 WORTH_A_WORD: Final = 1e-3  # of the figure before
 
@@ -41,7 +43,7 @@ def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path) -> N
         return
     checks = [check_half_step(plan, table, output)]
     if level in ("replayed", "all"):
-        checks.append(check_replayed(plan, table, pd.read_parquet(output / "profile.parquet"), output))
+        checks.append(check_replayed(plan, table, read_parquet(output / "profile.parquet", PROFILE), output))
     if level in ("acting", "all"):
         checks.append(check_acting(plan, table, output))
     report_checks(checks, output)
@@ -57,7 +59,7 @@ def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFra
 def check_replayed(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> pd.DataFrame:
     """A sample replayed with the study's scheme: what each episode fed and blew over length, as a schedule.
 
-    The first ``SAMPLE_POLICIES`` policies on ``SAMPLE_CONTEXTS`` contexts spread over the list, time-lapse 4. Slow:
+    The first ``SAMPLE_POLICIES`` policies on the first ``SAMPLE_CONTEXTS`` contexts, time-lapse 4. Slow:
     an episode takes minutes.
     """
     names, places, was = _sample(plan, table)
@@ -86,8 +88,7 @@ def check_acting(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
 def _sample(plan: Plan, table: pd.DataFrame) -> tuple[list[str], list[int], pd.DataFrame]:
     """Names of the policies, places of the contexts, and what the evaluation says of them."""
     names = list(plan.policies)[:SAMPLE_POLICIES]
-    count = min(SAMPLE_CONTEXTS, len(plan.contexts))
-    places = [k * len(plan.contexts) // count for k in range(count)]
+    places = list(range(min(SAMPLE_CONTEXTS, len(plan.contexts))))
     chosen = table["policy"].isin(names) & table["context"].isin(places) & (table["seed"] == plan.seeds[0])
     return names, places, table[chosen]
 

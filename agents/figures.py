@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.signal import welch
 
+from agents.atomic import write_atomically
 from probe_env import Run, Scene
 
 MM = 1e3
@@ -23,10 +25,18 @@ GRID: dict[str, Any] = {"color": "0.9", "linewidth": 0.8}
 BLUE, RED, GREY = "#1f5fa8", "#c0392b", "0.45"
 
 
-def _save(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=110)
+def save(figure: Figure, path: Path, dpi: int = 110) -> Path:
+    """Write a figure as a whole, and close it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=dpi, format=path.suffix.removeprefix("."))
+    write_atomically(path, buffer.getvalue())
     plt.close(figure)
     return path
+
+
+def _plain(name: str) -> str:
+    """A name as it is: between dollar signs would be a formula."""
+    return name.replace("$", r"\$")
 
 
 def time_histories(run: Run, point: str, path: Path, title: str = "") -> Path:
@@ -40,7 +50,7 @@ def time_histories(run: Run, point: str, path: Path, title: str = "") -> Path:
     axes[1].axhline(0.0, color=GREY, linewidth=0.8)
     axes[1].set_xlabel("time [s]")
     figure.suptitle(title)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def locus(run: Run, point: str, scene: Scene, path: Path, window: float = 0.4) -> Path:
@@ -57,7 +67,7 @@ def locus(run: Run, point: str, scene: Scene, path: Path, window: float = 0.4) -
         title=f"Locus of the {point}, last {window:g} s",
     )
     axis.grid(**GRID)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def spectra(run: Run, point: str, path: Path, start: float, highest: float = 100.0) -> Path:
@@ -76,7 +86,7 @@ def spectra(run: Run, point: str, path: Path, start: float, highest: float = 100
         axis.grid(**GRID)
     axes[1].set_xlabel("frequency [Hz]")
     figure.suptitle(f"Spectra of the {point}")
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def travelling_shapes(run: Run, scene: Scene, path: Path) -> Path:
@@ -99,7 +109,7 @@ def travelling_shapes(run: Run, scene: Scene, path: Path) -> Path:
             title=f"{label} displacement, {spacing * MM:.2g} mm a row",
         )
         axis.set_yticks([])
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def tension_profile(run: Run, path: Path) -> Path:
@@ -108,7 +118,7 @@ def tension_profile(run: Run, path: Path) -> Path:
     axis.plot(run.position, run.mean_tension, color=BLUE)
     axis.set(xlabel="distance from the entrance [m]", ylabel="mean tension [N]")
     axis.grid(**GRID)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def length_against_vibration(
@@ -122,7 +132,7 @@ def length_against_vibration(
     axis.set(xlabel="carrier length [m]", ylabel="radial rms at the sensor [mm]", yscale="log")
     axis.grid(**GRID)
     axis.legend(frameon=False)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def profiles(curves: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> Path:
@@ -133,7 +143,7 @@ def profiles(curves: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> Pa
     axis.set(xlabel="inserted length [m]", ylabel="radial rms at the sensor [mm]")
     axis.grid(**GRID)
     axis.legend(frameon=False)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
@@ -145,7 +155,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
         x, y = time["mean"], 100.0 * (1.0 - share["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
         along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
-        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=policy)
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=_plain(policy))
     return _save_time_against_vibration(figure, path)
 
 
@@ -157,7 +167,7 @@ def front(points: pd.DataFrame, path: Path) -> Path:
         x, y = ordered["time_s"], 100.0 * ordered["out_share"]
         across = [x - ordered["time_low"], ordered["time_high"] - x]
         along = [y - 100.0 * ordered["out_low"], 100.0 * ordered["out_high"] - y]
-        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=family)
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=_plain(str(family)))
     return _save_time_against_vibration(figure, path)
 
 
@@ -168,7 +178,7 @@ def _save_time_against_vibration(figure: Figure, path: Path) -> Path:
     axis.set_ylim(bottom=0.0)
     axis.grid(**GRID)
     axis.legend(frameon=False)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
@@ -184,7 +194,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
         groups = binned[binned["policy"] == policy].groupby("bin")
         for axis, (name, factor, label) in zip(axes, fields, strict=True):
             mean = groups[name].mean() * factor
-            axis.plot(mean.index, mean, color=colour, label=policy)
+            axis.plot(mean.index, mean, color=colour, label=_plain(policy))
             axis.set_ylabel(label)
         loud = groups["radial_rms_m"].quantile(0.9) * MM
         axes[2].plot(loud.index, loud, color=colour, linewidth=0.7)
@@ -194,7 +204,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
     axes[0].legend(frameon=False, ncols=3)
     axes[2].axhline(0.1, color=GREY, linestyle=":")
     axes[2].set_xlabel("inserted length [m]")
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Path:
@@ -216,13 +226,13 @@ def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Pa
         feed.set_ylabel("feed [m/s]", color=RED)
         feed.set_ylim(0.0, 0.42)
         axis.set_title(
-            f"{policy}: reward {worst['reward']:.0f}, friction {worst['friction']:.2f},"
+            f"{_plain(policy)}: reward {worst['reward']:.0f}, friction {worst['friction']:.2f},"
             f" helix {worst['helix_diameter']:g} m",
             fontsize=10,
         )
         axis.grid(**GRID)
     axes[-1, 0].set_xlabel("inserted length [m]")
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def _colours() -> list[Any]:
@@ -246,7 +256,7 @@ def design_front(table: pd.DataFrame, references: pd.DataFrame, path: Path) -> P
     axes[0].set_ylabel("mean of (radial rms / limit)$^2$")
     handles, names = axes[1].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def parallel_coordinates(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]], path: Path) -> Path:
@@ -261,7 +271,7 @@ def parallel_coordinates(table: pd.DataFrame, axes: dict[str, tuple[float, float
     axis.set_xticks(range(len(names)), labels, fontsize=7)
     axis.set(ylabel="from lowest to highest", ylim=(-0.02, 1.02), title="Designs tried (grey) and on the front (blue)")
     axis.grid(**GRID)
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
@@ -274,4 +284,4 @@ def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
     axis.set(xlabel="environment steps after the warm start", ylabel="reward on the validation tubes")
     axis.grid(**GRID)
     axis.legend(frameon=False)
-    return _save(figure, path)
+    return save(figure, path)

@@ -7,25 +7,22 @@ the validation tubes.
 
 from __future__ import annotations
 
-import hashlib
-import warnings
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import optuna
 import pandas as pd
-from optuna.samplers import CmaEsSampler
+from cmaes import CMA
 from tqdm import tqdm
 
 from agents.evaluate import Plan, run_plan
 from agents.map_policies import LEAST_AIR
 from agents.policies import Scheduled
 from agents.provenance import provenance, write_atomically, write_json
-from agents.vibration_map import CONTEXT, FEEDS, features_of, metre_cost, stored_map
-from agents.vibration_map import STORED as MAP_FILE
+from agents.vibration_map import CONTEXT, FEEDS, VibrationMap, features_of, metre_cost, stored_map
 from probe_env import Context, load_contexts
 from probe_env.chain import FloatArray
 from probe_env.contexts import HELIX_DIAMETERS
@@ -37,7 +34,6 @@ KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
 AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
 METRES: Final = np.arange(5.5, 60.0, 1.0)
 POPULATION: Final = 16
-BATCH: Final = 16
 
 
 @dataclass(frozen=True)
@@ -82,10 +78,11 @@ FAMILIES: Final[dict[str, Family]] = {
 
 @dataclass(frozen=True)
 class MapCost:
-    """Expected cost of schedules on tubes by the map, and so their reward."""
+    """Expected cost of schedules on tubes by a map, and so their reward."""
 
     tubes: tuple[Context, ...]
     config: TaskConfig
+    vibration: VibrationMap = field(default_factory=stored_map)
 
     @cached_property
     def _tiled(self) -> tuple[FloatArray, FloatArray]:
@@ -96,14 +93,15 @@ class MapCost:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         lengths, tubes = self._tiled
         feed, air = schedule.at(lengths)
-        cost = metre_cost(*stored_map().distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config)
+        cost = metre_cost(*self.vibration.distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config)
         return float(len(METRES) * (self.config.progress_weight - cost.mean()))
 
 
-def run_search(family_name: str, trials: int, output: Path, work: Path, simulate: bool = True) -> Schedule:
+def run_search(family_name: str, trials: int, output: Path, work: Path, vibration: VibrationMap) -> Schedule:
     """Search a family; stores NAME.csv (the schedule), NAME-trials.csv and NAME.json in ``output``.
 
-    Trials and episodes are kept in ``work``, so an interrupted search goes on.
+    A search takes less than a minute and is the same each time, so an interrupted one begins again; the simulated
+    episodes on the validation tubes are kept in ``work``.
 
     Raises:
         ValueError: no such family, or a budget out of range.
@@ -113,42 +111,41 @@ def run_search(family_name: str, trials: int, output: Path, work: Path, simulate
     if trials < 1:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
     family, config = FAMILIES[family_name], TaskConfig()
-    cost = MapCost(family.tubes(load_contexts("train")), config)
-    work.mkdir(parents=True, exist_ok=True)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    names = [f"x{k}" for k in range(len(family.start))]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental, and to be renamed in Optuna 6
-        sampler = CmaEsSampler(
-            x0=dict(zip(names, family.start, strict=True)),
-            sigma0=0.2,
-            popsize=POPULATION,
-            seed=0,
-            warn_independent_sampling=False,
-        )
-    problem = hashlib.sha256(repr((family, config, cost.tubes)).encode() + MAP_FILE.read_bytes()).hexdigest()[:12]
-    study = optuna.create_study(
-        storage=f"sqlite:///{work / family_name}.db", study_name=f"{family_name}-{problem}", load_if_exists=True,
-        direction="maximize", sampler=sampler,
-    )  # fmt: skip
-    done = len(study.get_trials(states=[optuna.trial.TrialState.COMPLETE]))
-    with tqdm(total=trials, initial=min(done, trials), desc=family_name, unit="trial") as bar:
-        for _ in range(done, trials):
-            trial = study.ask()
-            point = [trial.suggest_float(name, 0.0, 1.0) for name in names]
-            study.tell(trial, cost.reward(family.schedule(point, config)))
-            bar.update()
-    best = family.schedule([study.best_params[name] for name in names], config)
-    table = pd.DataFrame([{**t.params, "reward": t.value} for t in study.trials if t.value is not None])
-    setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": study.best_value}
-    if simulate:
-        tubes = family.tubes(load_contexts("validation"))
-        plan = Plan({family_name: Scheduled(config, best)}, tubes, config=config, fidelity=PRESETS["fast"])
-        simulated = run_plan(plan, work / "simulated" / family_name)
-        setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
+    cost = MapCost(family.tubes(load_contexts("train")), config, vibration)
+    points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, family_name)
+    best = family.schedule(points[int(rewards.argmax())].tolist(), config)
+    table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
+    tubes = family.tubes(load_contexts("validation"))
+    plan = Plan({family_name: Scheduled(config, best)}, tubes, config=config, fidelity=PRESETS["fast"])
+    simulated = run_plan(plan, work / family_name)
+    setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": float(rewards.max())}
+    setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
     write_atomically(output / f"{family_name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
     write_atomically(output / f"{family_name}.csv", best.to_csv())
     write_json(output / f"{family_name}.json", provenance() | setting)
     print(f"{family_name}: " + ", ".join(f"{name} {value:.4g}" for name, value in setting.items()))
     print(best.to_csv())
     return best
+
+
+def search(
+    reward: Callable[[list[float]], float], start: Sequence[float], trials: int, name: str
+) -> tuple[FloatArray, FloatArray]:
+    """Points tried (n, d) of the unit cube and their rewards (n,) by CMA-ES; fewer trials once it has converged.
+
+    A generation is tried to its end or not at all, so a longer search begins as a shorter one.
+    """
+    optimizer = CMA(
+        np.array(start), sigma=0.2, bounds=np.array([[0.0, 1.0]] * len(start)), seed=0, population_size=POPULATION
+    )
+    points: list[FloatArray] = []
+    rewards: list[float] = []
+    with tqdm(total=trials, desc=name, unit="trial") as bar:
+        while len(points) < trials and not optimizer.should_stop():
+            generation = [optimizer.ask() for _ in range(POPULATION)]
+            told = [reward(point.tolist()) for point in generation]
+            optimizer.tell([(point, -value) for point, value in zip(generation, told, strict=True)])
+            points += generation
+            rewards += told
+            bar.update(POPULATION)
+    return np.array(points), np.array(rewards)

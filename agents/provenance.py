@@ -1,44 +1,43 @@
-"""Where a stored result comes from: versions, commit, machine, command, and a hash of the kernels."""
+"""Where a stored result comes from: versions, commit, machine and command."""
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import json
 import os
 import platform
-import shlex
 import subprocess
 import sys
-import tempfile
+from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import probe_env
+from agents.atomic import write_atomically as write_atomically
+from agents.masking import masked_command
 from probe_env.cores import available_cores
 
-COMMON_SOURCES = ("chain.py", "drive.py")
-STUDY_SOURCES = ("schemes.py", "ticm.py")
-IMPLICIT_SOURCES = (*STUDY_SOURCES, "implicit.py", "linear_part.py")
-LANE_SOURCES = ("imex.py", "lane_group.py", "lanes.py", "linear_part.py", "single_precision.py")
-KERNEL_SOURCES = {
-    "newmark": STUDY_SOURCES,
-    "wilson": STUDY_SOURCES,
-    "implicit": IMPLICIT_SOURCES,
-    "imex": LANE_SOURCES,
-    "imex32": LANE_SOURCES,
-    "explicit": LANE_SOURCES,
-}
+CHECKOUT = Path(__file__).parents[1]
+CODE = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
+"""What a result depends on: changes of anything else do not make a commit unclean."""
+DATA = ("probe_env/data", "agents/data")
+"""Results that ship with the packages, each with its own provenance."""
+STAGE_VARIABLE = "PROBE_ENV_STAGE"
+"""Environment variable that names the stage of `probe-env results` that a command is run for."""
 PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
 
-def provenance(command: str | None = None) -> dict[str, Any]:
-    """Versions, commit, machine and command as a JSON-ready dictionary."""
-    return {
-        "command": command or "probe-env " + shlex.join(sys.argv[1:]),
-        "commit": commit(),
+def provenance(command: str | None = None, commits: Iterable[str] | None = None) -> dict[str, Any]:
+    """Versions, commit, machine and command as a JSON-ready dictionary.
+
+    Args:
+        command: default: that of this process, without passwords.
+        commits: of the rows that a table holds; default: the present one.
+    """
+    stage = os.environ.get(STAGE_VARIABLE)
+    return ({"stage": stage} if stage else {}) | {
+        "command": command or "probe-env " + masked_command(sys.argv[1:]),
+        "commit": ", ".join(dict.fromkeys(commits if commits is not None else [commit()])),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
         "machine": {
@@ -50,35 +49,34 @@ def provenance(command: str | None = None) -> dict[str, Any]:
 
 
 @lru_cache
-def kernel_hash(method: str) -> str:
-    """Short hash of the code that a method's results depend on, so that stored results show when they are old.
-
-    Comments, docstrings and layout do not count. Call it from one thread only: CPython 3.11 cannot parse in two.
-    """
-    digest = hashlib.sha256()
-    folder = Path(probe_env.__file__).parent
-    for name in (*COMMON_SOURCES, *KERNEL_SOURCES[method]):
-        tree = ast.parse((folder / name).read_text())
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-                node.body = node.body[1:]
-        digest.update(ast.dump(tree).encode())
-    return digest.hexdigest()[:16]
-
-
 def commit() -> str:
-    """Commit of the checkout, with a mark if it has changes; "unknown" outside a checkout."""
-    folder = Path(__file__).parent
-    try:
-        head = subprocess.run(
-            ["git", "rev-parse", "--short=12", "HEAD"], cwd=folder, capture_output=True, text=True, check=True
-        ).stdout.strip()
-        changed = subprocess.run(
-            ["git", "status", "--porcelain", "-uno"], cwd=folder, capture_output=True, text=True, check=True
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
+    """Commit of the checkout as this process began, marked if code or configuration differs; "unknown" outside one."""
+    head = _git("rev-parse", "--short=12", "HEAD")
+    if head is None:
         return "unknown"
-    return head + ("+changes" if changed else "")
+    return head + ("+changes" if changed_code() else "")
+
+
+@lru_cache
+def changed_code() -> tuple[str, ...]:
+    """Files of code and configuration that differ from the commit, new ones included, as this process began."""
+    excluded = (f":(exclude){folder}" for folder in DATA)
+    listed = _git("status", "--porcelain", "--untracked-files=all", "--", *CODE, *excluded)
+    return tuple(line[3:] for line in (listed or "").splitlines())
+
+
+def in_history(name: str) -> bool:
+    """Whether a stored commit is a clean one of this checkout's history."""
+    return _git("merge-base", "--is-ancestor", name, "HEAD") is not None
+
+
+def _git(*arguments: str) -> str | None:
+    """What git prints in the checkout; None where it fails or is not there."""
+    try:
+        done = subprocess.run(["git", *arguments], cwd=CHECKOUT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.rstrip()
 
 
 def _processor() -> str:
@@ -88,22 +86,6 @@ def _processor() -> str:
         return platform.processor()
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()
-
-
-def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file so that it is either the old or the new one, never half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 import probe_env
+from agents.atomic import write_atomically
 from agents.catalogue import make_policy
 from probe_env.task import SHOWN
 
@@ -48,12 +49,15 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
                 frames.append(env.render())
             bar.update()
     env.close()
-    output.parent.mkdir(parents=True, exist_ok=True)
-    if output.suffix == ".png":
-        iio.imwrite(output, frames[-1])
-    elif output.suffix == ".gif":
-        iio.imwrite(output, frames, duration=1000 / FRAMES_PER_SECOND, loop=0)
-    else:
-        iio.imwrite(output, frames, fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=8)
+    write_atomically(output, _film(frames, output.suffix))
     kpis: dict[str, float] = info["episode_kpis"]
     return kpis
+
+
+def _film(frames: list[Any], suffix: str) -> bytes:
+    """The frames as a file of a format, or the last of them."""
+    if suffix == ".png":
+        return iio.imwrite("<bytes>", frames[-1], extension=suffix)
+    if suffix == ".gif":
+        return iio.imwrite("<bytes>", frames, extension=suffix, duration=1000 / FRAMES_PER_SECOND, loop=0)
+    return iio.imwrite("<bytes>", frames, extension=suffix, fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=8)

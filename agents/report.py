@@ -19,6 +19,9 @@ from agents.evaluate import Plan, run_plan
 from agents.fidelity_check import Level, run_checks
 from agents.provenance import write_atomically, write_json
 from agents.statistics import KPIS, Interval, endings, grouped, method_and_seed, sentences, summarise
+from agents.stored import FileError, read_csv, read_json, read_parquet
+from agents.stored.records import Compared, Evaluated, Setting
+from agents.stored.tables import EPISODES, FRONT, PROFILE
 from agents.terminal import print_table
 from agents.workers import HERE, Workers
 from probe_env.contexts import Split, spread_contexts
@@ -59,7 +62,7 @@ def evaluate(
     policies = named_policies(specs, config)
     plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity), probes)
     methods = [method_and_seed(name)[0] for name in policies]
-    reference = against or methods[0]
+    reference = method_and_seed(against)[0] if against and against in policies else against or methods[0]
     if reference not in methods:
         raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(policies)}")
     table = run_plan(plan, output, workers=workers)
@@ -108,14 +111,16 @@ def write_report(folder: Path) -> Path:
     for path in stored:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
-    table, profile = (grouped(pd.read_parquet(path)) for path in stored)
+    table, profile = grouped(read_parquet(stored[0], EPISODES)), grouped(read_parquet(stored[1], PROFILE))
+    if not set(profile["policy"]) <= set(table["policy"]):
+        raise FileError(stored[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
     against = compared_with(folder, table)
-    made = json.loads((folder / "provenance.json").read_text())
-    setting = json.loads((folder / "setting.json").read_text())
+    made = read_json(folder / "provenance.json", Evaluated).model_dump()
+    setting = read_json(folder / "setting.json", Setting)
+    swept = folder.parent / "tradeoff" / "front.csv"
+    fronts = read_csv(swept, FRONT) if swept.exists() else None
     write_atomically(folder / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     ends = endings(table)
-    swept = folder.parent / "tradeoff" / "front.csv"
-    fronts = pd.read_csv(swept) if swept.exists() else None
     template = Environment(undefined=StrictUndefined, autoescape=True).from_string(
         files("agents").joinpath("templates/report.html").read_text()
     )
@@ -133,7 +138,7 @@ def write_report(folder: Path) -> Path:
         made=(
             f"Command: {made['command']}. Commit {made['commit']}, {made['machine']['cores']} cores"
             f" ({made['machine']['processor']}), {', '.join(f'{k} {v}' for k, v in made['packages'].items())}."
-            f" Fidelity: {setting['fidelity']}."
+            f" Fidelity: {setting.fidelity}."
         ),
         settings=json.dumps(made["policies"], indent=1),
     )
@@ -145,7 +150,12 @@ def write_report(folder: Path) -> Path:
 def compared_with(folder: Path, table: pd.DataFrame) -> str:
     """The policy that a stored evaluation compares the others with; the first, if it does not say."""
     path = folder / "report.json"
-    return str(json.loads(path.read_text())["against"]) if path.exists() else str(table["policy"].iloc[0])
+    if not path.exists():
+        return str(table["policy"].iloc[0])
+    against = read_json(path, Compared).against
+    if against not in set(table["policy"]):
+        raise FileError(path, f"against = {against!r} is not one of the policies: {', '.join(set(table['policy']))}")
+    return against
 
 
 def _pictures(table: pd.DataFrame, profile: pd.DataFrame, fronts: pd.DataFrame | None) -> list[tuple[str, str, str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 import time
 from pathlib import Path
 from typing import Final
@@ -13,6 +12,7 @@ from tqdm import tqdm
 
 from agents.evaluate import BATCH, Plan, portion_size, run_plan
 from agents.policies import Constant
+from agents.pool import stop_pool
 from agents.provenance import provenance, write_atomically, write_json
 from agents.workers import Workers
 from probe_env import TaskConfig
@@ -57,13 +57,10 @@ def _seconds(episodes: int, workers: Workers, fresh: bool = False) -> float:
     contexts = spread_contexts("test", 1) * episodes
     plan = Plan({"constant": Constant(config)}, contexts, (0,), config, PRESETS["fast"])
     if fresh:
-        from joblib.externals.loky import get_reusable_executor
-
-        get_reusable_executor().shutdown(wait=True)
-    with tempfile.TemporaryDirectory() as scratch:
-        begin = time.perf_counter()
-        run_plan(plan, Path(scratch), progress=False, threads=1, workers=workers)
-        return time.perf_counter() - begin
+        stop_pool()
+    begin = time.perf_counter()
+    run_plan(plan, None, threads=1, workers=workers)
+    return time.perf_counter() - begin
 
 
 def project(portions: pd.DataFrame, start: float) -> pd.DataFrame:

@@ -22,6 +22,9 @@ KPIS: Final[dict[str, tuple[str, float, str]]] = {
 }
 """KPI -> name, factor and unit for people."""
 
+CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+"""Columns of an episode's profile, SI units."""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -81,7 +84,7 @@ def grouped(table: pd.DataFrame) -> pd.DataFrame:
 def method_and_seed(policy: str) -> tuple[str, int]:
     """NAME@K as (NAME, K), anything else as (NAME, 0)."""
     name, mark, seed = policy.rpartition("@")
-    return (name, int(seed)) if mark and seed.isdigit() else (policy, 0)
+    return (name, int(seed)) if mark and seed.isdecimal() else (policy, 0)
 
 
 def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:

@@ -6,7 +6,6 @@ differ by a start perturbation of 0.1 micrometre, never on one trajectory. Membe
 
 from __future__ import annotations
 
-import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +14,16 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from agents.provenance import kernel_hash, provenance, write_atomically, write_json
+from agents.code_hash import code_hash
+from agents.store import Store, stored_rows
+from agents.work import Work, announce
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.signals import point_statistics
 
 PERTURBATION = 1e-7  # [m]; a float rests a few micrometres deep in its contact spring
+DURATION = 8.0  # [s] of the published runs
+KEYS = ("case", "member", "duration_s")
+CODE = ("agents.study:run_case",)
 
 
 @dataclass(frozen=True)
@@ -98,39 +102,42 @@ def run_study(
 ) -> pd.DataFrame:
     """All members of the named cases (default: all), stored in ``output``/ensemble.csv as they finish.
 
-    Rows that are stored already, for the same duration and kernels, are not run again.
+    Rows that are stored already, for the same duration and code, are not run again.
     """
     chosen = [case for case in CASES if not names or case.name in names]
-    stored = load_rows(output, duration)
-    done = set(zip(stored["case"], stored["member"], strict=True)) if len(stored) else set()
-    missing = [(case, member) for member in range(members) for case in chosen if (case.name, member) not in done]
-    rows = stored.to_dict("records")
-    hashes = {case.name: kernel_hash(case.method) for case in chosen}
+    store = open_store(output)
+    wanted = [(case, member) for member in range(members) for case in chosen]
+
+    def stored() -> int:
+        return sum(store.has(case.name, member, duration) for case, member in wanted)
+
+    missing = [(case, member) for case, member in wanted if not store.has(case.name, member, duration)]
+    announce(Work("run", len(wanted), stored, store.path))
+    for case in chosen:
+        code_hash(CODE, case.method)  # here, and not in the threads
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
     work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
     for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
-        rows.append(row | {"kernel_hash": hashes[str(row["case"])]})
-        _store(rows, output)
-    table = pd.DataFrame(rows)
-    wanted = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
-    return table[wanted].sort_values(["case", "member"]).reset_index(drop=True)
+        store.add(row)
+    table = store.table
+    asked = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
+    return _in_order(table[asked & (table["duration_s"] == duration)])
 
 
-def load_rows(output: Path, duration: float | None = None) -> pd.DataFrame:
-    """Stored rows; with a duration, only those that the present kernels made for it."""
+def open_store(output: Path) -> Store:
+    """The stored runs."""
+    methods = {case.name: case.method for case in CASES}
+    return Store(output / "ensemble.csv", KEYS, lambda row: code_hash(CODE, methods.get(row["case"])))
+
+
+def load_rows(output: Path, duration: float = DURATION) -> pd.DataFrame:
+    """Stored rows of a duration [s]; none if there is no file."""
     path = output / "ensemble.csv"
     if not path.exists():
         return pd.DataFrame()
-    table = pd.read_csv(path)
-    if duration is None:
-        return table
-    present = {case.name: kernel_hash(case.method) for case in CASES}
-    return table[(table["kernel_hash"] == table["case"].map(present)) & (table["duration_s"] == duration)]
+    table = stored_rows(path)
+    return _in_order(table[table["duration_s"] == duration])
 
 
-def _store(rows: list[dict[object, object]] | list[dict[str, object]], output: Path) -> None:
-    table = pd.DataFrame(rows).sort_values(["case", "member"])
-    buffer = io.StringIO()
-    table.to_csv(buffer, index=False, float_format="%.6g")
-    write_atomically(output / "ensemble.csv", buffer.getvalue())
-    write_json(output / "provenance.json", provenance())
+def _in_order(table: pd.DataFrame) -> pd.DataFrame:
+    return table.sort_values(["case", "member"]).reset_index(drop=True)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -30,17 +28,20 @@ from agents.catalogue import make_policy
 from agents.evaluate import Plan, run_plan
 from agents.imitation import imitate
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored import FileError, read_csv, read_json
+from agents.stored.checkpoints import BUFFER, Run, read_checkpoint, settings_that_differ, variables
+from agents.stored.tables import CURVE as CURVE_COLUMNS
 from agents.terminal import print_table
 from agents.train_config import Training
 from agents.vec_env import ProbeVecEnv
 from agents.view import ViewVecEnv
+from agents.work import Work, announce
 from agents.workers import HERE, Workers
 from probe_env import lane_group
 from probe_env.contexts import spread_contexts
 from probe_env.fidelity_choice import resolve_fidelity
 
 CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
-BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def train_all(
@@ -57,6 +58,14 @@ def train_all(
     made = provenance(command)
     for folder in folders.values():
         _check_folder(training, folder, resume)
+    _check_checkpoints(training, folders)
+    phases = training.phases + (training.imitation is not None)
+    announce(
+        Work(
+            "phase", len(folders) * phases, lambda: sum(map(_phases_done, folders.values())), output,
+            "the same command with --resume goes on",
+        )
+    )  # fmt: skip
     for seed, folder in folders.items():
         _note_run(training, seed, folder, made)
     if workers.here:
@@ -74,12 +83,22 @@ def _train_task(training: Training, made: dict[str, Any], task: tuple[int, Path,
     return train(training, seed, folder, made, 1, place)
 
 
+def _phases_done(folder: Path) -> int:
+    """Phases that a run's curve holds, and so its checkpoint."""
+    curve = folder / CURVE
+    return len(read_csv(curve, CURVE_COLUMNS)) if curve.exists() else 0
+
+
+def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
+    write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
+
+
 def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any]) -> None:
     """Write what is run; a resumed run keeps how it began and lists how it went on."""
     path = folder / RUN
     begun: dict[str, Any] = {"seed": seed} | made
     if path.exists():
-        begun = json.loads(path.read_text())
+        begun = json.loads(read_json(path, Run).model_dump_json())
         begun["resumed"] = [*begun.get("resumed", []), {"command": made["command"], "commit": made["commit"]}]
     teacher = make_policy(training.imitation.teacher, training.shown_task).describe() if training.imitation else None
     write_json(path, begun | {"config": json.loads(training.model_dump_json()), "teacher": teacher})
@@ -87,16 +106,42 @@ def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any])
 
 def _check_folder(training: Training, folder: Path, resume: bool) -> None:
     if not (folder / RUN).exists():
+        if (folder / CHECKPOINT).exists():
+            raise FileError(folder / RUN, f"missing beside {CHECKPOINT}: restore it, or choose another folder")
         return
     if not resume:
         raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
     # settings that are newer than the run have their defaults
-    noted = Training.model_validate_json(json.dumps(json.loads((folder / RUN).read_text())["config"]))
-    before, now = json.loads(noted.model_dump_json()), json.loads(training.model_dump_json())
-    # what is still to come may change: more phases, other seeds beside this one
-    different = [name for name in now if before.get(name) != now[name] and name not in ("seeds", "phases")]
+    different = settings_that_differ(read_json(folder / RUN, Run).config, training)
     if different:
         raise ValueError(f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder")
+
+
+def _check_checkpoints(training: Training, folders: dict[int, Path]) -> None:
+    """Raise unless all checkpoints can be gone on from: before any seed is trained."""
+    for seed, folder in folders.items():
+        if (folder / CHECKPOINT).exists():
+            model, env = _new_model(training, seed, None)
+            read_checkpoint(folder / CHECKPOINT, model, training)
+            env.close()
+
+
+def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv]:
+    """The algorithm with new weights and the environments that it learns in."""
+    shown = training.shown_task
+    batch = ProbeVecEnv(
+        training.environment.env_id, training.environment.num_envs, shown,
+        fidelity=training.environment.fidelity, contexts=training.environment.contexts,
+        probes=training.environment.probes, threads=threads,
+    )  # fmt: skip
+    env = ViewVecEnv(batch, training.view, shown, training.environment.reward_scale)
+    set_random_seed(seed)
+    algorithm, name = ALGORITHMS[training.algorithm]
+    model: BaseAlgorithm = algorithm(
+        name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
+        **training.learning,
+    )  # fmt: skip
+    return model, env
 
 
 def train(
@@ -113,26 +158,16 @@ def train(
         place: line of the progress bar.
     """
     torch.set_num_threads(1)
-    view, shown = training.view, training.shown_task
-    batch = ProbeVecEnv(
-        training.environment.env_id, training.environment.num_envs, shown,
-        fidelity=training.environment.fidelity, contexts=training.environment.contexts,
-        probes=training.environment.probes, threads=threads,
-    )  # fmt: skip
-    env = ViewVecEnv(batch, view, shown, training.environment.reward_scale)
-    set_random_seed(seed)
-    algorithm, name = ALGORITHMS[training.algorithm]
-    model: BaseAlgorithm = algorithm(
-        name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
-        **training.learning,
-    )  # fmt: skip
+    shown = training.shown_task
+    model, env = _new_model(training, seed, threads)
     rows = _restore(model, folder / CHECKPOINT)
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
+    if rows:
+        _write_curve(rows, folder)  # the checkpoint tells: the curve may be of the phase before
     done = (imitated if rows else 0) + model.num_timesteps
     total = imitated + training.phases * training.phase_steps
     first = 0 if training.imitation else 1
     with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=place) as bar:
-        report = _watched(bar.update) if threads == 1 else bar.update
         for phase in range(first + len(rows), training.phases + 1):
             begin = time.perf_counter()
             set_random_seed(_seed_of(seed, phase))
@@ -141,15 +176,16 @@ def train(
             with _Stopwatch() as watch:
                 if phase == 0:
                     assert training.imitation is not None
-                    imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, report)  # type: ignore[arg-type]
+                    imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, bar.update)  # type: ignore[arg-type]
                 else:
                     model.set_logger(_logger(folder, phase))
-                    model.learn(training.phase_steps, _Bar(report), reset_num_timesteps=False)
+                    model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
+                    model.logger.close()
             wall = time.perf_counter() - begin
             rows.append(_validated(training, model, seed, phase, made, folder, rows, threads))
             rows[-1] |= {"wall_s": wall, "kernel_s": watch.seconds}
-            write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
             _save(model, rows, folder / CHECKPOINT)
+            _write_curve(rows, folder)
     return pd.DataFrame(rows)
 
 
@@ -173,8 +209,7 @@ def _validated(
     fidelity = resolve_fidelity(training.validation.fidelity)
     begin = time.perf_counter()
     plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity, training.environment.probes)
-    with tempfile.TemporaryDirectory() as scratch:
-        table = run_plan(plan, Path(scratch), progress=False, threads=threads)
+    table = run_plan(plan, None, threads=threads)
     row = {"seed": seed, "phase": phase, "steps": model.num_timesteps, "reward": float(table["reward"].mean())}
     row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}
     row["validation_s"] = time.perf_counter() - begin
@@ -200,7 +235,10 @@ def _save(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
     """Weights, optimisers, counts and learning curve, atomically; of off-policy algorithms also the replay buffer."""
     state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows}
     state["counts"] = {"num_timesteps": model.num_timesteps, "_n_updates": int(getattr(model, "_n_updates", 0))}
-    state["variables"] = {name: getattr(model, name).detach() for name in _variables(model)}
+    state["variables"] = {name: getattr(model, name).detach() for name in variables(model)}
+    config = _noted(path.with_name(RUN))
+    if config is not None:
+        state["config"] = config.model_dump_json()
     replay = getattr(model, "replay_buffer", None)
     if replay is not None:
         state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
@@ -210,16 +248,16 @@ def _save(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _variables(model: BaseAlgorithm) -> list[str]:
-    """Names of trained tensors that ``get_parameters`` leaves out: SAC's entropy coefficient."""
-    return list(model._get_torch_save_params()[1])
+def _noted(path: Path) -> Training | None:
+    """Settings of a run as they are noted."""
+    return read_json(path, Run).config if path.exists() else None
 
 
 def _restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
     """Set the model as it was at the checkpoint; the learning curve until then. Tensors and plain data only."""
     if not path.exists():
         return []
-    state = torch.load(path, weights_only=True)
+    state = read_checkpoint(path, model, _noted(path.with_name(RUN)))
     model.set_parameters(state["parameters"])
     for name, value in state["counts"].items():
         setattr(model, name, value)
@@ -240,18 +278,6 @@ def print_curves(curves: pd.DataFrame) -> None:
              "share_within_limit": "within the limit", "wall_s": "wall [s]"}  # fmt: skip
     rows = ([f"{value:.4g}" for value in row] for row in curves[list(names)].itertuples(index=False))
     print_table("Validation after each phase", list(names.values()), rows, left=0)
-
-
-def _watched(update: Callable[[int], Any]) -> Callable[[int], None]:
-    """The progress bar's update, which also ends a worker whose command was killed: two must not write one run."""
-    parent = os.getppid()
-
-    def report(steps: int) -> None:
-        if os.getppid() != parent:
-            raise SystemExit("the command that started this training is gone")
-        update(steps)
-
-    return report
 
 
 class _Bar(BaseCallback):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.bundle import ALGORITHMS, Algorithm, Network
@@ -17,7 +17,7 @@ from probe_env.contexts import Split, spread_contexts
 from probe_env.env import task_config
 from probe_env.fidelity import Fidelity
 from probe_env.fidelity_choice import resolve_fidelity
-from probe_env.scene import Model, quantity
+from probe_env.scene import Model, quantity, tuples
 from probe_env.starts import Contexts, Probes
 from probe_env.task import TaskConfig
 
@@ -39,7 +39,7 @@ class Environments(Model):
     probes: Probes = "scene"
     """"random": every episode has a probe of its own."""
     fidelity: str | Fidelity = "fast"
-    task: dict[str, Any] = Field(default_factory=dict)
+    task: Annotated[dict[str, Any], AfterValidator(tuples)] = Field(default_factory=dict)
     reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
 
 

@@ -8,7 +8,7 @@ searches for schedules take seconds, and a controller that knows the tube can lo
 from __future__ import annotations
 
 import io
-import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,6 +21,10 @@ import pandas as pd
 from agents.evaluate import Plan, run_plan
 from agents.policies import FixedPolicy
 from agents.provenance import provenance, write_atomically, write_json
+from agents.stored import FileError, read_json, read_parquet
+from agents.stored.arrays import read_arrays
+from agents.stored.records import Quality
+from agents.stored.tables import PROFILE
 from probe_env import Context, load_contexts
 from probe_env.chain import FloatArray
 from probe_env.fidelity import PRESETS
@@ -30,6 +34,8 @@ SEGMENT: Final = 3.0  # [m] of constant feed and air
 FEEDS: Final = (0.04, 0.4)  # [m/s]; slower ones would take most of the time and ring least
 CONTEXT: Final = ("friction", "contact_stiffness", "drag_factor", "helix_diameter")
 HIDDEN, EPOCHS, BATCH = 64, 300, 512
+HELD_OUT: Final = 12
+"""Tubes, the first of the training list, on which the map is tested and not fitted: two of each helix diameter."""
 STORED: Final = Path(__file__).parent / "data" / "vibration-map.npz"
 
 
@@ -73,10 +79,20 @@ class VibrationMap:
 
     @classmethod
     def load(cls, path: Path = STORED) -> VibrationMap:
-        """Read a stored map (plain arrays only, no pickles)."""
-        with np.load(path, allow_pickle=False) as arrays:
-            count = len(arrays.files) // 2
-            return cls(tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(count)))
+        """Read a stored map (plain arrays only, no pickles).
+
+        Raises:
+            FileNotFoundError: no such file.
+            FileError: not a map: other arrays, or shapes that do not follow on each other.
+        """
+        arrays = read_arrays(path, lambda name: "f" if re.fullmatch(r"(weights|biases)[0-2]", name, re.ASCII) else "")
+        sizes = [len(CONTEXT) + 3]
+        for k in range(3):
+            weights, biases = (arrays.get(f"{part}{k}", np.zeros(())) for part in ("weights", "biases"))
+            sizes.append(weights.shape[-1] if weights.ndim == 2 and k < 2 else 2)
+            if weights.shape != (sizes[-2], sizes[-1]) or biases.shape != (sizes[-1],):
+                raise FileError(path, f"layer {k}: not a map of vibration: its arrays are missing or of other shapes")
+        return cls(tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(3)))
 
     def save(self, path: Path) -> None:
         """Write it atomically."""
@@ -137,17 +153,15 @@ def metre_cost(
 
 
 def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[str, float]]:
-    """Fit by the likelihood of all but every eighth episode, and say how well it tells those.
-
-    With the shipped list these are tubes of helix diameter 1.2, 1.7 and 2.5 m.
+    """Fit by the likelihood of the metres on all but the first ``HELD_OUT`` tubes, and say how well it tells those.
 
     Args:
-        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``episode``.
+        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
         seed: of the network's start.
 
     Returns:
-        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on held-out
-        episodes.
+        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on the tubes
+        that were left out.
     """
     import torch
 
@@ -155,7 +169,7 @@ def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[st
     length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
     inputs = features_of(length, feed, air, profile[list(CONTEXT)].to_numpy(float))
     logarithm = np.log10(np.maximum(profile["radial_rms_m"].to_numpy(float), 1e-7) / 1e-4)
-    held = (profile["episode"].to_numpy() % 8) == 7
+    held = profile["context"].to_numpy() < HELD_OUT
     x, y = (torch.tensor(values, dtype=torch.float32) for values in (inputs[~held], logarithm[~held]))
     network = torch.nn.Sequential(
         torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Tanh(),
@@ -183,8 +197,8 @@ def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[st
     return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
 
 
-def make_map(seeds: int, output: Path, target: Path = STORED) -> VibrationMap:
-    """Wander on all training contexts (resumable), fit the map, store it with how it was made.
+def make_map(seeds: int, output: Path, target: Path) -> VibrationMap:
+    """Wander on all training contexts (resumable in ``output``), fit the map, store it in ``target``.
 
     Raises:
         ValueError: the number of seeds is out of range.
@@ -195,23 +209,21 @@ def make_map(seeds: int, output: Path, target: Path = STORED) -> VibrationMap:
     contexts = load_contexts("train")
     plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
     run_plan(plan, output)
-    fitted, quality = fit_map(with_contexts(pd.read_parquet(output / "profile.parquet"), contexts))
+    fitted, quality = fit_map(with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts))
     fitted.save(target)
-    write_json(
-        target.with_suffix(".json"), provenance() | {"contexts": "train", "episodes": len(plan.units()), **quality}
-    )
+    made = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
+    write_json(target.with_suffix(".json"), provenance() | made | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
     return fitted
 
 
 def with_contexts(profile: pd.DataFrame, contexts: Sequence[Context]) -> pd.DataFrame:
-    """The profile with the columns of ``CONTEXT`` and a number for each episode."""
+    """The profile with the columns of ``CONTEXT``."""
     values = np.array([[getattr(c, name) for name in CONTEXT] for c in contexts])
     columns: dict[str, Any] = {name: values[profile["context"], k] for k, name in enumerate(CONTEXT)}
-    return profile.assign(**columns, episode=profile["seed"] * len(contexts) + profile["context"])
+    return profile.assign(**columns)
 
 
-def load_quality(path: Path = STORED) -> dict[str, float]:
+def load_quality(path: Path = STORED) -> dict[str, Any]:
     """How the stored map was made and how well it tells."""
-    quality: dict[str, float] = json.loads(path.with_suffix(".json").read_text())
-    return quality
+    return read_json(path.with_suffix(".json"), Quality).model_dump()

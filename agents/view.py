@@ -31,8 +31,8 @@ class View(Model):
     ``least_air_supply_rate`` [m3/s]: too little air loses the drive, which is rare enough for training to miss.
     """
 
-    observations: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(OBSERVATIONS)
-    averages: tuple[TimeConstant, ...] = (5.0, 20.0)
+    observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
+    averages: Annotated[tuple[TimeConstant, ...], Field(max_length=16)] = (5.0, 20.0)
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
 

@@ -1,24 +1,25 @@
-"""Where work runs: in this process, in processes of this machine, or on a Ray cluster, through joblib.
+"""Where work runs: in this process, in processes of this machine, or on a Ray cluster.
 
-Nothing here schedules or transports: joblib does on one machine, Ray on many. What is lost with a worker is done again.
+``pool`` runs processes here, joblib and Ray those of a cluster. What is lost with a worker is done again.
 """
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import joblib
 
+from agents.pool import ATTEMPTS, pool_of
+
 Backend = Literal["local", "ray"]
 WAVE = 2
-"""Tasks a worker in one call of a backend that cannot hand results back one by one."""
-ATTEMPTS = 5
-"""Times in a row that work may be lost with its worker without anything having been finished."""
+"""Tasks a worker in one call of Ray, which hands results back when all of a call are there."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +53,35 @@ class Workers:
         Raises:
             RuntimeError: the backend is not installed, or workers are lost again and again.
         """
+        return self.stream(partial(_once, function), tasks)
+
+    def stream(self, function: Callable[[Any], Iterable[Any]], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+        """Pairs of a task and an item that the function gives for it; each as it comes, with Ray when the task ends.
+
+        A task that was lost with its worker runs again. It must give the same items in the same order then, of which
+        those that came before are left out.
+
+        Raises:
+            RuntimeError: the backend is not installed, or workers are lost again and again.
+        """
+        if self.backend == "ray" or (os.name == "nt" and not self.here):  # the pool's pipes are POSIX'
+            for task, items in self._through_joblib(partial(_gathered, function), tasks):
+                yield from ((task, item) for item in items)
+        elif self.here:
+            for task in tasks:
+                yield from ((task, item) for item in function(task))
+        else:
+            yield from pool_of(self.jobs).stream(function, tasks)
+
+    def _through_joblib(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
         left, attempts = dict(enumerate(tasks)), 0
-        with self._backend() as (at_once, arguments):
+        with self._cluster() as at_once:
             while left:
                 before = len(left)
                 try:
                     calls = [joblib.delayed(_numbered)(function, number, task) for number, task in left.items()]
-                    wave = calls if "return_as" in arguments else calls[: WAVE * at_once()]
-                    for number, result in joblib.Parallel(n_jobs=at_once(), batch_size=1, **arguments)(wave):
+                    wave = calls[: WAVE * at_once()]
+                    for number, result in joblib.Parallel(n_jobs=at_once(), batch_size=1)(wave):
                         yield left.pop(number), result
                 except Exception as error:
                     if not _worker_lost(error):
@@ -70,10 +92,10 @@ class Workers:
                     warnings.warn(f"a worker was lost ({type(error).__name__}): {len(left)} tasks go on", stacklevel=2)
 
     @contextmanager
-    def _backend(self) -> Iterator[tuple[Callable[[], int], dict[str, Any]]]:
-        """How many can work just now, and further arguments of joblib's ``Parallel``."""
+    def _cluster(self) -> Iterator[Callable[[], int]]:
+        """Ray as joblib's backend, or processes here; how many can work just now."""
         if self.backend == "local":
-            yield lambda: self.jobs, {"return_as": "generator_unordered"}
+            yield lambda: self.jobs
             return
         try:
             import ray
@@ -87,12 +109,20 @@ class Workers:
         def at_once() -> int:  # a pool that asks for more CPUs than are left would wait for ever
             return max(min(self.jobs, int(ray.cluster_resources().get("CPU", 1))), 1)
 
-        with joblib.parallel_config(backend="ray"):  # which hands results back wave by wave
-            yield at_once, {}
+        with joblib.parallel_config(backend="ray"):
+            yield at_once
 
 
 HERE = Workers()
 """This very process."""
+
+
+def _once(function: Callable[[Any], Any], task: Any) -> Iterator[Any]:
+    yield function(task)
+
+
+def _gathered(function: Callable[[Any], Iterable[Any]], task: Any) -> list[Any]:
+    return list(function(task))
 
 
 def _numbered(function: Callable[[Any], Any], number: int, task: Any) -> tuple[int, Any]:
@@ -102,4 +132,4 @@ def _numbered(function: Callable[[Any], Any], number: int, task: Any) -> tuple[i
 def _worker_lost(error: BaseException) -> bool:
     """Whether an error says that a process or a node is gone, and nothing about the work itself."""
     lost = ("RayActorError", "ActorDiedError", "ActorUnavailableError", "WorkerCrashedError", "NodeDiedError")
-    return isinstance(error, BrokenExecutor) or type(error).__name__ in lost
+    return type(error).__name__ in lost

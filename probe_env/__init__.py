@@ -13,7 +13,7 @@ from probe_env.kernel_cache import ensure_kernel_cache
 ensure_kernel_cache()  # before anything imports a kernel
 
 from probe_env.batch import SimulatorBatch, Window
-from probe_env.contexts import Context, load_contexts
+from probe_env.contexts import Context, load_contexts, spread_contexts
 from probe_env.design import Design
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity
@@ -41,6 +41,7 @@ __all__ = [
     "Window",
     "choose_fidelity",
     "load_contexts",
+    "spread_contexts",
 ]
 
 for _name in ("Insertion", "Snapshot"):  # no max_episode_steps: the environments keep their own time limit

@@ -5,6 +5,7 @@ Without it the first run of a method takes some ten seconds longer; numba keeps 
 
 from __future__ import annotations
 
+import sys
 from typing import Final
 
 from probe_env.scene import Scene
@@ -16,7 +17,8 @@ TIME_STEPS: Final = {"imex": 2e-4, "imex32": 2e-4, "newmark": 1e-4, "explicit": 
 
 def compile_kernels() -> None:
     """Run a short scene with every method."""
-    for method, time_step in TIME_STEPS.items():
+    for number, (method, time_step) in enumerate(TIME_STEPS.items(), start=1):
+        print(f"kernels of {method} ({number} of {len(TIME_STEPS)})", file=sys.stderr)
         Simulator(Scene(carrier_length=1.0), method, time_step).run(1e-3)
 
 

@@ -83,7 +83,7 @@ def resolve_fidelity(
 @lru_cache
 def measured() -> tuple[Measured, ...]:
     """The shipped table of measured errors."""
-    text = files("probe_env").joinpath("measured_errors.csv").read_text()
+    text = files("probe_env").joinpath("data/measured_errors.csv").read_text()
     return tuple(
         Measured(
             Fidelity(

@@ -7,7 +7,6 @@ field, the value and the accepted range.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -16,6 +15,10 @@ import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from probe_env.files import FileError, read_toml
+
+ERRORS_TOLD = 8
+"""Errors of one file that are told, so that the line can be read."""
 LENGTH_TOLERANCE = 1e-6
 """How far, in metres, a cable length may be from a whole multiple of the float pitch."""
 
@@ -58,18 +61,13 @@ class Model(BaseModel):
             FileNotFoundError: no such file.
             ValueError: not TOML, or not valid; names the file and every offending field.
         """
-        path = Path(path)
-        with path.open("rb") as file:
-            try:
-                data = tomllib.load(file)
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-                raise ValueError(f"{path}: not a TOML file: {error}") from error
+        data = read_toml(path)
         try:
-            return cls.model_validate(_tuples(data))
+            return cls.model_validate(tuples(data))
         except ValidationError as error:
-            raise ValueError(f"{path}: {explain(error)}") from error
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+            raise FileError(path, explain(error)) from error
+        except (ValueError, OverflowError) as error:
+            raise FileError(path, str(error)) from error
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Copy with changed fields, validated (pydantic's own copy is not); mappings update sub-models."""
@@ -191,19 +189,25 @@ def _impossible(message: str) -> PydanticCustomError:
     return PydanticCustomError("impossible_geometry", "{message}", {"message": message})
 
 
-def explain(error: ValidationError) -> str:
-    """Pydantic's errors as plain lines: field, what is wrong, the value given."""
-    lines = []
-    for item in error.errors(include_url=False):
-        field = ".".join(str(part) for part in item["loc"])
-        value = "" if isinstance(item["input"], dict | Model) else f" (given: {item['input']!r})"
+def explain(error: ValidationError, within: str = "") -> str:
+    """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
+    lines, found = [], error.errors(include_url=False, include_context=False)
+    for item in found[:ERRORS_TOLD]:
+        field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
+        value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
         message = "there is no such field" if item["type"] == "extra_forbidden" else item["msg"]
         lines.append(f"{field}: {message}{value}" if field else message)
-    return "; ".join(lines)
+    more = [f"and {len(found) - ERRORS_TOLD} more"] if len(found) > ERRORS_TOLD else []
+    return "; ".join(lines + more)
 
 
-def _tuples(value: Any) -> Any:
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:100]} ..."
+
+
+def tuples(value: Any) -> Any:
     """TOML's lists as the tuples that frozen models hold."""
     if isinstance(value, dict):
-        return {key: _tuples(entry) for key, entry in value.items()}
-    return tuple(_tuples(entry) for entry in value) if isinstance(value, list) else value
+        return {key: tuples(entry) for key, entry in value.items()}
+    return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value

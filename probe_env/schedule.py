@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-import tomllib
+import re
+import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.chain import FloatArray
+from probe_env.files import MEBI, FileError, read_text, read_toml
 
 Over = Literal["time", "inserted_length"]
 Interpolation = Literal["linear", "steps"]
@@ -23,7 +25,10 @@ POSITIONS: Final[dict[str, tuple[Over, float, str]]] = {
 }
 FEED, AIR = "feed_speed_m_per_s", "air_supply_m3_per_h"
 RANGES: Final = {FEED: (0.0, 2.0, "m/s"), AIR: (0.0, 720.0, "m3/h")}
+COLUMNS: Final = (*POSITIONS, *RANGES)
 CSV_COMMENT = "# interpolation:"
+MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
+"""What a file may hold: three hours of a log at 100 Hz."""
 
 
 @dataclass(frozen=True)
@@ -59,18 +64,14 @@ class Schedule:
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: not a valid schedule; names file, row, column, value and accepted range.
+            FileError: not a valid schedule; names file, row, column, value and accepted range.
         """
         path = Path(path)
         if path.suffix not in (".csv", ".toml"):
-            raise ValueError(f"{path}: a schedule must be a .csv or a .toml file")
-        try:
-            text = path.read_bytes().decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{path}: not a text file in UTF-8: {error}") from error
-        interpolation, rows = _from_csv(path, text) if path.suffix == ".csv" else _from_toml(path, text)
+            raise FileError(path, "a schedule must be a .csv or a .toml file")
+        interpolation, rows = _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
         if interpolation not in ("linear", "steps"):
-            raise ValueError(f"{path}: interpolation = {interpolation!r} is not one of linear, steps")
+            raise FileError(path, f"interpolation = {interpolation[:80]!r} is not one of linear, steps")
         return _validated(path, interpolation, rows)  # type: ignore[arg-type]
 
     def to_csv(self) -> str:
@@ -82,61 +83,75 @@ class Schedule:
         return "\n".join(lines) + "\n"
 
 
-def _from_csv(path: Path, text: str) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
-    lines = text.splitlines()
+def _from_csv(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
+    lines = re.split("\r\n|\r|\n", read_text(path, MOST_BYTES))
     interpolation, first = "linear", 0
-    if lines and lines[0].startswith("#"):
+    if lines[0].startswith("#"):
         if not lines[0].startswith(CSV_COMMENT):
-            raise ValueError(f"{path}: line 1: a comment must be {CSV_COMMENT!r} and linear or steps")
+            raise FileError(path, f"line 1: a comment must be {CSV_COMMENT!r} and linear or steps")
         interpolation, first = lines[0][len(CSV_COMMENT) :].strip(), 1
     table = csv.reader(lines[first:], strict=True)
-    try:
-        rows = list(table)
-    except csv.Error as error:
-        raise ValueError(f"{path}: line {first + table.line_num}: not CSV: {error}") from error
-    if not rows:
-        raise ValueError(f"{path}: empty: a header and at least one row are needed")
-    header = [name.strip() for name in rows[0]]
-    for name in header:
-        if header.count(name) > 1:
-            raise ValueError(f"{path}: column {name!r} appears {header.count(name)} times in the header")
     named: list[tuple[str, Mapping[str, Any]]] = []
-    for line, row in enumerate(rows[1:], start=first + 2):
-        if not row:
-            continue
-        if len(row) != len(header):
-            raise ValueError(f"{path}: line {line} has {len(row)} values for {len(header)} columns")
-        named.append((f"line {line}", dict(zip(header, row, strict=True))))
+    header: list[str] = []
+    try:
+        for row in table:
+            line = first + table.line_num
+            if not row:
+                continue
+            if not header:
+                header = _header(path, line, row)
+            elif len(row) != len(header):
+                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns")
+            else:
+                used = ((name, value) for name, value in zip(header, row, strict=True) if name in COLUMNS)
+                named.append((f"line {line}", dict(used)))
+            if len(named) > MOST_POINTS:
+                raise FileError(path, f"line {line}: more than the {MOST_POINTS} points that a schedule may have")
+    except csv.Error as error:
+        raise FileError(path, f"line {first + table.line_num}: not CSV: {error}") from error
+    if not header:
+        raise FileError(path, "empty: a header and at least one row are needed")
     return interpolation, named or [("header", dict.fromkeys(header))]
 
 
-def _from_toml(path: Path, text: str) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: not a TOML file: {error}") from error
-    unknown = set(data) - {"interpolation", "points"}
+def _header(path: Path, line: int, row: list[str]) -> list[str]:
+    header = [name.strip() for name in row]
+    if len(header) > MOST_COLUMNS:
+        raise FileError(path, f"line {line}: {len(header)} columns are more than {MOST_COLUMNS}")
+    for name in header:
+        if header.count(name) > 1:
+            raise FileError(path, f"column {name!r} appears {header.count(name)} times in the header")
+    _check_columns(path, header)
+    return header
+
+
+def _from_toml(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
+    data = read_toml(path)
+    unknown = sorted(set(data) - {"interpolation", "points"})
     if unknown:
-        raise ValueError(f"{path}: unknown key {sorted(unknown)[0]!r}; accepted are interpolation, points")
+        raise FileError(path, f"unknown key {unknown[0]!r}; accepted are interpolation, points")
     points = data.get("points")
     if not isinstance(points, list) or not points or not all(isinstance(point, dict) for point in points):
-        raise ValueError(f"{path}: points must be a list of tables, at least one")
+        raise FileError(path, "points must be a list of tables, at least one")
+    _check_columns(path, points[0])
     return str(data.get("interpolation", "linear")), [(f"point {k}", point) for k, point in enumerate(points, start=1)]
+
+
+def _check_columns(path: Path, columns: Iterable[str]) -> None:
+    found = set(columns)
+    told = ", ".join(sorted(found)) or "none"
+    if sum(name in found for name in POSITIONS) != 1:
+        raise FileError(path, f"exactly one of the columns {', '.join(POSITIONS)} is needed; found: {told}")
+    for name in (FEED, AIR):
+        if name not in found:
+            raise FileError(path, f"the column {name} is missing; found: {told}")
 
 
 def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[str, Mapping[str, Any]]]) -> Schedule:
     rows = list(rows)
-    columns = set(rows[0][1])
-    positions = [name for name in POSITIONS if name in columns]
-    if len(positions) != 1:
-        found = ", ".join(sorted(columns)) or "none"
-        raise ValueError(f"{path}: exactly one of the columns {', '.join(POSITIONS)} is needed; found: {found}")
-    for name in (FEED, AIR):
-        if name not in columns:
-            raise ValueError(f"{path}: the column {name} is missing; found: {', '.join(sorted(columns))}")
     if rows[0][0] == "header":
-        raise ValueError(f"{path}: no rows: at least one is needed")
-    column = positions[0]
+        raise FileError(path, "no rows: at least one is needed")
+    column = next(name for name in POSITIONS if name in rows[0][1])
     over, most, unit = POSITIONS[column]
     values: dict[str, list[float]] = {column: [], FEED: [], AIR: []}
     for place, row in rows:
@@ -144,13 +159,13 @@ def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[st
             low, high, its_unit = RANGES.get(name, (0.0, most, unit))
             value = _number(path, place, name, row.get(name))
             if not low <= value <= high:
-                raise ValueError(
-                    f"{path}: {place}, {name} = {value!r} is outside the accepted range {low:g} to {high:g} {its_unit}"
+                raise FileError(
+                    path, f"{place}, {name} = {value!r} is outside the accepted range {low:g} to {high:g} {its_unit}"
                 )
             values[name].append(value)
         if len(values[column]) > 1 and values[column][-1] <= values[column][-2]:
             before, now = values[column][-2:]
-            raise ValueError(f"{path}: {place}, {column} = {now!r} must be greater than {before!r} before it")
+            raise FileError(path, f"{place}, {column} = {now!r} must be greater than {before!r} before it")
     air = tuple(value / 3600.0 for value in values[AIR])
     return Schedule(over, interpolation, tuple(values[column]), tuple(values[FEED]), air)
 
@@ -160,8 +175,8 @@ def _number(path: Path, place: str, name: str, given: Any) -> float:
         if given is None or isinstance(given, bool):
             raise ValueError
         value = float(given)
-    except (TypeError, ValueError):
-        raise ValueError(f"{path}: {place}, {name} = {given!r} is not a number") from None
+    except (TypeError, ValueError, OverflowError):
+        raise FileError(path, f"{place}, {name} = {reprlib.repr(given)} is not a number") from None
     if not math.isfinite(value):
-        raise ValueError(f"{path}: {place}, {name} = {given!r} is not finite")
+        raise FileError(path, f"{place}, {name} = {given!r} is not finite")
     return value

@@ -1,7 +1,51 @@
-"""Which tests run when nothing is said."""
+"""Seeds that a run can shift, rounding of another processor, and what is left out unless asked for or installed."""
+
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from probe_env import Simulator
+
+NUDGE = 1e-15
+"""[m], far below what a float sinks into a wall: after a step it is a change of the last digits."""
+AGENT_LIBRARIES = frozenset({"torch", "stable_baselines3", "sb3_contrib"})
+
+Seeds = Callable[[int], Sequence[int]]
 
 
-def pytest_collection_modifyitems(config, items):
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--shift-seeds", type=int, default=0, metavar="N",
+        help="statistical tests draw the N-th other set of seeds, and runs begin with other last digits",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def seeds(request: pytest.FixtureRequest) -> Seeds:
+    """So many seeds: none that a stored result used, and others under every ``--shift-seeds``."""
+    first = 10_000 * (1 + request.config.getoption("--shift-seeds"))
+    return lambda count: range(first, first + count)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def rounding_of_another_processor(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Under ``--shift-seeds`` every probe starts a femtometre off, as if the first step had been rounded otherwise."""
+    shift = request.config.getoption("--shift-seeds")
+    with pytest.MonkeyPatch.context() as patch:
+        if shift:
+            reset = Simulator.reset
+
+            def nudged(self: Simulator) -> None:
+                reset(self)
+                self.state.d[: self.root, 1] += NUDGE * np.random.default_rng(shift).normal(size=self.root)
+
+            patch.setattr(Simulator, "reset", nudged)
+        yield
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """``boundscheck`` compiles every kernel anew, minutes of it: only with its file or ``-m boundscheck``."""
     if config.option.markexpr or any("test_bounds" in str(argument) for argument in config.args):
         return
@@ -9,3 +53,28 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in left_out]
+
+
+if find_spec("torch") is None:  # the physics and the environments are tested all the same
+
+    def pytest_report_header() -> str:
+        return "torch is not installed: tests that need it or an agent library are skipped"
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+        """A file that imports what is missing is skipped."""
+        report = yield
+        if report.failed and any(f"No module named '{name}" in str(report.longrepr) for name in AGENT_LIBRARIES):
+            report.outcome = "skipped"
+            report.longrepr = (str(collector.path), 0, "Skipped: torch is not installed")
+        return report
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call() -> Iterator[None]:
+        """So is a test that comes to need it."""
+        try:
+            return (yield)
+        except ModuleNotFoundError as error:
+            if (error.name or "").split(".")[0] in AGENT_LIBRARIES:
+                pytest.skip("torch is not installed")
+            raise

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scatter import hits_within
 
 from agents.agent_results import (
     difference,
@@ -43,15 +44,20 @@ def test_interquartile_mean_over_seeds_leaves_an_outlier_out():
     assert interval.low < interval.mean < interval.high
 
 
-def test_the_interval_covers_the_true_mean_as_often_as_it_says():
-    """Independent normal seeds and contexts: 95 % intervals of 60 tables hold the truth in 85 to 100 % of them."""
-    rng, held = np.random.default_rng(0), 0
+@pytest.mark.processor
+def test_the_interval_covers_the_true_mean_as_often_as_it_says(seeds):
+    """Independent normal seeds and contexts: 95 % intervals of 300 tables held the truth in 94 +- 1.4 %.
+
+    Of 60, at least 46 must, but for a chance of 1e-4: a coverage of 77 % is noticed half of the time.
+    """
+    rng, held = np.random.default_rng(seeds(1)), 0
     for _ in range(60):
         contexts = rng.normal(size=24)
         table = table_of({f"a@{k}": contexts + rng.normal(scale=0.5, size=24) for k in range(8)})
         interval = over_seeds(table, "a", "reward")
         held += interval.low <= 0.0 <= interval.high
-    assert 51 <= held <= 60
+    least, most = hits_within(60, 0.92, 0.96)
+    assert least <= held <= most
 
 
 def test_share_of_the_gain_and_relative_changes():
@@ -85,6 +91,7 @@ def test_curves_and_throughput(tmp_path):
         folder = tmp_path / f"seed-{seed}"
         folder.mkdir()
         rows = {"seed": seed, "phase": [0, 1], "steps": [0, 1000], "wall_s": [20.0, 20.0], "kernel_s": [15.0, 17.0]}
+        rows |= {"reward": -1.0, "inspection_time_s": 300.0, "share_within_limit": 0.9}
         pd.DataFrame(rows | {"validation_s": [10.0, 10.0]}).to_csv(folder / "learning.csv", index=False)
     curves = load_curves(tmp_path)
     assert len(curves) == 4

@@ -6,20 +6,20 @@ import numpy as np
 import pandas as pd
 import pytest
 from chains import bent, matrices, plain_chain
+from scatter import CHANCE, hits_within, reach
 from scipy.linalg import expm
 from scipy.stats import linregress
 
 from agents.chart import closed_forms, ensembles, errors, insertions, smooth
 from agents.chart.chains import LAPACK
-from agents.chart.ensembles import Setting, run_ensembles, run_setting
+from agents.chart.ensembles import Setting, open_store, run_ensembles, run_setting
 from agents.chart.figures import RESOLVED, resolved
 from agents.chart.report import draw_chart
-from agents.chart.store import Store
-from agents.provenance import kernel_hash
+from agents.store import stored_rows
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "results" / "chart"
-SMOOTH = pd.read_csv(FOLDER / "smooth.csv")
+SMOOTH = stored_rows(FOLDER / "smooth.csv")
 
 
 def test_modal_closed_form_equals_the_matrix_exponential():
@@ -71,10 +71,12 @@ def test_the_references_agree_to_a_tenth_of_the_smallest_error_shown():
     assert difference <= shown.min() / RESOLVED
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize(
     ("scene", "method", "time_step"),
     [
         ("linear", "newmark", 1e-4),
+        ("linear", "newmark", 5e-4),
         ("step-load", "imex", 1e-4),
         ("impact", "implicit", 5e-5),
         ("linear", "explicit", 1e-4),
@@ -89,7 +91,13 @@ def test_stored_errors_are_found_again(scene, method, time_step):
         return
     assert case.exact is not None
     truth = case.exact(case.sample_period * np.arange(1, len(signal) + 1))
-    assert np.abs(signal - truth).max() / np.abs(truth).max() == pytest.approx(row["error"].iloc[0], rel=1e-3)
+    error = np.abs(signal - truth).max() / np.abs(truth).max()
+    # 0.1 % of what the method is off, and rounding: a displacement's last digit is 4 eps / dt^2 in the acceleration of
+    # a step, which n steps sum twice, for every node that a sweep passes: 5 % of the least error here
+    steps = case.duration / time_step
+    rounding = 4.0 * steps**2 * np.finfo(float).eps * case.chain.node_count
+    assert error == pytest.approx(row["error"].iloc[0], rel=1e-3, abs=rounding)
+    assert rounding < 0.1 * row["error"].iloc[0]
     assert sweeps == pytest.approx(row["sweeps"].iloc[0])
 
 
@@ -101,27 +109,40 @@ def test_lapack_gives_newmark_s_errors_at_a_higher_price():
     assert (table["cpu_s"][LAPACK] > 2.0 * table["cpu_s"]["newmark"]).all()
 
 
+@pytest.mark.processor
 def test_stored_members_are_found_again():
-    """Four members of a stored ensemble in a smaller batch; rounding of another processor grows in contact chatter."""
+    """Four members of a stored ensemble in a smaller batch; rounding of another processor grows in contact chatter.
+
+    So a member is another draw, of the relative deviations that the 32 stored members have. A tenth of an rms is
+    noticed, and any change of a mean.
+    """
     setting = Setting(time_step=2.5e-4, length=10.0, members=4)
     again = pd.DataFrame(run_setting(setting))
-    stored = pd.read_csv(FOLDER / "ensembles.csv")
+    stored = stored_rows(FOLDER / "ensembles.csv")
     stored = stored[(stored[list(setting.key)] == list(setting.key.values())).all(axis=1) & (stored["member"] < 4)]
-    for name, margin in (("axial_mean_m", 0.01), ("tension_mean_n", 0.01), ("radial_rms_m", 0.1), ("axial_rms_m", 0.1)):
-        assert np.allclose(again[name], stored[name], rtol=margin)
+    deviations = {"axial_mean_m": 1e-4, "tension_mean_n": 5e-5, "radial_rms_m": 0.018, "axial_rms_m": 0.017}
+    for name, deviation in deviations.items():
+        chance = reach((deviation, 1), (deviation, 1), chance=CHANCE / 16)  # four members, four names
+        assert np.allclose(again[name], stored[name], rtol=chance)
 
 
-def test_ratio_intervals_cover_and_equal_the_normal_ones():
-    """Means of 24 against 24, scatter 10 %: the interval is near mean +- 1.96 standard errors, and covers."""
-    rng = np.random.default_rng(0)
-    covered, trials = 0, 60
+@pytest.mark.processor
+def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
+    """Means of 24 against 24, scatter 10 %: the interval is near mean +- 1.96 standard errors, and covers.
+
+    Of 600 intervals 93 % covered, and their widths were 0.95 to 1.05 times the normal ones, +- 0.018. 80 notice
+    a coverage of 78 % half of the time.
+    """
+    rng = np.random.default_rng(seeds(1))
+    covered, trials = 0, 80
     for _ in range(trials):
         first, second = rng.normal(1.2, 0.12, 24), rng.normal(1.0, 0.1, 24)
         ratio, low, high = errors.ratio_interval(first, second)
         half = 1.96 * ratio * np.sqrt(np.var(first) / 24 / 1.44 + np.var(second) / 24)
-        assert high - low == pytest.approx(2.0 * half, rel=0.25)
+        assert high - low == pytest.approx(2.0 * half, rel=6.0 * 0.018)  # 80 times a chance of 2e-9, and some skewness
         covered += low <= 1.2 <= high
-    assert covered >= 0.87 * trials
+    least, most = hits_within(trials, 0.92, 0.96)
+    assert least <= covered <= most
 
 
 def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
@@ -148,31 +169,22 @@ def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
     assert len(ran) == 3  # no short decimal tells a seventh of a millisecond, and it is found again
 
 
-def test_rows_of_other_kernels_are_dropped(tmp_path):
-    store = Store(tmp_path / "rows.csv", ("method", "k"))
-    store.add({"method": "imex", "k": 1, "value": 2.0}, {"method": "newmark", "k": 1, "value": 3.0})
-    text = (tmp_path / "rows.csv").read_text()
-    (tmp_path / "rows.csv").write_text(text.replace(kernel_hash("imex"), "of-an-older-one"))
-    again = Store(tmp_path / "rows.csv", ("method", "k"))
-    assert not again.has("imex", 1)
-    assert again.has("newmark", 1)
-
-
 def test_the_figures_and_tables_come_from_the_stored_runs(tmp_path, monkeypatch):
     """What `make chart` draws without running anything; the shipped table of "auto" is that of the stored runs."""
     monkeypatch.chdir(ROOT)
     for name in ("smooth", "ensembles", "insertions", "costs"):
         (tmp_path / f"{name}.csv").write_text((FOLDER / f"{name}.csv").read_text())
-    draw_chart(tmp_path)
+    draw_chart(tmp_path, tmp_path / "measured_errors.csv")
     assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in ("smooth", "chaos", "model"))
-    for name in ("errors.csv", "insertion-errors.csv", "measured_errors.csv"):
+    for name in ("errors.csv", "insertion-errors.csv"):
         assert (tmp_path / name).read_text() == (FOLDER / name).read_text()
-    assert (tmp_path / "measured_errors.csv").read_text() == (ROOT / "probe_env" / "measured_errors.csv").read_text()
+    shipped = ROOT / "probe_env" / "data" / "measured_errors.csv"
+    assert (tmp_path / "measured_errors.csv").read_text() == shipped.read_text()
 
 
 def test_every_setting_of_the_chart_is_stored():
     constant, inserted = (pd.read_csv(FOLDER / name) for name in ("errors.csv", "insertion-errors.csv"))
-    store = Store(FOLDER / "ensembles.csv", (*Setting().key, "member"))
+    store = open_store(FOLDER)
     for setting in (*ensembles.step_settings(), *ensembles.model_settings()):
         assert store.has(*setting.key.values(), setting.members - 1)
     assert len(inserted) == 2 * len(insertions.INSERTIONS)

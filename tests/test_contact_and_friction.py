@@ -1,6 +1,7 @@
 """Contact pushes only on contact; friction is mu N against the sliding of the step before."""
 
 import numpy as np
+import pytest
 from chains import plain_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -76,8 +77,13 @@ def lagging_shares(time_step, duration=0.3):
     return adhesive / touching, driving / touching
 
 
+@pytest.mark.processor
 def test_what_lags_falls_with_the_time_step():
-    """Measured at l = 10 m: adhesive 0.56, 0.24, 0.11 %, friction along the slide 0.004, 0.003, 0.002 % of contacts."""
+    """Measured at l = 10 m: adhesive 0.59, 0.26, 0.12 %, friction along the slide 0.004, 0.003, 0.002 % of contacts.
+
+    Of eight starts that differ by 1e-15 m the former scatter by 3 %, the latter by 0.2 %: from one step to the next
+    it is 20 of these and more.
+    """
     shares = np.array([lagging_shares(dt) for dt in (2e-4, 1e-4, 5e-5)])
     assert (np.diff(shares, axis=0) < 0.0).all()
     assert (shares[1] < 0.03).all()

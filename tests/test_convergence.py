@@ -1,4 +1,7 @@
-"""Order of the study's scheme: two where it is linear and starts smoothly, one as printed."""
+"""Order of the study's scheme: two where it is linear and starts smoothly, one as printed.
+
+In contact, with the other methods: test_fast_methods.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +9,7 @@ from chains import bent, integrate, matrices, plain_chain
 from scipy.linalg import eigh, expm
 from scipy.stats import linregress
 
-from probe_env import Scene, Simulator, schemes
+from probe_env import Scene, schemes
 from probe_env.chain import air_speed, build_chain
 
 SCHEMES = pytest.mark.parametrize("scheme", [schemes.newmark, schemes.wilson])
@@ -50,9 +53,9 @@ def test_order_two_on_the_linear_chain_with_a_consistent_start(scheme):
 
 @SCHEMES
 def test_order_one_with_the_printed_start_of_zero_acceleration(scheme):
-    time_steps = (4e-4, 2e-4, 1e-4, 5e-5)
+    time_steps = (1e-4, 5e-5, 2.5e-5, 1.25e-5)  # what is of order two in it is 11 % of the slope at 4e-4 s
     errors = linear_errors(scheme, time_steps, consistent_start=False)
-    assert order(time_steps, errors)[0] == pytest.approx(1.0, abs=0.15)
+    assert order(time_steps, errors)[0] == pytest.approx(1.0, abs=0.1)
 
 
 @SCHEMES
@@ -71,18 +74,3 @@ def test_order_one_on_the_full_scene_before_contact(scheme):
     time_steps = (2e-4, 1e-4, 5e-5, 2.5e-5)
     errors = [np.abs(shape(dt) - reference).max() / np.abs(reference).max() for dt in time_steps]
     assert order(time_steps, errors)[0] == pytest.approx(1.0, abs=0.1)
-
-
-def test_in_contact_before_chaos_the_sensor_converges():
-    """l = 10 m, 0.1 s, four halvings: slope 1.4 +- 0.1 (measured); by 0.2 s chatter decides below 6 um."""
-
-    def sensor(dt):
-        return Simulator(Scene(carrier_length=10.0), "newmark", dt).run(0.1, 1e-3, ("sensor",)).axial[:, 0]
-
-    reference = sensor(3.125e-6)
-    time_steps = (2e-4, 1e-4, 5e-5, 2.5e-5, 1.25e-5)
-    errors = [np.abs(sensor(dt) - reference).max() for dt in time_steps]
-    slope, scatter = order(time_steps, errors)
-    assert slope - 2.0 * scatter > 0.8, f"slope {slope:.2f} +- {scatter:.2f}"
-    assert slope + 2.0 * scatter < 2.2, f"slope {slope:.2f} +- {scatter:.2f}"
-    assert errors[1] < 0.01 * np.abs(reference).max()

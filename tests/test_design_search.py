@@ -1,12 +1,11 @@
 """Design search and comparison: known optimum, same seed same front, killed equals never killed, pairing."""
 
-import multiprocessing
-import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from kills import killed_at
 
 from agents.cli import main
 from agents.design_compare import Comparison, compare, print_comparison, summarise
@@ -39,6 +38,7 @@ def whole(tmp_path_factory):
 
 
 def test_a_known_front_is_found(tmp_path):
+    """Of five seeds 23 to 28 designs, within 0.003, over 8.1 to 8.8 m; this one is the same on every machine."""
     table = run(tmp_path, 160, population=16)
     front = table[table["on_front"] & (table["trial"] >= 80)]
     assert len(front) >= 10
@@ -52,15 +52,6 @@ def test_the_same_seed_gives_the_same_front_and_another_does_not(tmp_path, whole
         (tmp_path / name).mkdir()
     assert whole.equals(run(tmp_path / "a", 30))
     assert not whole.equals(run(tmp_path / "b", 30, seed=1))
-
-
-def slow(point):
-    time.sleep(0.01)
-    return closed_form(point)
-
-
-def _killed(path):
-    run(path, 30, value=slow)
 
 
 @pytest.mark.parametrize("number", [0, 3, 7, 8, 9, 15, 16, 17, 24])
@@ -79,18 +70,12 @@ def test_broken_off_in_any_trial_equals_never_broken_off(number, tmp_path, whole
     assert run(tmp_path, 30).equals(whole)
 
 
-def test_killed_ten_times_equals_never_killed(tmp_path, whole):
-    rng, kills = np.random.default_rng(0), 0
-    for _ in range(200):
-        process = multiprocessing.get_context("fork").Process(target=_killed, args=(tmp_path,))
-        process.start()
-        process.join(rng.uniform(0.05, 0.5) if kills < 10 else None)
-        if process.exitcode == 0:
-            break
+def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path, whole):
+    """Each run is killed in its second trial, by turns asked and judged but not yet told, and just told."""
+    kills = 0
+    while killed_at("optuna.study.Study.tell", 2, run, tmp_path, 30, after=kills % 2 == 1):
         kills += 1
-        process.kill()
-        process.join()
-    assert kills >= 5
+    assert kills == 20  # by turns one and two more of 30 trials are told
     assert run(tmp_path, 30).equals(whole)
 
 

@@ -2,31 +2,36 @@
 
 import copy
 import pickle
-import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, RecordVideo, TimeLimit
-from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import probe_env
-from probe_env.contexts import FILE, SPLIT_SIZES, load_contexts, make_file
 
 IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v0", "probe_env/Snapshot-v0"])
 SHORT = {"probe_env/Insertion-v0": {"fidelity": "fast"}, "probe_env/Snapshot-v0": {}}
 
 
-@IDS
-@pytest.mark.parametrize(
+VARIANTS = pytest.mark.parametrize(
     "variant", [{}, {"observe_root_tension": False}, {"privileged": True}, {"observe_probe": True}]
 )
-def test_both_checkers_find_nothing(env_id, variant):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make(env_id, config=variant, render_mode="rgb_array").unwrapped)
-        sb3_check_env(gym.make(env_id, config=variant).unwrapped)
+
+
+@IDS
+@VARIANTS
+def test_gymnasium_s_checker_finds_nothing(env_id, variant):
+    check_env(gym.make(env_id, config=variant, render_mode="rgb_array").unwrapped)
+
+
+@IDS
+@VARIANTS
+def test_sb3_s_checker_finds_nothing(env_id, variant):
+    from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+    sb3_check_env(gym.make(env_id, config=variant).unwrapped)
 
 
 @IDS
@@ -47,7 +52,7 @@ def test_a_copy_goes_on_bit_for_bit(env_id, duplicate):
 @IDS
 def test_wrappers_work(env_id, tmp_path):
     env = gym.make(env_id, render_mode="rgb_array", **SHORT[env_id])
-    env = RecordVideo(env, str(tmp_path), disable_logger=True)
+    env = RecordVideo(env, str(tmp_path / "films"), disable_logger=True)  # a folder that is not there yet
     env = RecordEpisodeStatistics(TimeLimit(FlattenObservation(env), 3))
     env.reset(seed=1)
     for _ in range(3):
@@ -55,7 +60,7 @@ def test_wrappers_work(env_id, tmp_path):
     env.close()
     assert truncated
     assert info["episode"]["l"] == 3
-    assert list(tmp_path.glob("*.mp4"))
+    assert list(tmp_path.glob("films/*.mp4"))
 
 
 @IDS
@@ -134,17 +139,3 @@ def test_rendering_needs_no_display_and_shows_the_probe_moving():
     assert first.dtype == np.uint8
     assert (first != second).any()
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
-
-
-def test_shipped_contexts_are_what_made_them_and_lists_do_not_overlap(monkeypatch):
-    assert FILE.read_text() == make_file()
-    lists = {split: load_contexts(split) for split in SPLIT_SIZES}
-    assert {split: len(contexts) for split, contexts in lists.items()} == SPLIT_SIZES
-    every = [context for contexts in lists.values() for context in contexts]
-    assert len(set(every)) == len(every)
-    with pytest.raises(ValueError, match="split = 'exam'"):
-        load_contexts("exam")
-    load_contexts.cache_clear()
-    monkeypatch.setattr("probe_env.contexts.FILE_HASH", "0123")
-    with pytest.raises(ValueError, match="was changed"):
-        load_contexts("test")

@@ -5,10 +5,15 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from chains import plain_chain
-from scipy.stats import bootstrap, linregress
+from orders import observed_order
+from scatter import apart, deviation, reach
 
+from agents.chart.chains import run_chain
+from agents.chart.ensembles import Setting
+from agents.chart.smooth import cases
 from agents.claims import Ensemble
 from agents.study import load_rows
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch, StabilityWarning
@@ -18,7 +23,15 @@ from probe_env.single_precision import single_factors
 from probe_env.stability import explicit_time_step
 
 SHORT = Scene(carrier_length=10.0)
-STORED = Ensemble(load_rows(Path(__file__).parents[1] / "results" / "study"))
+RESULTS = Path(__file__).parents[1] / "results"
+STUDY = Ensemble(load_rows(RESULTS / "study"))
+CHART = pd.read_csv(RESULTS / "chart" / "ensembles.csv")
+
+
+def stored(length, method, time_step=2e-4):
+    """The 32 members that the chart has of a method on table 2's probe."""
+    key = Setting(method, time_step, length=float(length)).key
+    return CHART[(CHART[list(key)] == list(key.values())).all(axis=1)]
 
 
 def sensor(method, time_step, duration=0.1):
@@ -26,17 +39,48 @@ def sensor(method, time_step, duration=0.1):
     return run.axial[:, 0]
 
 
-def test_all_methods_converge_to_one_trajectory_before_chaos():
-    """l = 10 m, 0.1 s: the two finest references agree, and each method comes down to them at order one."""
-    reference = sensor("newmark", 3.125e-6)
-    scale = np.abs(reference).max()
-    assert np.abs(sensor("explicit", 2.5e-6) - reference).max() < 2e-3 * scale
-    time_steps = (2e-4, 1e-4, 5e-5, 2.5e-5, 1.25e-5)
-    errors = [np.abs(sensor("imex", dt) - reference).max() / scale for dt in time_steps]
-    fit = linregress(np.log(time_steps), np.log(errors))
-    assert 0.7 < fit.slope < 2.2, f"slope {fit.slope:.2f} +- {fit.stderr:.2f}, errors {errors}"
-    assert errors[0] < 0.05
-    assert errors[-1] < 5e-3
+LIMITS = {
+    "newmark": (1e-4, 5e-5, 2.5e-5, 1.25e-5, 6.25e-6),
+    "wilson": (1e-4, 5e-5, 2.5e-5, 1.25e-5, 6.25e-6),
+    "imex": (1e-4, 5e-5, 2.5e-5, 1.25e-5, 6.25e-6),
+    "explicit": (5e-6, 2.5e-6, 1.25e-6),
+    "implicit": (1.25e-5, 6.25e-6, 3.125e-6, 1.5625e-6),
+}
+ORDERS = {"newmark": 1.0, "wilson": 1.0, "imex": 1.0, "explicit": 1.0, "implicit": 2.0}
+
+
+def test_all_methods_converge_to_one_trajectory_at_their_order_before_chaos():
+    """l = 10 m, 0.05 s: all floats touch, half of them let go again, and the order is what the schemes have there.
+
+    One: Newmark and Wilson start with a = 0 as printed and take flag and sign of friction from the step before; imex
+    has contact, friction and drag in its kick; explicit starts its velocities half a step off. Two for implicit, which
+    iterates contact and friction, below the damping time of 5e-5 s. The slopes are asymptotic within 0.03 (implicit
+    0.09) and the same to three digits from starts that differ by 1e-12 m, so 0.15 leaves room for no chance and for no
+    other order. Two methods are apart by no more than the errors that their own differences leave at the last step,
+    but for a tenth that the orders' departure from whole numbers may be worth.
+    """
+    ends = {}
+    for method, time_steps in LIMITS.items():
+        order, left, signal = observed_order(lambda dt, m=method: sensor(m, dt, 0.05), time_steps)
+        assert order == pytest.approx(ORDERS[method], abs=0.15), method
+        ends[method] = (signal, left)
+    assert max(left for _, left in ends.values()) < 1e-3
+    for (one, (first, left)), (other, (second, rest)) in itertools.combinations(ends.items(), 2):
+        assert np.abs(first - second).max() <= 1.1 * (left + rest) * np.abs(second).max(), (one, other)
+
+
+@pytest.mark.parametrize("method", ["imex", "implicit"])
+def test_order_two_in_the_linear_part(method):
+    """The theta rule on a smooth linear chain: below the damping time, where theta has come down to one half."""
+    case = cases()["linear"]
+
+    def shape(dt):
+        steps, every = round(0.02 / dt), round(1e-3 / dt)
+        return run_chain(method, case.chain, dt, case.start(method, dt), steps, every).samples[:, case.point[1]]
+
+    order, left, _ = observed_order(shape, (1e-5, 5e-6, 2.5e-6, 1.25e-6))
+    assert order == pytest.approx(2.0, abs=0.1)
+    assert left < 1e-7
 
 
 def test_single_precision_refuses_the_steps_at_which_its_rounding_shows():
@@ -171,95 +215,118 @@ def test_a_hard_slow_start_does_not_feed_itself(method):
         {"carrier_length": 30.0, "feed_speed": 0.05, "air_supply_rate": 130 / 3600, "contact": {"friction": 0.25}}
     )
     run = Simulator(scene, method, 2e-4).run(4.0, points=("root",))
+    # of 32 members the largest tension was 14.0 to 15.6 N, and the mean 11.56 N +- 0.06 %, Newmark's 11.70 N: what the
+    # step costs is 1.2 %, and twice that leaves chance no part
     assert run.tension.max() < 20.0
-    assert run.tension[run.time > 2.0, 0].mean() == pytest.approx(11.8, rel=0.05)
+    assert run.tension[run.time > 2.0, 0].mean() == pytest.approx(11.70, rel=0.025)
 
 
-@pytest.fixture(scope="module", params=itertools.product((30, 50), ("imex", "imex32")), ids=str)
-def ensembles(request):
-    """Eight runs in lanes and the stored Newmark runs of the same scene, from 2 to 8 s."""
+CHAOS = list(itertools.product((30, 50), ("imex", "imex32")))
+
+
+@pytest.fixture(scope="module", params=CHAOS, ids=str)
+def fresh(request, seeds):
+    """Sixteen runs in lanes, from 2 to 8 s, at the step of ``standard``."""
     length, method = request.param
-    batch = SimulatorBatch([Scene(carrier_length=float(length))] * 8, method, 2e-4, perturbation=1e-7)
+    scenes = [Scene(carrier_length=float(length))] * 16
+    batch = SimulatorBatch(scenes, method, 2e-4, perturbation=1e-7, seeds=seeds(16))
     batch.advance(None, None, 2.0)
-    return length, batch.advance(None, None, 6.0).statistics
+    return length, method, batch.advance(None, None, 6.0).statistics
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize(
-    ("statistic", "margin"),
-    [("radial_rms_m", 0.35), ("radial_p99_m", 0.4), ("axial_rms_m", 0.15), ("lift_off_share", 0.05)],
-)
-def test_imex_has_newmark_s_statistics_in_chaos(ensembles, statistic, margin):
-    """Equivalence: the 95 % bootstrap interval of the ratio of means lies within the margin about one.
+    "statistic",
+    [
+        "radial_rms_m", "radial_p99_m", "axial_rms_m", "lift_off_share", "radial_acceleration_rms_m_per_s2",
+        "axial_mean_m", "tension_mean_n",
+    ],
+)  # fmt: skip
+def test_another_processor_has_the_stored_statistics_in_chaos(fresh, statistic):
+    """16 fresh members against the 32 that are stored of the same setting: equal truths, so the bound is chance alone.
 
-    The margins are what eight against eight runs can show, twice their scatter (5 % axial, 15 % radial).
+    A mean of radial rms may be 18 % off at 30 m, one of axial rms 4 %, of acceleration 8 %, of tension 0.006 %.
     """
-    length, statistics = ensembles
-    newmark = STORED.values(f"l{length}", statistic)
+    length, method, statistics = fresh
+    own = deviation(statistic, length)
+    reached = apart(statistics[statistic], stored(length, method)[statistic].to_numpy())
+    assert abs(reached) <= reach((own, 16), (own, 32))
+
+
+def of_newmark(length, statistic):
+    """Stored members of the study's scheme; its table calls the tension by another name."""
+    return STUDY.values(f"l{length}", {"tension_mean_n": "root_tension_mean_n"}.get(statistic, statistic))
+
+
+BIAS = {
+    "radial_rms_m": (-0.1, 0.0),
+    "radial_p99_m": (-0.1, 0.0),
+    "axial_rms_m": (0.0, 0.0),
+    "lift_off_share": (-0.01, 0.0),
+    "radial_acceleration_rms_m_per_s2": (-0.1, -0.03),
+    "axial_mean_m": (0.0, 0.12),
+    "tension_mean_n": (0.0, 5e-4),
+}
+"""Least and most logarithm of the ratio to Newmark's mean that is known of imex at 2e-4 s: radial vibration up to a
+tenth less at 50 m, acceleration (1 kHz) 3 to 10 % less, axial mean up to 12 % more, tension 0.05 % more."""
+
+
+@pytest.mark.parametrize(("length", "method"), CHAOS)
+@pytest.mark.parametrize("statistic", BIAS)
+def test_imex_has_newmark_s_statistics_in_chaos(length, method, statistic):
+    """Stored against stored, 32 members against 8: beyond the known bias nothing but chance.
+
+    With 8 members of Newmark, chance is 23 % in radial rms and 30 % in its 99th percentile, 5 to 12 % in axial rms, 3
+    to 5 % in the share of lift-off, 10 % in acceleration: a shift so large shows half of the time.
+    """
+    own = deviation(statistic, length)
+    newmark = of_newmark(length, statistic)
     assert len(newmark) >= 8
-
-    def ratio(first, second, axis=-1):
-        return first.mean(axis=axis) / second.mean(axis=axis)
-
-    interval = bootstrap((statistics[statistic], newmark), ratio, rng=np.random.default_rng(0)).confidence_interval
-    assert 1.0 - margin < interval.low
-    assert interval.high < 1.0 + margin
+    found = apart(stored(length, method)[statistic].to_numpy(), newmark)
+    chance = reach((own, 32), (own, len(newmark)))
+    low, high = BIAS[statistic]
+    assert low - chance <= found <= high + chance
 
 
 @pytest.mark.parametrize("length", [30, 50])
 @pytest.mark.parametrize(
-    ("method", "statistic", "margin"),
+    ("method", "statistic", "bias"),
     [
-        ("explicit", "radial_rms_m", 0.35),
-        ("explicit", "radial_p99_m", 0.35),
-        ("explicit", "axial_rms_m", 0.15),
-        ("explicit", "lift_off_share", 0.05),
-        ("implicit", "radial_rms_m", 0.4),  # 20 % low at 30 m, 9 % at 50 m with 2.5e-5 s
-        ("implicit", "axial_rms_m", 0.2),
-        ("implicit", "lift_off_share", 0.15),
+        ("explicit", "radial_rms_m", 0.0),
+        ("explicit", "radial_p99_m", 0.0),
+        ("explicit", "axial_rms_m", 0.0),
+        ("explicit", "lift_off_share", 0.0),
+        ("implicit", "radial_rms_m", -0.15),  # its step of 2.5e-5 s damps: 20 % less at 30 m, 9 % at 50 m
+        ("implicit", "axial_rms_m", -0.09),
+        ("implicit", "lift_off_share", -0.06),
     ],
 )
-def test_explicit_and_implicit_have_newmark_s_statistics(length, method, statistic, margin):
-    """Stored ensembles, eight runs against eight: the interval of the ratio of means lies within the margin."""
-    first = STORED.values(f"l{length}-{method}", statistic)
-    second = STORED.values(f"l{length}", statistic)
+def test_explicit_and_implicit_have_newmark_s_statistics(length, method, statistic, bias):
+    """Stored ensembles, eight runs against eight, beyond the known bias nothing but chance: 29 % in radial rms."""
+    first, second = STUDY.values(f"l{length}-{method}", statistic), of_newmark(length, statistic)
     assert min(len(first), len(second)) >= 8
-
-    def ratio(a, b, axis=-1):
-        return a.mean(axis=axis) / b.mean(axis=axis)
-
-    interval = bootstrap((first, second), ratio, rng=np.random.default_rng(0)).confidence_interval
-    assert 1.0 - margin < interval.low
-    assert interval.high < 1.0 + margin
+    own = deviation(statistic, length)
+    assert abs(apart(first, second) - bias) <= reach((own, len(first)), (own, len(second)))
 
 
-def test_single_precision_has_the_statistics_of_double_in_chaos():
-    """Equivalence at 2.5e-4 s, l = 50 m, 48 fresh runs each: the 95 % interval of the ratio of means is within 15 %."""
+@pytest.mark.processor
+def test_single_precision_has_the_statistics_of_double_in_chaos(seeds):
+    """At 2.5e-4 s, l = 50 m, 48 fresh runs each, radial rms: 0.336 and 0.333 mm of 96 each, a member +- 13.7 %.
+
+    Chance is 12.5 %: a difference of that size is noticed half of the time.
+    """
     rms = {}
     for method in ("imex", "imex32"):
-        batch = SimulatorBatch([Scene()] * 48, method, 2.5e-4, seeds=range(1000, 1048), perturbation=1e-7)
+        batch = SimulatorBatch([Scene()] * 48, method, 2.5e-4, seeds=seeds(48), perturbation=1e-7)
         batch.advance(None, None, 2.0)
         rms[method] = batch.advance(None, None, 6.0).statistics["radial_rms_m"]
-
-    def ratio(first, second, axis=-1):
-        return first.mean(axis=axis) / second.mean(axis=axis)
-
-    interval = bootstrap(tuple(rms.values()), ratio, rng=np.random.default_rng(0)).confidence_interval
-    assert 0.85 < interval.low < interval.high < 1.15
+    assert abs(apart(rms["imex32"], rms["imex"])) <= reach((0.137, 48), (0.137, 48))
 
 
-def test_what_the_step_of_imex_costs(ensembles):
-    """Known bias at 2e-4 s: acceleration (1 kHz) some 10 % low, axial mean 2 to 12 % high; tension within 1 %."""
-    length, statistics = ensembles
-    name = "radial_acceleration_rms_m_per_s2"
-    assert statistics[name].mean() == pytest.approx(STORED.mean(f"l{length}", name), rel=0.2)
-    assert statistics["axial_mean_m"].mean() == pytest.approx(STORED.mean(f"l{length}", "axial_mean_m"), rel=0.2)
-    tension = STORED.mean(f"l{length}", "root_tension_mean_n")
-    assert statistics["tension_mean_n"].mean() == pytest.approx(tension, rel=0.01)
-
-
-def constant_length(scene, extra_nodes, seeds):
+def constant_length(extra_nodes, seeds):
     """Radial rms of a probe that keeps its length, with the root some nodes further from the last float."""
-    batch = SimulatorBatch([scene] * len(seeds), growing=True, perturbation=1e-7, seeds=seeds)
+    scenes = [Scene(carrier_length=30.0)] * len(seeds)
+    batch = SimulatorBatch(scenes, growing=True, perturbation=1e-7, seeds=seeds)
     for simulator in batch.simulators:
         simulator.root += extra_nodes
         simulator.drive.growth = 0.0
@@ -267,16 +334,22 @@ def constant_length(scene, extra_nodes, seeds):
     return batch.advance(None, None, 5.0).statistics["radial_rms_m"]
 
 
-def test_an_insertion_and_constant_lengths_agree():
+@pytest.mark.processor
+def test_an_insertion_and_constant_lengths_agree(seeds):
     """Growing through 30 m of carrier and staying there, averaged over the places of the root between floats.
 
-    A root a whole pitch from the last float, as in the study's scenes, is the quiet case: 0.09 mm against
-    0.15 mm with one, two or three of four elements (0.10 and 0.18 mm with Newmark). A growing probe passes all.
+    A root a whole pitch from the last float, as in the study's scenes, is the quiet case: 0.093 mm against 0.139, 0.148
+    and 0.155 mm with one, two or three of four elements, all +- 14 % a member, and a growing probe, which passes all,
+    has 0.141 mm +- 10 % (32 fresh members each).
     """
-    growing = SimulatorBatch([Scene(carrier_length=28.0)] * 8, growing=True, perturbation=1e-7)
+    growing = SimulatorBatch([Scene(carrier_length=28.0)] * 16, growing=True, perturbation=1e-7, seeds=seeds(16))
     growing.advance(None, None, 5.0)
     inserted = growing.advance(None, None, 10.0).statistics["radial_rms_m"]  # 29 to 31 m
-    phases = [constant_length(Scene(carrier_length=30.0), k, range(4 * k, 4 * k + 4)) for k in range(4)]
-    assert min(phases[k].mean() for k in (1, 2, 3)) > 1.3 * phases[0].mean()
-    mixed = np.sqrt(np.mean(np.square(phases)))
-    assert np.sqrt(np.mean(inserted**2)) == pytest.approx(mixed, rel=0.2)
+    quiet, *others = (constant_length(k, seeds(8 * k + 8)[-8:]) for k in range(4))
+    # the truth is log(1.59) apart; chance is 26 %, and what is left tells a ratio of 1.22 from none
+    assert apart(np.concatenate(others), quiet) > np.log(1.59) - reach((0.14, 24), (0.14, 8))
+    mixed = np.square([quiet, *others]).mean(axis=1)
+    # 4 % apart in truth, as the length and the history of a growing probe are not quite the others': a tenth is
+    # allowed, and chance is another 16 %
+    found = 0.5 * (np.log(np.mean(inserted**2)) - np.log(mixed.mean()))
+    assert abs(found) <= np.log(1.1) + reach((0.1, 16), (0.14, 32))

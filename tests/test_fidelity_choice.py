@@ -6,8 +6,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from scatter import apart, reach
 
-from agents.chart.errors import ratio_interval
 from probe_env import Fidelity, Scene, SimulatorBatch
 from probe_env.fidelity import PRESETS
 from probe_env.fidelity_choice import MOST_TIME_LAPSE, choose_fidelity, measured, outputs, resolve_fidelity
@@ -102,7 +102,9 @@ def test_environments_take_auto():
 
 def test_the_table_is_whole():
     rows = list(
-        csv.DictReader((Path(__file__).parents[1] / "probe_env" / "measured_errors.csv").read_text().splitlines())
+        csv.DictReader(
+            (Path(__file__).parents[1] / "probe_env" / "data" / "measured_errors.csv").read_text().splitlines()
+        )
     )
     assert len(rows) == len(measured()) > 200
     assert all(row.error >= 0.0 and row.cost > 0.0 for row in measured())
@@ -114,37 +116,42 @@ UNSEEN = Scene.model_validate(
 )
 
 
-def confirmed(values, reference, error):
-    """Whether the ratio of means may be within the stated error, and is not far beyond it."""
-    ratio, low, high = ratio_interval(values, reference)
-    assert low <= 1.0 + error
-    assert high >= 1.0 - error
-    assert abs(ratio - 1.0) <= error + 0.5 * (high - low)
-
-
-def rms_at_constant_length(fidelity, members):
-    batch = SimulatorBatch([UNSEEN] * members, fidelity.method, fidelity.time_step, perturbation=1e-7)
+def rms_at_constant_length(fidelity, seeds):
+    scenes = [UNSEEN] * len(seeds)
+    batch = SimulatorBatch(scenes, fidelity.method, fidelity.time_step, perturbation=1e-7, seeds=seeds)
     batch.advance(None, None, 2.0)
     return batch.advance(None, None, 5.0).statistics["radial_rms_m"]
 
 
-def test_the_stated_error_of_standard_holds_on_an_unseen_scene():
-    """l = 40 m between the chart's lengths, another tube, friction and stiffness."""
+@pytest.mark.processor
+def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
+    """l = 40 m between the chart's lengths, another tube, friction and stiffness.
+
+    14 % are stated, of 32 fresh members each it was 9 % (a member +- 12 and 13 %). With 16 against 12 chance is another
+    21 %: an error of a third is noticed.
+    """
     error = max(stated(PRESETS["standard"], 30.0), stated(PRESETS["standard"], 50.0))
-    assert error < 0.25
-    confirmed(rms_at_constant_length(PRESETS["standard"], 16), rms_at_constant_length(PRESETS["reference"], 12), error)
+    assert error < 0.15
+    found = apart(*(rms_at_constant_length(PRESETS[n], seeds(k)) for n, k in (("standard", 16), ("reference", 12))))
+    assert abs(found) <= -np.log(1.0 - error) + reach((0.12, 16), (0.133, 12))
 
 
-def rms_of_insertion(fidelity, members):
+def rms_of_insertion(fidelity, seeds):
     """From 33 to 36 m in an unseen tube."""
     scene = UNSEEN.model_copy(update={"carrier_length": 30.5})
-    options = {"growing": True, "time_lapse": fidelity.time_lapse, "perturbation": 1e-7}
-    batch = SimulatorBatch([scene] * members, fidelity.method, fidelity.time_step, **options)
+    options = {"growing": True, "time_lapse": fidelity.time_lapse, "perturbation": 1e-7, "seeds": seeds}
+    batch = SimulatorBatch([scene] * len(seeds), fidelity.method, fidelity.time_step, **options)
     batch.advance(None, None, 2.0 / fidelity.time_lapse)
     return batch.advance(None, None, 15.0 / fidelity.time_lapse).statistics["radial_rms_m"]
 
 
-def test_the_stated_error_of_fast_holds_on_an_unseen_insertion():
+@pytest.mark.processor
+def test_the_stated_error_of_fast_holds_on_an_unseen_insertion(seeds):
+    """12 % are stated, of 32 fresh members each it was 15 +- 3 % (a member +- 21 and 6 %).
+
+    With 32 against 8 chance is another 19 %: an error of 30 % is noticed.
+    """
     (error,) = {r.error for r in measured() if r.fidelity == PRESETS["fast"] and r.output == "radial_rms_m"}
-    assert error < 0.4
-    confirmed(rms_of_insertion(PRESETS["fast"], 16), rms_of_insertion(PRESETS["reference"], 8), error)
+    assert error < 0.15
+    found = apart(*(rms_of_insertion(PRESETS[n], seeds(k)) for n, k in (("fast", 32), ("reference", 8))))
+    assert abs(found) <= -np.log(1.0 - error) + reach((0.21, 32), (0.062, 8))

@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pytest
 from chains import bent, matrices, plain_chain
-from scipy.stats import linregress
 
 from probe_env import Scene, Simulator, implicit, schemes
 from probe_env.drive import Drive
@@ -43,20 +42,13 @@ def one_float(**changes):
     )  # fmt: skip
 
 
-def test_it_converges_to_the_same_trajectory_before_chaos():
-    reference = Simulator(SHORT, "newmark", 3.125e-6).run(0.1, 1e-3, ("sensor",)).axial[:, 0]
-    time_steps = (2e-4, 1e-4, 5e-5, 2.5e-5, 1.25e-5)
-    errors = []
-    for dt in time_steps:
-        simulator = Simulator(SHORT, "implicit", dt)
-        errors.append(np.abs(simulator.run(0.1, 1e-3, ("sensor",)).axial[:, 0] - reference).max())
-        assert simulator.unconverged_steps == 0
-        assert simulator.iterations < 2 * simulator.steps_done
-    errors = np.array(errors) / np.abs(reference).max()
-    fit = linregress(np.log(time_steps), np.log(errors))
-    assert 0.7 < fit.slope < 2.0, f"slope {fit.slope:.2f} +- {fit.stderr:.2f}, errors {errors}"
-    assert errors[0] < 0.06
-    assert errors[-1] < 5e-3
+@pytest.mark.parametrize("time_step", [2e-4, 1e-4, 5e-5, 2.5e-5, 1.25e-5])
+def test_the_iteration_converges_before_chaos(time_step):
+    """In fewer than two iterations a step; to which trajectory, and at which order, see test_fast_methods."""
+    simulator = Simulator(SHORT, "implicit", time_step)
+    simulator.run(0.1, 1e-3)
+    assert simulator.unconverged_steps == 0
+    assert simulator.iterations < 2 * simulator.steps_done
 
 
 @pytest.mark.parametrize("time_step", [1e-5, 1e-4, 1e-3, 1e-2])

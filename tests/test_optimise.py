@@ -10,6 +10,7 @@ import pytest
 from agents import optimise
 from agents.catalogue import BY_DIAMETER, make_policy
 from agents.optimise import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
+from agents.vibration_map import stored_map
 from probe_env.contexts import HELIX_DIAMETERS
 from probe_env.schedule import Schedule
 from probe_env.task import TaskConfig
@@ -51,18 +52,28 @@ def test_the_schedule_of_the_nearest_diameter_is_taken():
     assert feed == pytest.approx(expected, rel=1e-4)
 
 
-def test_search_finds_a_known_optimum_and_goes_on(tmp_path, monkeypatch):
+def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkeypatch):
     """Reward -(u - 0.1)^2 - (3600 Q - 80)^2 of the constant: the best is 0.1 m/s and 80 m3/h."""
 
     def reward(_, schedule):
         return -((schedule.feed_speed[0] - 0.1) ** 2) * 100.0 - (schedule.air_supply_rate[0] * 3600.0 - 80.0) ** 2 / 1e3
 
     monkeypatch.setattr(MapCost, "reward", reward)
-    run_search("best-constant", 100, tmp_path / "out", tmp_path / "work", simulate=False)
-    best = run_search("best-constant", 250, tmp_path / "out", tmp_path / "work", simulate=False)
-    assert len(pd.read_csv(tmp_path / "out" / "best-constant-trials.csv")) == 250
+    monkeypatch.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0]}))
+    folders = [tmp_path / name for name in ("once", "again")]
+    for folder in folders:
+        best = run_search("best-constant", 250, folder, tmp_path / "work", stored_map())
+    trials = [pd.read_csv(folder / "best-constant-trials.csv") for folder in folders]
+    pd.testing.assert_frame_equal(*trials, check_exact=True)
+    assert len(trials[0]) == 256  # whole generations of 16
     assert best.feed_speed[0] == pytest.approx(0.1, rel=0.02)
     assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
+
+
+def test_a_shorter_search_begins_as_a_longer_one():
+    """What an interrupt left undone is all that differs: nothing of an earlier search is needed to go on."""
+    both = [optimise.search(lambda x: -((x[0] - 0.3) ** 2) - x[1] ** 2, (0.5, 0.5), n, "test")[0] for n in (48, 96)]
+    assert (both[0] == both[1][:48]).all()
 
 
 @pytest.mark.parametrize(
@@ -70,5 +81,5 @@ def test_search_finds_a_known_optimum_and_goes_on(tmp_path, monkeypatch):
 )
 def test_bad_budgets_are_named(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message):
-        run_search(*arguments, tmp_path / "out", tmp_path / "work")
+        run_search(*arguments, tmp_path / "out", tmp_path / "work", stored_map())
     assert not list(tmp_path.iterdir())

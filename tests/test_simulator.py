@@ -97,11 +97,16 @@ def test_progress_is_reported_to_the_end():
     assert seen[-1] == pytest.approx(0.5)
 
 
+@pytest.mark.processor
 def test_one_wall_lets_the_tip_out_and_two_do_not():
-    """Erratum 3: with the inner wall alone the free tip leaves the tube."""
+    """Erratum 3: with the inner wall alone the free tip leaves the tube.
+
+    It swings to 96 +- 9 mm of six starts; with both walls it goes 0.05 to 0.2 mm deep into the outer, 5.2 mm away (the
+    six and 16 stored ones), and 1 mm would take v = 1 mm sqrt(k / m) = 6 m/s.
+    """
     swing = {}
     for walls in ("inner", "both"):
         scene = Scene(carrier_length=50.0, contact={"walls": walls})
         swing[walls] = Simulator(scene, time_step=2e-4).run(2.0, points=("tip",)).radial.max()
     assert swing["inner"] > 24.2e-3
-    assert 4e-3 < swing["both"] < 5.5e-3
+    assert 5.2e-3 < swing["both"] < 6.2e-3

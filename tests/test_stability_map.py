@@ -37,17 +37,22 @@ def test_what_holds_may_be_wrong():
     assert (HELD[HELD["omega_dt"] < 0.1]["verdict"] != "wrong").all()
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize("method", METHODS)
-def test_edges_are_repeated(method):
-    """The largest step that held and the smallest that did not, at l = 10 m, for two stiffnesses and frictions."""
+def test_cells_are_repeated(method):
+    """At l = 10 m, for two stiffnesses and frictions: the named limit holds, and the longest step breaks.
+
+    Steps in between hold or break by the last digit: of twelve starts that differ by 1e-15 m, Newmark broke in two at
+    1.67 times its limit, Wilson in eleven at 2.2 times, imex in three at 1.33 times; none of twelve at the limit, all
+    at the longest step.
+    """
     for stiffness, friction in ((1e5, 0.3), (1e6, 0.05)):
         row = HELD[(HELD["method"] == method) & (HELD["stiffness_n_per_m"] == stiffness) & (HELD["length_m"] == 10.0)]
-        row = row[row["friction"] == friction]
-        last = row[row["held"]]["ratio"].max()
-        assert pd.isna(run_cell(method, stiffness, 10.0, friction, last)["diverged_at_s"])
-        broken = row[~row["held"]]["ratio"].min()
-        if pd.notna(broken):
-            assert run_cell(method, stiffness, 10.0, friction, broken)["diverged_at_s"] < 0.5
+        longest = row[row["friction"] == friction]["ratio"].max()
+        assert longest == 4.4
+        assert pd.isna(run_cell(method, stiffness, 10.0, friction, 1.0)["diverged_at_s"])
+        diverged = run_cell(method, stiffness, 10.0, friction, longest)["diverged_at_s"]
+        assert pd.isna(diverged) == (method == "implicit")
 
 
 def test_energy_over_a_hundred_thousand_steps():

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scatter import CHANCE, apart, deviation, reach
 
 from agents.claims import Ensemble, findings, steady_root_tension
-from agents.provenance import kernel_hash
-from agents.study import CASES, load_rows, run_case
+from agents.code_hash import code_hash
+from agents.study import CASES, CODE, load_rows, run_case
 from probe_env import Scene
 
 ROOT = Path(__file__).parents[1]
@@ -17,21 +18,26 @@ ENSEMBLE = Ensemble(TABLE)
 
 
 def test_stored_ensembles_are_complete_and_belong_to_these_kernels():
-    present = TABLE["case"].map({case.name: kernel_hash(case.method) for case in CASES})
-    assert (TABLE["kernel_hash"] == present).all(), "make study"
+    present = TABLE["case"].map({case.name: code_hash(CODE, case.method) for case in CASES})
+    assert (TABLE["code"] == present).all(), "make study"
     assert (TABLE.groupby("case").size() >= 6).all()
     assert set(TABLE["case"]) == {case.name for case in CASES}
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize("name", ["l10", "l10-wilson"])
 def test_a_stored_member_is_repeated(name):
-    """l = 10 m is not chaotic: another machine's rounding moves the statistics little."""
+    """At l = 10 m contact chatter makes another machine's run another member, of the deviations that eight have.
+
+    And as the chart's 32 members of imex at 1e-4 s have: up to 0.006 % of the means and 1.5 % of radial rms. A tenth of
+    the vibration is noticed, and a thousandth of a mean.
+    """
     case = next(case for case in CASES if case.name == name)
     row = run_case(case, SCENES, 1, 8.0)
     stored = TABLE[(TABLE["case"] == name) & (TABLE["member"] == 1)].iloc[0]
-    assert row["axial_mean_m"] == pytest.approx(stored["axial_mean_m"], rel=0.01)
-    assert row["root_tension_mean_n"] == pytest.approx(stored["root_tension_mean_n"], rel=0.01)
-    assert row["radial_rms_m"] == pytest.approx(stored["radial_rms_m"], rel=0.3)
+    for statistic, scatter in (("axial_mean_m", 1e-4), ("root_tension_mean_n", 5e-5), ("radial_rms_m", 0.015)):
+        chance = reach((scatter, 1), (scatter, 1), chance=CHANCE / 3)
+        assert row[statistic] == pytest.approx(stored[statistic], rel=chance)
 
 
 def test_vibration_grows_with_length():
@@ -64,9 +70,13 @@ def test_one_common_peak_near_14_hz():
 
 
 def test_wilson_and_newmark_agree():
-    assert ENSEMBLE.mean("l10-wilson", "axial_mean_m") == pytest.approx(ENSEMBLE.mean("l10", "axial_mean_m"), rel=0.02)
-    assert not ENSEMBLE.greater("l50-wilson", "l50")
-    assert not ENSEMBLE.greater("l50", "l50-wilson")
+    """Eight against eight: 0.04 % in axial mean at 10 m, 27 % in radial rms at 50 m are left to chance."""
+    for length, statistic, scatter in (
+        (10, "axial_mean_m", 1e-4),
+        (50, "radial_rms_m", deviation("radial_rms_m", 50.0)),
+    ):
+        first, second = (ENSEMBLE.values(f"l{length}{name}", statistic) for name in ("-wilson", ""))
+        assert abs(apart(first, second)) <= reach((scatter, len(first)), (scatter, len(second)))
 
 
 @pytest.mark.parametrize("length", [30, 50])

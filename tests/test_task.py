@@ -68,7 +68,11 @@ def test_crawling_to_the_time_limit_does_not_pay(insertions):
 
 
 def test_contexts_leave_something_to_decide(insertions):
-    """Racing beats the study's feed in a mild context and loses in a hard one."""
+    """Racing beats the study's feed in a mild context and loses in a hard one.
+
+    Of four starts that differ by 1e-15 m, 40.2 against 26.5 to the digit shown, and -394 +- 6 against -312 +- 12: the
+    margin of 20 is 4.6 standard deviations of the difference away.
+    """
     _, terms, _ = insertions
     (study_hard, study_mild), (race_hard, race_mild) = (terms[k : k + 2].sum(axis=1) for k in (0, 4))
     assert race_mild > study_mild + 5.0

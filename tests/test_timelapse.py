@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
+from scatter import CHANCE, reach
 
 from agents.timelapse import BINS, FACTORS, summarise
 
@@ -17,9 +19,11 @@ def test_the_summary_follows_from_the_profile():
     np.testing.assert_allclose(summarise(profile).to_numpy(), summary.to_numpy(), rtol=2e-3)
 
 
-def test_a_known_ratio_is_found():
+@pytest.mark.processor
+def test_a_known_ratio_is_found(seeds):
+    """Metres of +- 10 %, ten of eight probes in a stretch: a ratio of 1.5 is found within 9 % in all 12 stretches."""
     lengths = np.arange(20.5, 60.0)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seeds(1))
     rows = [
         (factor, probe, length, 1e-4 * (1.5 if factor == 10 else 1.0) * rng.lognormal(0.0, 0.1))
         for factor in FACTORS
@@ -31,7 +35,7 @@ def test_a_known_ratio_is_found():
     for row in summary.itertuples():
         expected = 1.5 if row.factor == 10 else 1.0
         assert row.low < row.ratio < row.high
-        assert abs(row.ratio / expected - 1.0) < 0.05
+        assert abs(np.log(row.ratio / expected)) <= reach((0.1, 80), (0.1, 80), chance=CHANCE / len(summary))
 
 
 def test_factor_4_is_usable_beyond_30_m():

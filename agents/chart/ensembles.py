@@ -15,8 +15,10 @@ from typing import Any
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart.store import Store
+from agents.code_hash import code_hash
+from agents.store import Store
 from agents.study import PERTURBATION
+from agents.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.signals import dominant_frequencies
 
@@ -27,6 +29,7 @@ STATISTICS = (
     "radial_acceleration_rms_m_per_s2", "tension_mean_n",
 )  # fmt: skip
 PEAK = "axial_peak_hz"
+CODE = ("agents.chart.ensembles:run_setting",)
 
 
 @dataclass(frozen=True)
@@ -126,14 +129,25 @@ def member_statistics(window: Window, member: int) -> dict[str, float]:
 
 def run_ensembles(output: Path) -> pd.DataFrame:
     """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
-    store = Store(output / "ensembles.csv", (*Setting().key, "member"))
-    todo = [s for s in (*step_settings(), *model_settings()) if not store.has(*s.key.values(), s.members - 1)]
+    store = open_store(output)
+    settings = (*step_settings(), *model_settings())
+
+    def stored(setting: Setting) -> bool:
+        return store.has(*setting.key.values(), setting.members - 1)
+
+    todo = [setting for setting in settings if not stored(setting)]
     todo.sort(key=_work)
+    announce(Work("setting", len(settings), lambda: sum(map(stored, settings)), store.path))
     with tqdm(total=sum(map(_work, todo)), desc="chaos", unit="Gnode-step", unit_scale=1e-9, disable=not todo) as bar:
         for setting in todo:
             store.add(*run_setting(setting))
             bar.update(_work(setting))
     return store.table
+
+
+def open_store(output: Path) -> Store:
+    """The stored runs."""
+    return Store(output / "ensembles.csv", (*Setting().key, "member"), lambda row: code_hash(CODE, row["method"]))
 
 
 def _work(setting: Setting) -> float:

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 from agents.chart.chains import LAPACK
 from agents.chart.smooth import cases
-from agents.figures import GREY, GRID
+from agents.figures import GREY, GRID, save
 
 COLOURS = {
     "newmark": "#1f5fa8", "wilson": "#7d3c98", "imex": "#c0392b", "imex32": "#ec7aa5", "implicit": "#d68910",
@@ -57,8 +57,7 @@ def smooth(table: pd.DataFrame, path: Path) -> None:
         axis.set_ylabel("largest error over largest value")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    save(figure, path, dpi=100)
 
 
 def _curve(axis: Axes, part: pd.DataFrame, cost: str, top: float, method: str) -> None:
@@ -111,8 +110,7 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
     for axis in axes.ravel():
         handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
     figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=6, frameon=False)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    save(figure, path, dpi=90)
 
 
 def model(rows: pd.DataFrame, path: Path) -> None:
@@ -131,5 +129,4 @@ def model(rows: pd.DataFrame, path: Path) -> None:
         axis.minorticks_off()
         axis.grid(**GRID)
     axes[0].set_yticks(range(len(choices), 0, -1), choices)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    save(figure, path, dpi=100)

@@ -11,12 +11,15 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents.chart.ensembles import SAMPLE_PERIOD, member_statistics
-from agents.chart.store import Store
+from agents.code_hash import code_hash
+from agents.store import Store
 from agents.study import PERTURBATION
+from agents.work import Work, announce
 from probe_env import Scene, SimulatorBatch
 
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]
 STRETCH = 5.0  # [m] a row
+CODE = ("agents.chart.insertions:_insert",)
 
 
 @dataclass(frozen=True)
@@ -47,10 +50,16 @@ def run_insertions(output: Path) -> pd.DataFrame:
         RuntimeError: a probe diverged.
     """
     keys = ("method", "time_step", "time_lapse")
-    store = Store(output / "insertions.csv", (*keys, "member", "from_m"))
-    for insertion in INSERTIONS:
+    columns = (*keys, "member", "from_m")
+    store = Store(output / "insertions.csv", columns, lambda row: code_hash(CODE, row["method"]))
+
+    def stored(insertion: Insertion) -> bool:
         key = tuple(asdict(insertion)[name] for name in keys)
-        if not store.has(*key, insertion.members - 1, END - STRETCH):
+        return store.has(*key, insertion.members - 1, END - STRETCH)
+
+    announce(Work("setting", len(INSERTIONS), lambda: sum(map(stored, INSERTIONS)), store.path))
+    for insertion in INSERTIONS:
+        if not stored(insertion):
             store.add(*_insert(insertion))
     return store.table
 

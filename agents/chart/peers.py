@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from tqdm import tqdm
 
 from agents.chart import peer_models as models
-from agents.figures import GRID
+from agents.figures import GRID, save
 from agents.provenance import provenance, write_atomically, write_json
 from probe_env.chain import FloatArray
 
@@ -250,6 +250,5 @@ def draw(table: pd.DataFrame, path: Path) -> Path:
         axis.grid(**GRID)
     axes[0].set_ylabel("largest error of the tip / amplitude")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path, dpi=110)
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import pandas as pd
@@ -11,31 +12,34 @@ from agents.chart.costs import run_costs
 from agents.chart.ensembles import run_ensembles
 from agents.chart.insertions import run_insertions
 from agents.chart.smooth import run_smooth
-from agents.chart.store import as_csv
-from agents.provenance import write_atomically
+from agents.provenance import CHECKOUT, write_atomically
+from agents.store import as_csv, stored_rows
+from agents.stored import read_csv
+from agents.stored.tables import COSTS
+from agents.study import load_rows
 
-STUDY = Path("results/study/ensemble.csv")
+STUDY = CHECKOUT / "results" / "study"
 """The slow methods' runs: `probe-env study` made them."""
 
 
-def run_chart(output: Path) -> None:
+def run_chart(output: Path, target: Path) -> None:
     """Everything that is missing; what is timed comes last, when the machine has nothing else to do."""
     run_ensembles(output)
     run_insertions(output)
     run_smooth(output)
     run_costs(output)
-    draw_chart(output)
+    draw_chart(output, target)
 
 
-def draw_chart(output: Path) -> None:
-    """Tables of errors, figures, and ``measured_errors.csv``, what ``fidelity="auto"`` goes by, from stored runs."""
+def draw_chart(output: Path, target: Path) -> None:
+    """Tables of errors, figures, and ``target``, a table of what ``fidelity="auto"`` goes by, from stored runs."""
     constant, inserted = error_tables(output)
-    costs = pd.read_csv(output / "costs.csv")
+    costs = read_csv(output / "costs.csv", COSTS)
     write_atomically(output / "errors.csv", as_csv(constant, 4))
     write_atomically(output / "insertion-errors.csv", as_csv(inserted, 4))
     measured = tables.measured_errors(constant, inserted)
-    write_atomically(output / "measured_errors.csv", as_csv(measured, 4))
-    smooth = pd.read_csv(output / "smooth.csv")
+    write_atomically(target, as_csv(measured, 4))
+    smooth = stored_rows(output / "smooth.csv")
     chosen = tables.choices(constant, inserted)
     figures.smooth(smooth, output / "smooth.png")
     figures.chaos(constant, inserted, output / "chaos.png")
@@ -48,9 +52,12 @@ def draw_chart(output: Path) -> None:
 
 def error_tables(output: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors at constant length and over insertions, see ``errors``, from stored runs."""
-    costs = pd.read_csv(output / "costs.csv")
-    members = [pd.read_csv(output / "ensembles.csv")]
-    if STUDY.exists():
-        members.append(errors.study_members(pd.read_csv(STUDY)))
+    costs = read_csv(output / "costs.csv", COSTS)
+    members = [stored_rows(output / "ensembles.csv")]
+    study = load_rows(STUDY)
+    if study.empty:
+        warnings.warn(f"{STUDY} holds no runs of the slow methods (`make study`): they are left out", stacklevel=2)
+    else:
+        members.append(errors.study_members(study))
     constant = errors.constant_length(pd.concat(members, ignore_index=True), costs)
-    return constant, errors.insertion(pd.read_csv(output / "insertions.csv"), costs)
+    return constant, errors.insertion(stored_rows(output / "insertions.csv"), costs)

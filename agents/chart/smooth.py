@@ -18,7 +18,9 @@ from tqdm import tqdm
 
 from agents.chart import closed_forms
 from agents.chart.chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
-from agents.chart.store import Store
+from agents.code_hash import code_hash
+from agents.store import Store
+from agents.work import Work, announce
 from probe_env import Scene
 from probe_env.chain import Chain, FloatArray, air_speed, build_chain, sensor_node
 from probe_env.methods import SCHEMES
@@ -31,6 +33,9 @@ LAPACK_STEPS = 3
 """LAPACK's solver is five times as slow: the longest steps are enough."""
 LEAST_TIMED = 0.2  # [s] of processor time, repeats included
 METHODS = ("newmark", "wilson", "imex", "imex32", "implicit", "explicit", LAPACK)
+CODE = ("agents.chart.smooth:cases", "agents.chart.smooth:integrate")
+BASES = {LAPACK: "banded", "references": REFERENCES[0][0]}
+"""Methods whose code those rows depend on."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,8 @@ def run_smooth(output: Path) -> pd.DataFrame:
     The scene without a closed form has a row "references": the difference of the two. Stored rows of the same kernels
     are not run again.
     """
-    store = Store(output / "smooth.csv", ("scene", "method", "time_step_s"))
+    keys = ("scene", "method", "time_step_s")
+    store = Store(output / "smooth.csv", keys, lambda row: code_hash(CODE, BASES.get(row["method"], row["method"])))
     todo = [
         (name, method, dt)
         for name, case in cases().items()
@@ -164,6 +170,7 @@ def run_smooth(output: Path) -> pd.DataFrame:
         for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
     ]
     missing = [cell for cell in todo if not store.has(*cell)]
+    announce(Work("run", len(todo), lambda: sum(store.has(*cell) for cell in todo), store.path))
     truth: dict[str, FloatArray] = {}
     for name, method, time_step in tqdm(missing, desc="before chaos", unit="run", disable=not missing):
         case = cases()[name]

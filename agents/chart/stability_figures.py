@@ -15,7 +15,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 from agents.chart.figures import COLOURS
-from agents.figures import GREY, GRID
+from agents.figures import GREY, GRID, save
 
 VERDICTS = {"stable": "#1f5fa8", "wrong": "#f5b041", "unstable": "#c0392b"}
 
@@ -42,8 +42,7 @@ def stability_map(table: pd.DataFrame, path: Path) -> None:
         marks.append(Patch(facecolor="white", edgecolor=GREY))
         words.append("refused: its rounding would show")
     figure.legend(marks, words, loc="outside lower center", ncols=len(marks), frameon=False)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    save(figure, path, dpi=90)
 
 
 def one_mass(table: pd.DataFrame, path: Path) -> None:
@@ -76,8 +75,7 @@ def one_mass(table: pd.DataFrame, path: Path) -> None:
         axis.set_xlabel("omega dt (dotted: 2, the limit of what is explicit)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    save(figure, path, dpi=90)
 
 
 def digits(table: pd.DataFrame, path: Path) -> None:
@@ -92,5 +90,4 @@ def digits(table: pd.DataFrame, path: Path) -> None:
     )  # fmt: skip
     axis.grid(**GRID)
     axis.legend(frameon=False)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    save(figure, path, dpi=90)

@@ -33,12 +33,16 @@ class Compare:
     def run(self) -> None:
         """Run what is missing, store, print."""
         from agents.design_compare import Comparison, compare, print_comparison
+        from agents.names import checked_name, name_of
         from probe_env import Design
         from probe_env.contexts import spread_contexts
         from probe_env.fidelity_choice import resolve_fidelity
 
-        stems = [path.stem for path in self.designs]
-        names = [p.stem if stems.count(p.stem) == 1 else f"{p.parent.name}/{p.stem}" for p in self.designs]
+        stems = [name_of(path) for path in self.designs]
+        names = [
+            checked_name(stem if stems.count(stem) == 1 else f"{path.parent.name}/{stem}", "design", "rename the file")
+            for path, stem in zip(self.designs, stems, strict=True)
+        ]
         designs = {name: Design.from_toml(path) for name, path in zip(names, self.designs, strict=True)}
         if len(designs) != len(self.designs):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")

@@ -93,12 +93,18 @@ class Map:
     """Insertions on each of the 96 training tubes."""
     output: Path = Path("output/map")
     """Folder of the insertions; what is there already is not run again."""
+    target: Path | None = None
+    """File of the map (.npz), how it was made beside it (.json); default: vibration-map.npz in the output folder."""
 
     def run(self) -> None:
-        """Run what is missing, fit, store in agents/data/."""
+        """Run what is missing, fit, store."""
         from agents.vibration_map import make_map
 
-        make_map(self.seeds, self.output)
+        target = self.target or self.output / "vibration-map.npz"
+        if target.suffix != ".npz":
+            raise ValueError(f"target = {str(target)!r} is not a file of arrays (.npz)")
+        make_map(self.seeds, self.output, target)
+        print(f"written: {target}")
 
 
 @dataclass(frozen=True)
@@ -109,20 +115,25 @@ class Optimise:
     """What to search: best-constant, best-schedule, best-schedule-dDIAMETER; none: all."""
     trials: int = 1200
     """Schedules tried in each search."""
-    output: Path = Path("agents/data")
+    output: Path = Path("output/optimise")
     """Folder of the schedules, their trials and how they were made."""
-    work: Path = Path("output/optimise")
-    """Folder of the searches themselves, from which an interrupted one goes on."""
+    work: Path = Path("output/optimise/simulated")
+    """Folder of the simulated episodes; what is there already is not run again."""
+    vibration_map: Path | None = None
+    """File of the map (.npz), see `probe-env map`; default: the shipped one."""
 
     def run(self) -> None:
         """Search, simulate on the validation tubes, store, print."""
         from agents.optimise import FAMILIES, run_search
+        from agents.vibration_map import VibrationMap, stored_map
 
         for family in self.families:
             if family not in FAMILIES:
                 raise ValueError(f"family = {family!r} is not one of {', '.join(FAMILIES)}")
+        vibration = VibrationMap.load(self.vibration_map) if self.vibration_map else stored_map()
         for family in self.families or FAMILIES:
-            run_search(family, self.trials, self.output, self.work)
+            run_search(family, self.trials, self.output, self.work, vibration)
+        print(f"written: {self.output}/ (NAME.csv: a schedule to evaluate, NAME-trials.csv, NAME.json)")
 
 
 @dataclass(frozen=True)

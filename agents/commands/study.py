@@ -57,7 +57,7 @@ class Study:
     scenes: Path = Path("configs/scenes")
     """Folder of the scene files."""
     output: Path = Path("output/study")
-    """Folder of ensemble.csv and provenance.json."""
+    """Folder of ensemble.csv; runs that are stored there are not repeated, and none is dropped."""
     members: int = 1
     """Perturbed runs a case."""
     duration: float = 8.0
@@ -134,12 +134,14 @@ class Chart:
 
     output: Path = Path("output/chart")
     """Folder of smooth.csv, ensembles.csv, insertions.csv, costs.csv and the figures."""
+    target: Path | None = None
+    """File of the errors that `auto` goes by; default: measured_errors.csv in the output folder."""
 
     def run(self) -> None:
         """Run what is missing, draw, print."""
         from agents.chart.report import run_chart
 
-        run_chart(self.output)
+        run_chart(self.output, self.target or self.output / "measured_errors.csv")
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-
-import pandas as pd
 
 from agents import agent_results
 from agents.catalogue import DATA
 from agents.fidelity_check import words
-from agents.readme_blocks.sources import RESULTS, source
+from agents.readme_blocks.sources import RESULTS, command, source
 from agents.report import compared_with, kpi_cells
 from agents.statistics import KPIS, Interval, endings, grouped, sentences
+from agents.stored import read_csv, read_json
+from agents.stored.records import Made, Quality
+from agents.stored.tables import EPISODES
 
 BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
@@ -30,7 +30,7 @@ def any_probe() -> str:
 
 
 def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
-    table = grouped(pd.read_csv(folder / "episodes.csv"))
+    table = grouped(read_csv(folder / "episodes.csv", EPISODES))
     against = compared_with(folder, table)
     shown = [kpi for kpi in KPIS if kpi not in left_out]
     names = [f"{KPIS[kpi][0]} [{KPIS[kpi][2]}]" if KPIS[kpi][2] else KPIS[kpi][0] for kpi in shown]
@@ -49,10 +49,10 @@ def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
 
 def agents() -> str:
     """The agents against the other policies with the differences in words; what training took."""
-    table = grouped(pd.read_csv(RESULTS / "evaluation" / "episodes.csv"))
+    table = grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))
     lines = [f"* {line}" for line in agent_results.verdicts(table, "ppo", BARS, "privileged")]
     curves = agent_results.load_curves(RESULTS / "agents" / "ppo")
-    run = json.loads((RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json").read_text())
+    run = read_json(RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json", Made).model_dump()
     imitation = run["config"]["imitation"]
     speed = agent_results.throughput(curves, imitation["rounds"] * imitation["steps"])
     best = curves.loc[curves.groupby("seed")["reward"].idxmax()]
@@ -73,20 +73,20 @@ def agents() -> str:
 
 def map_quality() -> str:
     """What the vibration map is fitted to and explains."""
-    quality = json.loads((DATA / "vibration-map.json").read_text())
+    quality = read_json(DATA / "vibration-map.json", Quality).model_dump()
     share = 100.0 * quality["explained_variance"]
     return (
         f"The map is fitted to {quality['episodes']} wandering insertions on the training tubes. Of every eighth, left"
         f" out of the fit (helix diameters 1.2, 1.7 and 2.5 m), it tells {share:.0f} % of the variance of log rms."
-        f" Made by `{quality['command']}` at commit {quality['commit']}; stored in `agents/data/`."
+        f" Made by `{command(quality)}` at commit {quality['commit']}; stored in `agents/data/`."
     )
 
 
 def tradeoff() -> str:
     """Hypervolume of every family of policies."""
     folder = RESULTS / "tradeoff"
-    volumes = pd.read_csv(folder / "hypervolume.csv")
-    contexts = pd.read_csv(folder / "episodes.csv")["context"].nunique()
+    volumes = read_csv(folder / "hypervolume.csv")
+    contexts = read_csv(folder / "episodes.csv", EPISODES)["context"].nunique()
     parts = [
         f"`{row['family']}` {Interval(row['hypervolume'], row['low'], row['high']).text()}"
         for row in volumes.to_dict("records")
@@ -100,5 +100,5 @@ def tradeoff() -> str:
 def fidelity() -> str:
     """What moves at half the step and with the study's scheme."""
     folder = RESULTS / "fidelity"
-    lines = [f"* {line}" for line in words(pd.read_csv(folder / "fidelity.csv"))]
+    lines = [f"* {line}" for line in words(read_csv(folder / "fidelity.csv"))]
     return "\n".join(lines) + f"\n\n{source(folder / 'provenance.json')}"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from pathlib import Path
 
-import pandas as pd
-
 from agents import design_compare
-from agents.readme_blocks.sources import RESULTS, source
+from agents.readme_blocks.sources import RESULTS, command, source
+from agents.stored import read_csv, read_json
+from agents.stored.records import Made
+from probe_env import Design
 
 DESIGN_TABLES = {
     "countermeasures": "The study's countermeasures (its section 4.3) one by one, in sections of constant length at its"
@@ -37,15 +36,15 @@ def codesign() -> str:
 
 
 def _found(folder: Path) -> str:
-    influence, made = pd.read_csv(folder / "sensitivity.csv"), json.loads((folder / "provenance.json").read_text())
-    front = pd.read_csv(folder / "front.csv")
+    influence, made = read_csv(folder / "sensitivity.csv"), read_json(folder / "provenance.json", Made).model_dump()
+    front = read_csv(folder / "front.csv")
     rows = influence[influence["objective"] == "mean_square_ratio"].to_dict("records")
     rows.sort(key=lambda row: -abs(row["coefficient"]))
     told = ", ".join(
         f"{row['parameter'].replace('_', ' ')} {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]"
         for row in rows
     )
-    design = tomllib.loads((folder / "found.toml").read_text())
+    design = Design.from_toml(folder / "found.toml").model_dump()
     fields = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in design.items())
     return (
         f"{made['trials']} designs on {made['contexts']} training tubes, {len(front)} on the front. What vibration"
@@ -60,9 +59,9 @@ def designs() -> str:
 
 
 def _compared(folder: Path, title: str) -> str:
-    table = design_compare.cells(pd.read_csv(folder / "summary.csv"))
-    made = json.loads((folder / "provenance.json").read_text())
-    tubes = pd.read_csv(folder / "designs.csv")["context"].nunique()
+    table = design_compare.cells(read_csv(folder / "summary.csv"))
+    made = read_json(folder / "provenance.json", Made).model_dump()
+    tubes = read_csv(folder / "designs.csv")["context"].nunique()
     lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
     lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
-    return "\n".join(lines) + f"\n\nMade by `{made['command']}` at commit {made['commit']}."
+    return "\n".join(lines) + f"\n\nMade by `{command(made)}` at commit {made['commit']}."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import lru_cache
 
 import pandas as pd
@@ -16,6 +15,9 @@ from agents.chart.costs import REPEATS
 from agents.chart.report import error_tables
 from agents.claims import markdown
 from agents.readme_blocks.sources import RESULTS, source
+from agents.store import stored_rows
+from agents.stored import read_csv, read_json
+from agents.stored.records import Made
 from agents.study import load_rows
 
 
@@ -24,7 +26,7 @@ def study() -> str:
     folder = RESULTS / "study"
     table = load_rows(folder)
     members = int(table.groupby("case").size().max())
-    made = source(folder / "provenance.json")
+    made = source(folder / "ensemble-provenance.json")
     note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {made}"
     return f"{markdown(table)}\n\n{note}"
 
@@ -32,7 +34,7 @@ def study() -> str:
 def bench() -> str:
     """Speeds as ratios within one run."""
     path = RESULTS / "bench" / "bench.json"
-    results = json.loads(path.read_text())
+    results = read_json(path, Made).model_dump()
     lines = ["| solver, l = 50 m | ns a node-step | times the TICM's |", "|---|---|---|"]
     for name, row in results["solvers"].items():
         lines.append(f"| {name} | {row['ns_per_node_step']:.0f} | {row['times_ticm']:.1f} |")
@@ -62,7 +64,7 @@ def bench() -> str:
 def environments() -> str:
     """Steps a second of the environments."""
     path = RESULTS / "bench" / "bench.json"
-    results = json.loads(path.read_text())
+    results = read_json(path, Made).model_dump()
     rows = results["environments"]
     rates, episode = rows["steps_per_second"], rows["episode_s_per_probe"]
     lines = ["| environments | steps/s | times the single one |", "|---|---|---|"]
@@ -84,7 +86,7 @@ def _chart_errors() -> tuple[pd.DataFrame, pd.DataFrame]:
 def smooth() -> str:
     """Slopes and errors before chaos."""
     folder = RESULTS / "chart"
-    return f"{chart.smooth(pd.read_csv(folder / 'smooth.csv'))} {source(folder / 'smooth-provenance.json')}"
+    return f"{chart.smooth(stored_rows(folder / 'smooth.csv'))} {source(folder / 'smooth-provenance.json')}"
 
 
 def choices() -> str:
@@ -95,9 +97,9 @@ def choices() -> str:
 
 def presets() -> str:
     """Error and cost of the presets."""
-    costs = pd.read_csv(RESULTS / "chart" / "costs.csv")
+    costs = read_csv(RESULTS / "chart" / "costs.csv")
     table = chart.presets(*_chart_errors(), costs)
-    bench = json.loads((RESULTS / "bench" / "bench.json").read_text())["fast"]["imex32, 8 lanes"]
+    bench = read_json(RESULTS / "bench" / "bench.json", Made).model_dump()["fast"]["imex32, 8 lanes"]
     table += (
         f" (Best of {REPEATS} in one run; the bench, another run, has {bench['simulated_second_ratio']:.0f} at 2e-4 s:"
         " such ratios move by as much from run to run.)"
@@ -113,30 +115,30 @@ def outputs() -> str:
 def timelapse() -> str:
     """What time-lapse changes."""
     folder = RESULTS / "timelapse"
-    return f"{lapses.markdown(pd.read_csv(folder / 'summary.csv'))}\n\n{source(folder / 'provenance.json')}"
+    return f"{lapses.markdown(read_csv(folder / 'summary.csv'))}\n\n{source(folder / 'provenance.json')}"
 
 
 def stability() -> str:
     """Steps that hold, and those that are wrong."""
     folder = RESULTS / "stability"
-    return f"{stability_map.markdown(pd.read_csv(folder / 'map.csv'))}\n\n{source(folder / 'provenance.json')}"
+    return f"{stability_map.markdown(read_csv(folder / 'map.csv'))}\n\n{source(folder / 'provenance.json')}"
 
 
 def energy() -> str:
     """Energy of passive chains."""
     folder = RESULTS / "stability"
-    return f"{chart.energy(pd.read_csv(folder / 'energy.csv'))}\n\n{source(folder / 'provenance.json')}"
+    return f"{chart.energy(read_csv(folder / 'energy.csv'))}\n\n{source(folder / 'provenance.json')}"
 
 
 def scaling() -> str:
     """What a thousand insertions cost on more cores."""
     folder = RESULTS / "scaling"
-    portions, jobs = (pd.read_csv(folder / f"{name}.csv") for name in ("portions", "jobs"))
+    portions, jobs = (read_csv(folder / f"{name}.csv") for name in ("portions", "jobs"))
     seconds = portions.set_index("size")["seconds_an_insertion"]
     told = ", ".join(f"{value:.1f} s in portions of {size}" for size, value in seconds.items())
     one, more = jobs.iloc[0], jobs.iloc[-1]
     return (
-        f"{portioned.markdown(pd.read_csv(folder / 'projection.csv'))}\n\n"
+        f"{portioned.markdown(read_csv(folder / 'projection.csv'))}\n\n"
         f"Measured: an insertion costs {told} (one thread);"
         f" {portioned.MEASURED} insertions take {one['seconds']:.0f} s with one worker,"
         f" {more['seconds']:.0f} s with {more['jobs']:.0f}, their start included. {source(folder / 'provenance.json')}"
@@ -146,4 +148,4 @@ def scaling() -> str:
 def peers() -> str:
     """Other codes on the same scene."""
     folder = RESULTS / "chart"
-    return f"{others.markdown(pd.read_csv(folder / 'peers.csv'))}\n\n{source(folder / 'peers-provenance.json')}"
+    return f"{others.markdown(read_csv(folder / 'peers.csv'))}\n\n{source(folder / 'peers-provenance.json')}"

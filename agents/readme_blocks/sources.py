@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
+
+from agents.stored import read_json
+from agents.stored.records import Made
 
 RESULTS = Path("results")
 
 
+def command(made: dict[str, Any]) -> str:
+    """What to type to make it again."""
+    return f"probe-env results {made['stage']}" if "stage" in made else str(made["command"])
+
+
 def source(path: Path) -> str:
     """Command, commit and machine of stored results."""
-    made: dict[str, Any] = json.loads(path.read_text())
+    made = read_json(path, Made).model_dump()
     machine = made["machine"]
     return (
-        f"Made by `{made['command']}` at commit {made['commit']}, {machine['cores']} cores"
+        f"Made by `{command(made)}` at commit {made['commit']}, {machine['cores']} cores"
         f" ({machine['processor']}), numba {made['packages']['numba']}; stored in `{path.parent}/`."
     )

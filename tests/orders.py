@@ -1,0 +1,30 @@
+"""The order of a method from runs at halved steps alone: no reference whose own error would bend the slope."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import linregress
+
+
+def observed_order(
+    run: Callable[[float], npt.NDArray[np.float64]], time_steps: Sequence[float]
+) -> tuple[float, float, npt.NDArray[np.float64]]:
+    """Order of convergence, the error left at the last step (relative), and the signal there.
+
+    Of order p, runs at dt and dt / 2 differ by (2^p - 1) e(dt / 2) with e ~ dt^p: the slope of the differences is p,
+    and the last difference divided by 2^p - 1 is the error left.
+
+    Args:
+        run: signal of a time step, the same sample times for all.
+        time_steps: [s], each half of the one before; three at least.
+    """
+    ratios = np.divide(time_steps[:-1], time_steps[1:])
+    assert len(time_steps) >= 3
+    assert np.allclose(ratios, 2.0)
+    signals = [run(dt) for dt in time_steps]
+    scale = np.abs(signals[-1]).max()
+    differences = [np.abs(a - b).max() / scale for a, b in pairwise(signals)]
+    order = float(linregress(np.log(time_steps[:-1]), np.log(differences)).slope)
+    return order, differences[-1] / (2.0**order - 1.0), signals[-1]

@@ -1,0 +1,34 @@
+"""The bounds of the statistical tests keep their promise on members that are stored."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scatter import CHANCE, DEVIATIONS, deviation, hits_within, reach
+
+from agents.chart.ensembles import Setting
+
+MEMBERS = pd.read_csv(Path(__file__).parents[1] / "results" / "chart" / "ensembles.csv")
+DRAWS = 200_000
+
+
+@pytest.mark.parametrize("length", [30.0, 50.0])
+@pytest.mark.parametrize("statistic", DEVIATIONS)
+def test_means_of_stored_members_go_beyond_their_bound_no_more_often_than_promised(statistic, length):
+    """16 against 32, both drawn with replacement from the same 32 of imex: with them in place of the truth."""
+    key = Setting("imex", 2e-4, length=length).key
+    values = MEMBERS[(MEMBERS[list(key)] == list(key.values())).all(axis=1)][statistic].to_numpy()
+    assert len(values) == 32
+    rng = np.random.default_rng(0)
+    first, second = (values[rng.integers(32, size=(DRAWS, count))].mean(axis=1) for count in (16, 32))
+    own = deviation(statistic, length)
+    beyond = int((np.abs(np.log(first / second)) > reach((own, 16), (own, 32))).sum())
+    assert beyond <= hits_within(DRAWS, 0.0, CHANCE)[1]
+
+
+def test_bounds_by_hand():
+    """Students's t of 31 degrees goes beyond 4.45 with a chance of 1e-4; of 100 coins 32 to 68 heads, but for 1e-4."""
+    assert reach((0.3, 9)) == pytest.approx(4.45 * 0.1, rel=1e-2)
+    assert reach((0.1, 8), (0.1, 8)) == pytest.approx(4.45 * 0.05, rel=1e-2)
+    assert hits_within(100, 0.5, 0.5) == (32, 68)
