@@ -58,6 +58,8 @@ class Pool:
 
     def __init__(self, size: int) -> None:
         self.size = size
+        self.kept = True
+        """Whether another call may come; a pool that is not kept ends its workers after this one."""
         self._idle: list[_Worker] = []
         self._busy: dict[Any, tuple[_Worker, int]] = {}
 
@@ -102,7 +104,7 @@ class Pool:
                         if kind == "error":
                             raise content
         finally:
-            if self._busy:  # nobody waits for what they do
+            if self._busy or not self.kept:  # nobody waits for what they do
                 self.stop()
 
     def _begin(self, work: bytes, number: int, task: Any) -> None:
@@ -143,7 +145,9 @@ def pool_of(size: int) -> Pool:
     here = os.getpid()  # what was forked from this process has none
     pool = _POOLS.get(here)
     if pool is None or pool.size != size or pool.busy:
-        if pool is not None and not pool.busy:
+        if pool is not None and pool.busy:
+            pool.kept = False
+        elif pool is not None:
             pool.stop()
         _POOLS[here] = pool = Pool(size)
     return pool
