@@ -5,7 +5,6 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from chains import plain_chain
 from orders import observed_order
@@ -15,6 +14,7 @@ from agents.chart.chains import run_chain
 from agents.chart.ensembles import Setting
 from agents.chart.smooth import cases
 from agents.claims import Ensemble
+from agents.store import stored_rows
 from agents.study import load_rows
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.chain import build_chain
@@ -25,7 +25,7 @@ from probe_env.stability import explicit_time_step
 SHORT = Scene(carrier_length=10.0)
 RESULTS = Path(__file__).parents[1] / "results"
 STUDY = Ensemble(load_rows(RESULTS / "study"))
-CHART = pd.read_csv(RESULTS / "chart" / "ensembles.csv")
+CHART = stored_rows(RESULTS / "chart" / "ensembles.csv")
 
 
 def stored(length, method, time_step=2e-4):
