@@ -31,7 +31,10 @@ from agents.provenance import (
     write_atomically,
     write_json,
 )
+from agents.stored import read_json
+from agents.stored.records import Made
 from agents.terminal import print_table
+from probe_env.files import read_text
 from probe_env.scene import Model
 
 CONFIG: Final = CHECKOUT / "configs" / "results.toml"
@@ -79,8 +82,7 @@ class Stage(Model):
     def made(self) -> dict[str, Any]:
         """What is known of the published results; empty if nothing."""
         path = MADE / f"{self.name}.json"
-        known: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-        return known
+        return read_json(path, MadeStage).model_dump() if path.exists() else {}
 
     def stale(self) -> str:
         """Why the published results are not those of the present state; empty if they are."""
@@ -93,6 +95,15 @@ class Stage(Model):
         if not in_history(made["commit"]):
             return f"commit {made['commit']} is not in the history"
         return "" if all((CHECKOUT / file).exists() for file in made["files"]) else "files are missing"
+
+
+class MadeStage(Made):
+    """``results/made/STAGE.json``."""
+
+    code: str
+    inputs: str
+    seconds: float
+    files: tuple[str, ...]
 
 
 class Stages(Model):
@@ -175,7 +186,7 @@ def _run(stage: Stage) -> None:
     """Run a stage, or what is left of it, and publish."""
     state, work = stage.state(), stage.work
     clock = work / "seconds.txt"
-    before = float(clock.read_text()) if clock.exists() else 0.0
+    before = float(read_text(clock)) if clock.exists() else 0.0
     command = stage.command.format(work=work.relative_to(CHECKOUT))
     print(f"{stage.name}: probe-env {command.strip()}", flush=True)
     begin = time.perf_counter()
