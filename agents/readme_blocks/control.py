@@ -76,9 +76,10 @@ def map_quality() -> str:
     quality = read_json(DATA / "vibration-map.json", Quality).model_dump()
     share = 100.0 * quality["explained_variance"]
     return (
-        f"The map is fitted to {quality['episodes']} wandering insertions on the training tubes. Of every eighth, left"
-        f" out of the fit (helix diameters 1.2, 1.7 and 2.5 m), it tells {share:.0f} % of the variance of log rms."
-        f" Made by `{command(quality)}` at commit {quality['commit']}; stored in `agents/data/`."
+        f"The map is fitted to {quality['episodes']} wandering insertions on the training tubes. Of"
+        f" {quality['held_out_tubes']} of these tubes, two of each helix diameter and left out of the fit, it tells"
+        f" {share:.0f} % of the variance of log rms. Made by `{command(quality)}` at commit {quality['commit']};"
+        " stored in `agents/data/`."
     )
 
 

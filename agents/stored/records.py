@@ -113,6 +113,7 @@ class Quality(Made):
     """``vibration-map.json``: how the map was made and how well it tells."""
 
     episodes: int
+    held_out_tubes: int
     explained_variance: FiniteFloat
     mean_absolute_error_decades: FiniteFloat
 
