@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from killing import hook_replace, hook_sync
+from kills import hook_replace, hook_sync
 
 from agents import interrupts, study
 from agents.cli import main

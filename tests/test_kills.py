@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from killing import all_gone, hook_replace, hook_sync, kill, killed
+from kills import all_gone, hook_replace, hook_sync, kill, killed
 
 from agents import design_compare
 from agents.design_compare import Comparison, compare

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import joblib
 import pytest
-from killing import alive, all_gone, children, kill, killed
+from kills import alive, all_gone, children, kill, killed
 
 from agents.atomic import write_atomically
 from agents.design_problem import DesignProblem
