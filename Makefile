@@ -41,7 +41,7 @@ test-processors: setup
 
 # every kernel, compiled anew with bounds checks
 test-bounds: setup
-	$(BIN)/pytest tests/test_bounds.py
+	$(BIN)/pytest tests/physics/test_bounds.py
 
 # torch has no wheel for processors alone on every index, and is not needed by the physics and the environments: tests
 # that need it or an agent library are skipped there, and the run says so
@@ -89,14 +89,14 @@ train: setup
 	$(BIN)/probe-env train configs/train/ppo-any-probe.toml --output results/agents/ppo-any-probe --jobs 2 --resume
 
 train-smoke: setup
-	$(BIN)/pytest tests/test_train.py -k smoke
+	$(BIN)/pytest tests/learning/test_train.py -k smoke
 
 # an environment of its own: RLlib pins gymnasium 1.2.2
 RAY := .venv-ray
 test-ray:
 	test -x $(RAY)/bin/python || $(PYTHON) -m venv $(RAY)
 	$(RAY)/bin/pip install --quiet --disable-pip-version-check --constraint constraints-ray.txt --editable '.[agents,dev,ray]'
-	$(RAY)/bin/pytest tests_ray
+	$(RAY)/bin/pytest tests/ray
 
 readme: setup
 	$(BIN)/probe-env readme

@@ -1,1 +1,1 @@
-"""Deciding and judging: the command, studies, reports; later policies, training and design search."""
+"""Decide and judge: policies, training, evaluation, designs, studies and the commands, above ``probe_env``."""

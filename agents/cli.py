@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from agents.interrupts import heard, tell
+from agents.processes.interrupts import heard, tell
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,11 +24,11 @@ def _run(arguments: Sequence[str]) -> int:
 
     from pydantic import ValidationError
 
-    from agents.command_line import parsed
-    from agents.notices import said_when_compiling
-    from agents.publishing import in_its_place
+    from agents.commands.publishing import in_its_place
+    from agents.terminal.command_line import parsed
+    from agents.terminal.notices import said_when_compiling
     from probe_env import SimulationError
-    from probe_env.scene import explain
+    from probe_env.settings import explain
 
     try:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"

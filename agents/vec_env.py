@@ -9,12 +9,12 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.env import InsertionEnv, ProbeEnv, SnapshotEnv, spaces_of, task_config
-from probe_env.episodes import Episodes
+from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, spaces_of, task_config
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene
-from probe_env.starts import Contexts, Probes
-from probe_env.task import TaskConfig
 
 ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
     "probe_env/Insertion-v0": InsertionEnv,

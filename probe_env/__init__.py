@@ -8,20 +8,19 @@
 
 import gymnasium
 
-from probe_env.kernel_cache import ensure_kernel_cache
+from probe_env.machine import ensure_kernel_cache
 
 ensure_kernel_cache()  # before anything imports a kernel
 
-from probe_env.batch import SimulatorBatch, Window
-from probe_env.contexts import Context, load_contexts, spread_contexts
 from probe_env.design import Design
+from probe_env.envs.contexts import Context, load_contexts, spread_contexts
+from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.fidelity import Fidelity
-from probe_env.fidelity_choice import choose_fidelity
-from probe_env.run import Run
+from probe_env.fidelity import Fidelity, choose_fidelity
+from probe_env.physics.batch import SimulatorBatch, Window
+from probe_env.physics.run import Run
+from probe_env.physics.simulator import Simulator
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
-from probe_env.simulator import Simulator
-from probe_env.task import TaskConfig
 
 __all__ = [
     "Air",
@@ -47,7 +46,7 @@ __all__ = [
 for _name in ("Insertion", "Snapshot"):  # no max_episode_steps: the environments keep their own time limit
     gymnasium.register(
         id=f"probe_env/{_name}-v0",
-        entry_point=f"probe_env.env:{_name}Env",
-        vector_entry_point=f"probe_env.vector:{_name}VectorEnv",
+        entry_point=f"probe_env.envs.env:{_name}Env",
+        vector_entry_point=f"probe_env.envs.vector:{_name}VectorEnv",
     )
-gymnasium.register(id="probe_env/Design-v0", entry_point="probe_env.design_env:DesignEnv")
+gymnasium.register(id="probe_env/Design-v0", entry_point="probe_env.envs.design_env:DesignEnv")

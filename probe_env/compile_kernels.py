@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 from typing import Final
 
+from probe_env.physics.simulator import Simulator
 from probe_env.scene import Scene
-from probe_env.simulator import Simulator
 
 TIME_STEPS: Final = {"imex": 2e-4, "imex32": 2e-4, "newmark": 1e-4, "explicit": 5e-6, "implicit": 1e-4}
 """Method -> a step [s] that holds; ``wilson`` runs through the kernel of ``newmark``."""

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from probe_env.chain import FloatArray
-from probe_env.scene import Model, Probe, quantity
+from probe_env.arrays import FloatArray
+from probe_env.scene import Probe
+from probe_env.settings import Model, quantity
 
 RANGES: Final[dict[str, tuple[float, float, str]]] = {
     "guide_length": (1.0, 10.0, "m"),

@@ -7,35 +7,17 @@ field, the value and the accepted range.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_env.files import FileError, read_toml
+from probe_env.settings import Model, quantity
 
-ERRORS_TOLD = 8
-"""Errors of one file that are told, so that the line can be read."""
 LENGTH_TOLERANCE = 1e-6
 """How far, in metres, a cable length may be from a whole multiple of the float pitch."""
-
-
-def quantity(low: float, high: float, unit: str) -> AfterValidator:
-    """Validator of a physical quantity: finite and within [low, high] ``unit``."""
-
-    def check(value: float) -> float:
-        if not low <= value <= high:  # also catches NaN
-            raise PydanticCustomError(
-                "out_of_range",
-                "{value}{unit} is outside the accepted range {low} to {high}{unit}",
-                {"value": repr(value), "low": f"{low:g}", "high": f"{high:g}", "unit": unit and f" {unit}"},
-            )
-        return value
-
-    return AfterValidator(check)
 
 
 def _not_returning(value: float) -> float:
@@ -46,38 +28,6 @@ def _not_returning(value: float) -> float:
             {"value": repr(value)},
         )
     return value
-
-
-class Model(BaseModel):
-    """Base of all models that files describe: frozen, strict about types, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, validate_default=True)
-
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read a TOML file.
-
-        Raises:
-            FileNotFoundError: no such file.
-            ValueError: not TOML, or not valid; names the file and every offending field.
-        """
-        data = read_toml(path)
-        try:
-            return cls.model_validate(tuples(data))
-        except ValidationError as error:
-            raise FileError(path, explain(error)) from error
-        except (ValueError, OverflowError) as error:
-            raise FileError(path, str(error)) from error
-
-    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Copy with changed fields, validated (pydantic's own copy is not); mappings update sub-models."""
-        fields = {name: getattr(self, name) for name in type(self).model_fields}
-        for name, value in (update or {}).items():
-            inner = fields.get(name)
-            if isinstance(inner, Model) and isinstance(value, Mapping):
-                value = inner.model_copy(update=value)
-            fields[name] = value
-        return type(self).model_validate(fields)
 
 
 class Tube(Model):
@@ -187,27 +137,3 @@ class Scene(Model):
 
 def _impossible(message: str) -> PydanticCustomError:
     return PydanticCustomError("impossible_geometry", "{message}", {"message": message})
-
-
-def explain(error: ValidationError, within: str = "") -> str:
-    """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
-    lines, found = [], error.errors(include_url=False, include_context=False)
-    for item in found[:ERRORS_TOLD]:
-        field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
-        value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
-        message = "there is no such field" if item["type"] == "extra_forbidden" else item["msg"]
-        lines.append(f"{field}: {message}{value}" if field else message)
-    more = [f"and {len(found) - ERRORS_TOLD} more"] if len(found) > ERRORS_TOLD else []
-    return "; ".join(lines + more)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 100 else f"{text[:100]} ..."
-
-
-def tuples(value: Any) -> Any:
-    """TOML's lists as the tuples that frozen models hold."""
-    if isinstance(value, dict):
-        return {key: tuples(entry) for key, entry in value.items()}
-    return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value

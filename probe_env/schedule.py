@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.chain import FloatArray
+from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_text, read_toml
 
 Over = Literal["time", "inserted_length"]

@@ -2,9 +2,12 @@
 
 import numpy as np
 
-from probe_env import Scene, schemes, ticm
-from probe_env.chain import build_chain, element_blocks, element_stiffness
-from probe_env.drive import Drive
+from probe_env import Scene
+from probe_env.physics.chain import build_chain, element_blocks, element_stiffness
+from probe_env.physics.drive import Drive
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.newmark import workspace
+from probe_env.physics.state import at_rest
 
 
 def plain_chain(elements, **changes):
@@ -41,7 +44,7 @@ def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, 
     inputs = Drive(feed, air).inputs_of_steps(steps, scheme.time_step, chain.element_length, 0)
     samples = np.zeros((steps // every, len(points), 4))
     points = np.array(points, dtype=np.int64)
-    work = schemes.workspace(nodes) if work is None else work
+    work = workspace(nodes) if work is None else work
     status, *_ = ticm.advance(
         chain, scheme, inputs, nodes - 1, state, work, every, every, points, samples, np.zeros(nodes)
     )
@@ -50,7 +53,7 @@ def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, 
 
 def integrate(chain, scheme, d=None, v=None, a=None, steps=1, every=1, **inputs):
     """Samples (k, p, 4) of x, y, theta, V after every ``every`` steps, and the final state."""
-    state = schemes.at_rest(chain.node_count)
+    state = at_rest(chain.node_count)
     for target, start in zip((state.d, state.v, state.a), (d, v, a), strict=True):
         if start is not None:
             target[:] = start

@@ -14,7 +14,9 @@ from tqdm import tqdm
 
 # A server that imports once and forks for each piece of work: it has no threads, which a fork would cut off
 SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["agents.report", "agents.train", "agents.design_compare", "agents.design_search"])
+SERVER.set_forkserver_preload(
+    ["agents.evaluation.report", "agents.learning.train", "agents.design.compare", "agents.design.search"]
+)
 
 
 def killed_at(

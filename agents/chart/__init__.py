@@ -1,1 +1,5 @@
-"""Accuracy against cost over all methods, and beside other packages."""
+"""Accuracy against cost: scenes, insertions and steps enter, errors and what they cost leave.
+
+Runs, then errors, then tables and pictures; where methods stop is in ``stability``, other programs in ``peers``.
+Imports the study's cases and records.
+"""

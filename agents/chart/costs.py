@@ -9,8 +9,8 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents.chart.ensembles import Setting
-from agents.provenance import provenance, write_atomically, write_json
-from probe_env.lane_group import LANES
+from agents.records.provenance import provenance, write_atomically, write_json
+from probe_env.physics.methods.lane_group import LANES
 
 METHODS = ("newmark", "wilson", "imex", "imex32", "implicit", "explicit")
 NODES = {"imex": (1, 2, 4, 8, 16)}

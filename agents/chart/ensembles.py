@@ -15,12 +15,12 @@ from typing import Any
 import pandas as pd
 from tqdm import tqdm
 
-from agents.code_hash import code_hash
-from agents.store import Store
-from agents.study import PERTURBATION
-from agents.work import Work, announce
+from agents.records.code_hash import code_hash
+from agents.records.store import Store
+from agents.records.work import Work, announce
+from agents.study.cases import PERTURBATION
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
-from probe_env.signals import dominant_frequencies
+from probe_env.physics.signals import dominant_frequencies
 
 SETTLE, DURATION = 2.0, 6.0  # [s]
 SAMPLE_PERIOD = 1e-3  # [s]

@@ -12,7 +12,7 @@ from scipy.stats import bootstrap
 from agents.chart.costs import cpu_seconds
 from agents.chart.ensembles import LENGTHS, MODEL_STEP, PEAK, REFERENCE_STEP, STATISTICS, STIFFNESSES, Setting
 from agents.chart.insertions import END, FEED_SPEED, REFERENCE, START, STRETCH
-from agents.study import CASES
+from agents.study.cases import CASES
 
 FLOORS = {
     "radial_rms_m": 1e-6, "radial_p99_m": 1e-6, "lift_off_share": 0.01, PEAK: 1.0, "axial_rms_m": 1e-5,

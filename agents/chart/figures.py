@@ -5,18 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from agents.chart.chains import LAPACK
 from agents.chart.smooth import cases
-from agents.figures import GREY, GRID, save
+from agents.records.drawing import GREY, GRID, save
+from probe_env.physics.bare_chains import LAPACK
 
 COLOURS = {
     "newmark": "#1f5fa8", "wilson": "#7d3c98", "imex": "#c0392b", "imex32": "#ec7aa5", "implicit": "#d68910",

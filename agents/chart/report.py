@@ -12,11 +12,11 @@ from agents.chart.costs import run_costs
 from agents.chart.ensembles import run_ensembles
 from agents.chart.insertions import run_insertions
 from agents.chart.smooth import run_smooth
-from agents.provenance import CHECKOUT, write_atomically
-from agents.store import as_csv, stored_rows
-from agents.stored import read_csv
-from agents.stored.tables import COSTS
-from agents.study import load_rows
+from agents.records.provenance import CHECKOUT, write_atomically
+from agents.records.reading import read_csv
+from agents.records.store import as_csv, stored_rows
+from agents.records.tables import COSTS
+from agents.study.cases import load_rows
 
 STUDY = CHECKOUT / "results" / "study"
 """The slow methods' runs: `probe-env study` made them."""

@@ -16,15 +16,16 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart import closed_forms
-from agents.chart.chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
-from agents.code_hash import code_hash
-from agents.store import Store
-from agents.work import Work, announce
+from agents.records.code_hash import code_hash
+from agents.records.store import Store
+from agents.records.work import Work, announce
 from probe_env import Scene
-from probe_env.chain import Chain, FloatArray, air_speed, build_chain, sensor_node
-from probe_env.methods import SCHEMES
-from probe_env.schemes import State, at_rest
+from probe_env.arrays import FloatArray
+from probe_env.physics import closed_forms
+from probe_env.physics.bare_chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
+from probe_env.physics.chain import Chain, air_speed, build_chain, sensor_node
+from probe_env.physics.methods.method import SCHEMES
+from probe_env.physics.state import State, at_rest
 
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
 REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))

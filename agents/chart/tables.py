@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import linregress
 
-from agents.chart.chains import LAPACK
 from agents.chart.ensembles import CHOICES, MODEL_STEP, Setting
 from agents.chart.errors import OUTPUTS, bound, insertion_cost
 from agents.chart.figures import resolved
 from agents.chart.smooth import METHODS, REFERENCES, cases
 from probe_env.fidelity import PRESETS
-from probe_env.lane_group import PRECISIONS
+from probe_env.physics.bare_chains import LAPACK
+from probe_env.physics.methods.lane_group import PRECISIONS
 
 Row = Mapping[Any, Any]
 
@@ -91,7 +91,7 @@ def _interval(row: Row) -> str:
 
 
 def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
-    """What ``probe_env.fidelity_choice`` reads: error bound of every setting and output, and its cost.
+    """What ``probe_env.fidelity`` reads: error bound of every setting and output, and its cost.
 
     Length NaN stands for a whole insertion (stiffness of table 2); cost is processor time for a simulated second of a
     node on table 2's mesh [s], error the largest relative one that the 95 % interval leaves room for.

@@ -1,1 +1,4 @@
-"""The subcommands of ``probe-env``: one dataclass each, tyro makes the options from them."""
+"""The commands' arguments, a dataclass each; what they run is imported when they do.
+
+Imports any room.
+"""

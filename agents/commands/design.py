@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from agents.workers import Workers
+from agents.processes.workers import Workers
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class Compare:
 
     def run(self) -> None:
         """Run what is missing, store, print."""
-        from agents.design_compare import Comparison, compare, print_comparison
-        from agents.names import checked_name, name_of
+        from agents.design.compare import Comparison, compare, print_comparison
+        from agents.terminal.names import checked_name, name_of
         from probe_env import Design
-        from probe_env.contexts import spread_contexts
-        from probe_env.fidelity_choice import resolve_fidelity
+        from probe_env.envs.contexts import spread_contexts
+        from probe_env.fidelity import resolve_fidelity
 
         stems = [name_of(path) for path in self.designs]
         names = [
@@ -76,8 +76,8 @@ class DesignSearch:
 
     def run(self) -> None:
         """Search, store, print."""
-        from agents.design_problem import design_problem
-        from agents.design_search import run_design_search
+        from agents.design.problem import design_problem
+        from agents.design.search import run_design_search
 
         problem = design_problem(self.feed, self.full, self.contexts, self.fidelity)
         run_design_search(problem, self.trials, self.output, self.storage, self.seed, self.workers)

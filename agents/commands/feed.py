@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from agents.workers import Workers
+from agents.processes.workers import Workers
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Evaluate:
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
-        from agents.report import evaluate
+        from agents.evaluation.report import evaluate
 
         evaluate(
             self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity,
@@ -56,7 +56,7 @@ class Report:
 
     def run(self) -> None:
         """Write report.html and summary.csv beside the tables."""
-        from agents.report import write_report
+        from agents.evaluation.report import write_report
 
         print(f"written: {write_report(self.folder)}")
 
@@ -80,7 +80,7 @@ class Tradeoff:
 
     def run(self) -> None:
         """Run what is missing, store, print."""
-        from agents.tradeoff import run_tradeoff
+        from agents.evaluation.tradeoff import run_tradeoff
 
         run_tradeoff(self.families, self.output, self.contexts, self.limit, self.fidelity, self.beside)
 
@@ -98,7 +98,7 @@ class Map:
 
     def run(self) -> None:
         """Run what is missing, fit, store."""
-        from agents.vibration_map import make_map
+        from agents.policies.vibration_map import make_map
 
         target = self.target or self.output / "vibration-map.npz"
         if target.suffix != ".npz":
@@ -124,8 +124,8 @@ class Optimise:
 
     def run(self) -> None:
         """Search, simulate on the validation tubes, store, print."""
-        from agents.optimise import FAMILIES, run_search
-        from agents.vibration_map import VibrationMap, stored_map
+        from agents.policies.search import FAMILIES, run_search
+        from agents.policies.vibration_map import VibrationMap, stored_map
 
         for family in self.families:
             if family not in FAMILIES:
@@ -152,8 +152,8 @@ class Train:
 
     def run(self) -> None:
         """Train, print the learning curves."""
-        from agents.train import print_curves, train_all
-        from agents.train_config import Training
+        from agents.learning.config import Training
+        from agents.learning.train import print_curves, train_all
 
         training = Training.from_toml(self.config_file)
         if self.seeds:
@@ -184,7 +184,7 @@ class Render:
 
     def run(self) -> None:
         """Simulate, draw, write."""
-        from agents.render import render_episode
+        from agents.evaluation.film import render_episode
 
         kpis = render_episode(
             self.env_id, self.output, self.policy, self.every, self.seed,

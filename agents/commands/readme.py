@@ -14,6 +14,6 @@ class Readme:
 
     def run(self) -> None:
         """Rewrite or check."""
-        from agents.readme import check_readme, rewrite_readme
+        from agents.pages.rewrite import check_readme, rewrite_readme
 
         check_readme() if self.check else rewrite_readme()

@@ -18,6 +18,6 @@ class Results:
 
     def run(self) -> None:
         """Say what is stale, run it, publish it."""
-        from agents.results import run_results
+        from agents.records.stages import run_results
 
         run_results(self.stages, self.plan)

@@ -34,7 +34,7 @@ class Simulate:
 
     def run(self) -> None:
         """Simulate, store and print."""
-        from agents.simulate import print_statistics, simulate_scene
+        from agents.study.simulate import print_statistics, simulate_scene
 
         if self.scene_file.suffix != ".toml":
             raise ValueError(f"scene_file = {str(self.scene_file)!r} is not a scene file, which is TOML (.toml)")
@@ -69,8 +69,8 @@ class Study:
 
     def run(self) -> None:
         """Run what is missing, print the table."""
-        from agents import study
-        from agents.claims import print_findings
+        from agents.study import cases as study
+        from agents.study.claims import print_findings
 
         for name, low, high in (("members", 1, 1000), ("jobs", 1, 256), ("duration", 0.5, 1e4)):
             value = getattr(self, name)
@@ -93,7 +93,7 @@ class Bench:
 
     def run(self) -> None:
         """Measure, store, print."""
-        from agents.bench import run_bench
+        from agents.bench.kernels import run_bench
 
         if not 1 <= self.repeats <= 1000:
             raise ValueError(f"repeats = {self.repeats!r} is outside the accepted range 1 to 1000")
@@ -109,7 +109,7 @@ class Timelapse:
 
     def run(self) -> None:
         """Run, store, print."""
-        from agents.timelapse import run_timelapse
+        from agents.chart.timelapse import run_timelapse
 
         run_timelapse(self.output)
 
@@ -123,7 +123,7 @@ class Stability:
 
     def run(self) -> None:
         """Run, store, print."""
-        from agents.stability_map import run_map
+        from agents.chart.stability.map import run_map
 
         run_map(self.output)
 
@@ -153,7 +153,7 @@ class Peers:
 
     def run(self) -> None:
         """Run, draw, print."""
-        from agents.chart import peers
+        from agents.chart.peers import comparison as peers
 
         table = peers.run_peers(self.output)
         peers.draw(table, self.output / "peers.png")
@@ -170,6 +170,6 @@ class Scaling:
 
     def run(self) -> None:
         """Measure, store, print."""
-        from agents.scaling import run_scaling
+        from agents.bench.scaling import run_scaling
 
         run_scaling(self.output)

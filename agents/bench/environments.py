@@ -1,0 +1,113 @@
+"""Environment steps per second: single, Gymnasium's and SB3's vector environments, and the native batch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+from tqdm import tqdm
+
+from agents.vec_env import ProbeVecEnv
+from probe_env import Scene
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity
+from probe_env.physics.methods import lane_group
+
+ENV_ID, LENGTH = "probe_env/Snapshot-v0", 27.5  # carrier length [m]: half of an insertion
+WORKERS, BATCHES = 8, (1, 8, 16, 64)
+EPISODE_PROBES = 16
+
+
+def bench_environments() -> dict[str, Any]:
+    """Steps per second of every way to run the environment, share of time outside the kernel, cost of an episode."""
+    return {
+        "steps_per_second": _steps_per_second(),
+        "share_outside_kernel": _share_outside_kernel(),
+        "episode_s_per_probe": {name: _episode(name) for name in ("standard", "fast")},
+        "carrier_length_m": LENGTH,
+    }
+
+
+def _make() -> gym.Env[Any, Any]:
+    return gym.make(ENV_ID, scene=Scene(carrier_length=LENGTH))
+
+
+def _steps_per_second() -> dict[str, float]:
+    """Environment steps (of 0.1 s) per second of wall time; compiled and settled before the clock starts."""
+    makers: dict[str, tuple[int, Callable[[], Any]]] = {
+        "single": (1, _make),
+        f"SyncVectorEnv, {WORKERS}": (WORKERS, lambda: SyncVectorEnv([_make] * WORKERS)),
+        f"AsyncVectorEnv, {WORKERS}": (WORKERS, lambda: AsyncVectorEnv([_make] * WORKERS)),
+        f"SB3 DummyVecEnv, {WORKERS}": (WORKERS, lambda: DummyVecEnv([_make] * WORKERS)),
+        f"SB3 SubprocVecEnv, {WORKERS}": (WORKERS, lambda: SubprocVecEnv([_make] * WORKERS)),
+    }
+    scene = Scene(carrier_length=LENGTH)
+    for count in BATCHES:
+        makers[f"native batch, {count}"] = (count, partial(ProbeVecEnv, ENV_ID, count, scene=scene))
+    rates = {}
+    for name, (count, make) in tqdm(makers.items(), desc="environments", unit="kind"):
+        env = make()
+        env.reset()
+        action = np.zeros((count, 2), dtype=np.float32) if name != "single" else np.zeros(2, dtype=np.float32)
+        env.step(action)
+        steps = 20
+        best = np.inf
+        for _ in range(3):  # an episode has 80 steps
+            start = time.perf_counter()
+            for _ in range(steps):
+                env.step(action)
+            best = min(best, time.perf_counter() - start)
+        rates[name] = count * steps / best
+        env.close()
+    return rates
+
+
+def _share_outside_kernel() -> float:
+    """Share of a step's time that is not spent in the kernels, for a batch of 16 on one thread."""
+    config = {"period": 1.0, "time_limit": 80.0}
+    batch = ProbeVecEnv(ENV_ID, 16, config, Scene(carrier_length=LENGTH), threads=1)
+    batch.reset()
+    action = np.zeros((16, 2), dtype=np.float32)
+    batch.step(action)
+    inside = 0.0
+    method = Fidelity().method
+    kernel = lane_group.KERNELS[method]
+
+    def timed(*arguments: Any) -> Any:
+        nonlocal inside
+        start = time.perf_counter()
+        result = kernel(*arguments)
+        inside += time.perf_counter() - start
+        return result
+
+    lane_group.KERNELS[method] = timed
+    try:
+        start = time.perf_counter()
+        for _ in range(3):
+            batch.step(action)
+        total = time.perf_counter() - start
+    finally:
+        lane_group.KERNELS[method] = kernel
+    return 1.0 - inside / total
+
+
+def _episode(fidelity: str) -> float:
+    """Wall time [s] of a whole insertion at 0.2 m/s and 63 m3/h, per probe, in a batch of 16 on all cores."""
+    config = TaskConfig()
+    episodes = Episodes(EPISODE_PROBES, config, fidelity=fidelity)
+    rngs = {k: np.random.default_rng(k) for k in range(EPISODE_PROBES)}
+    start = time.perf_counter()
+    episodes.reset(range(EPISODE_PROBES), rngs)
+    action = np.tile(config.action(0.2, 63.0 / 3600.0), (EPISODE_PROBES, 1))
+    with tqdm(total=275, desc=f"episode, {fidelity}", unit="s") as bar:
+        while episodes.running.any():
+            episodes.step(action, episodes.running.copy())
+            bar.update()
+    return (time.perf_counter() - start) / EPISODE_PROBES

@@ -1,0 +1,1 @@
+"""Where methods stop: the map over scenes, one mass, energy, digits."""

@@ -1,0 +1,37 @@
+"""Published results come from clean commits: what other code makes goes to a folder of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from pathlib import Path
+from typing import Any, Final
+
+from agents.records.provenance import CHECKOUT, DATA, changed_code, commit
+
+PUBLISHED: Final = ("results", *DATA)
+"""Folders of the checkout that hold what README and docs say."""
+ELSEWHERE: Final = Path("output") / "unpublished"
+
+
+def in_its_place(command: Any) -> Any:
+    """A command (a dataclass) with its output paths led elsewhere if this code must not publish there."""
+    paths = {f.name: value for f in dataclasses.fields(command) if isinstance(value := getattr(command, f.name), Path)}
+    moved = {name: place(path) for name, path in paths.items() if name in ("output", "target", "work")}
+    return dataclasses.replace(command, **moved)
+
+
+def place(path: Path) -> Path:
+    """Where what was meant for ``path`` goes: below ``ELSEWHERE`` if it would publish results of changed code."""
+    whole = path.absolute()
+    published = any(whole.is_relative_to(CHECKOUT / folder) for folder in PUBLISHED)
+    if not published or not commit().endswith("+changes"):
+        return path
+    files = changed_code()
+    shown = ", ".join(files[:3]) + (f" and {len(files) - 3} more" if len(files) > 3 else "")
+    elsewhere = ELSEWHERE / whole.relative_to(CHECKOUT)
+    warnings.warn(
+        f"{path} is published from clean commits only, and {shown} differ from the commit: writing to {elsewhere}",
+        stacklevel=2,
+    )
+    return elsewhere

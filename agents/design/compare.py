@@ -1,0 +1,193 @@
+"""Probe designs compared: the same tubes, the same feed, the same metres, with intervals and paired differences."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.policies.catalogue import make_policy
+from agents.policies.fixed import Scheduled
+from agents.records import reading as stored
+from agents.records.code_hash import class_hash, code_hash
+from agents.records.models import Trial, set_aside
+from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.work import Work, announce
+from agents.rollouts.statistics import Interval, mean_interval
+from agents.terminal.tables import print_table
+from probe_env import Context, Design, Fidelity
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.trials import judge, try_insertions, try_sections
+from probe_env.schedule import Schedule
+
+KPIS: dict[str, tuple[str, float, str]] = {
+    "reward": ("reward", 1.0, ""),
+    "radial_rms_m": ("radial rms", 1e3, "mm"),
+    "share_within_limit": ("within the limit", 100.0, "%"),
+    "inspection_time_s": ("time", 1.0, "s"),
+    "inspected_m": ("inspected", 1.0, "m"),
+    "drive_margin_n": ("drive margin", 1.0, "N"),
+}
+"""KPI -> name, factor and unit for people."""
+BATCH = 16
+CODE = ("probe_env.envs.trials:try_insertions", "probe_env.envs.trials:try_sections", "probe_env.envs.trials:judge")
+"""What a result depends on, besides the feed."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Every design on every context under one feed.
+
+    Attributes:
+        designs: by name.
+        contexts: tubes.
+        feed: a policy by its spec; for sections it must be a schedule over inserted length.
+        full: whole insertions instead of sections of constant length.
+        fidelity: of the simulation.
+        config: the task.
+    """
+
+    designs: Mapping[str, Design]
+    contexts: Sequence[Context]
+    feed: str = "constant"
+    full: bool = False
+    fidelity: Fidelity = field(default_factory=Fidelity)
+    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
+
+    def schedule(self) -> Schedule:
+        """The feed as a schedule.
+
+        Raises:
+            ValueError: it is none over inserted length.
+        """
+        policy = make_policy(self.feed, self.config)
+        if self.feed == "constant":
+            return Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
+        if not isinstance(policy, Scheduled) or policy.schedule.over != "inserted_length":
+            raise ValueError(
+                f"feed = {self.feed!r} is not a schedule over inserted length: give --full for policies and agents"
+            )
+        return policy.schedule
+
+    def key(self, design: Design, context: Context, place: int = 0) -> str:
+        """Identity of one result; the context's place seeds the start."""
+        policy = make_policy(self.feed, self.config)
+        parts = [
+            place,
+            design.built.model_dump(), context.model_dump(), policy.describe(), class_hash(type(policy), "predict"),
+            self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
+            code_hash(CODE, self.fidelity.method),
+        ]  # fmt: skip
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+    def run(
+        self, pairs: Sequence[tuple[Design, Context]], seeds: Sequence[int], threads: int | None = None
+    ) -> list[dict[str, float]]:
+        """KPIs and reward of some pairs, side by side."""
+        designs, contexts = [d for d, _ in pairs], [c for _, c in pairs]
+        if self.full:
+            controllers = [make_policy(self.feed, self.config) for _ in pairs]
+            trial = try_insertions(
+                designs, contexts, controllers, self.config, self.fidelity, seeds=seeds, threads=threads
+            )
+        else:
+            feeds = [self.schedule()] * len(pairs)
+            trial = try_sections(designs, contexts, feeds, self.config, self.fidelity, seeds=seeds, threads=threads)
+        terms, kpis = judge(designs, trial, self.config)
+        rewards = np.sum(list(terms.values()), axis=0)
+        return [
+            {"reward": float(rewards[k])} | {name: float(values[k]) for name, values in kpis.items()}
+            for k in range(len(pairs))
+        ]
+
+
+def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
+    """Run what is missing in ``output``, store designs.csv and summary.csv; one row a design and context.
+
+    Raises:
+        ValueError: no designs, or the feed does not fit; nothing was run.
+    """
+    if not comparison.designs:
+        raise ValueError("designs = none: give at least one design file (TOML), see configs/design/")
+    if not comparison.full:
+        comparison.schedule()
+    journal = output / "designs.jsonl"
+    done = read_journal(journal)
+    units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
+    keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
+    missing = [unit for unit in units if keys[unit] not in done]
+    every = set(keys.values())
+    announce(Work("trial", len(every), lambda: len(every & read_journal(journal).keys()), output))
+    if missing:
+        output.mkdir(parents=True, exist_ok=True)
+        set_aside(journal)
+        with journal.open("ab") as file, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
+            for begin in range(0, len(missing), BATCH):
+                part = missing[begin : begin + BATCH]
+                pairs = [(comparison.designs[name], comparison.contexts[k]) for name, k in part]
+                for unit, kpis in zip(part, comparison.run(pairs, [k for _, k in part]), strict=True):
+                    file.write((json.dumps({"key": keys[unit], "commit": commit(), "kpis": kpis}) + "\n").encode())
+                    bar.update()
+                file.flush()
+                os.fsync(file.fileno())
+        done = read_journal(journal)
+    rows: list[dict[str, Any]] = []
+    for name, k in units:
+        place, record = {"design": name, "context": k}, done[keys[name, k]]
+        made_at = {"commit": record.get("commit", "unknown")}
+        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | made_at)
+    table = pd.DataFrame(rows)
+    write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
+    made: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
+    made |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | made)
+    return table
+
+
+def read_journal(path: Path) -> dict[str, dict[str, Any]]:
+    """Stored trials by key; a last line that was cut off by an interrupt is left out."""
+    return stored.read_journal(path, Trial)
+
+
+def summarise(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean of every KPI of every design with its interval over the contexts, and paired with the first design's."""
+    first, rows = str(table["design"].iloc[0]), []
+    by_design = {name: part.set_index("context") for name, part in table.groupby("design", sort=False)}
+    for name, part in by_design.items():
+        for kpi in KPIS:
+            mean = mean_interval(part[kpi].to_numpy())
+            change = mean_interval((part[kpi] - by_design[first][kpi]).to_numpy())
+            rows.append((name, kpi, mean.mean, mean.low, mean.high, change.mean, change.low, change.high))
+    columns = ["design", "kpi", "mean", "low", "high", "change", "change_low", "change_high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def cells(summary: pd.DataFrame) -> list[list[str]]:
+    """Rows for people: a design, its KPIs with intervals, and the change of the reward against the first design."""
+    rows = []
+    for name in dict.fromkeys(summary["design"]):
+        part = summary[summary["design"] == name].set_index("kpi")
+        texts = [Interval(*part.loc[kpi, ["mean", "low", "high"]]).text(KPIS[kpi][1]) for kpi in KPIS]
+        change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]]).text()
+        rows.append([str(name), *texts, change])
+    return rows
+
+
+HEADER = ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()), "reward, change"]
+
+
+def print_comparison(table: pd.DataFrame) -> None:
+    """The summary on the terminal."""
+    title = f"Means over {table['context'].nunique()} tubes with 95 % intervals; change against the first"
+    print_table(title, HEADER, cells(summarise(table)), least_width=160)
+    for name, part in table.groupby("design", sort=False):
+        print(f"{name}: {int(part['lost_drive'].sum())} lost drive, {int(part['diverged'].sum())} diverged")

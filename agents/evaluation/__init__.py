@@ -1,0 +1,4 @@
+"""Judging policies: tables of episodes enter, reports, fronts, checks and films leave.
+
+Imports policies and what is below them.
+"""

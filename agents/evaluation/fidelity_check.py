@@ -1,0 +1,151 @@
+"""Honesty of the solver: do an evaluation's figures and ranking stay at half the step and with the study's scheme?
+
+With the study's scheme twice: what was fed and blown is replayed, so that nothing but the physics differs; and the
+policies act themselves, so that feedback answers to what it meets, as it would on a rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal
+
+import pandas as pd
+from scipy.stats import kendalltau
+
+from agents.policies.fixed import Scheduled
+from agents.records.columns import KPIS
+from agents.records.provenance import write_atomically
+from agents.records.reading import read_parquet
+from agents.records.tables import PROFILE
+from agents.rollouts.plan import Plan, run_plan
+from agents.rollouts.statistics import Interval, by_context, mean_interval
+from probe_env import Fidelity
+from probe_env.schedule import Schedule
+
+Level = Literal["no", "half-step", "replayed", "acting", "all"]
+STUDY: Final = Fidelity(method="newmark", time_step=1e-4, time_lapse=4.0)
+SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 24
+COLUMNS: Final = ["check", "policy", "kpi", "before", "mean", "low", "high", "rank", "rank_before"]
+WORTH_A_WORD: Final = 1e-3  # of the figure before
+
+
+def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path) -> None:
+    """Run what a level asks for beyond half the step, store fidelity.csv and print it in words.
+
+    Args:
+        level: "replayed" and "acting" take a sample with the study's scheme; "all" takes both.
+        plan: of the evaluation.
+        table: its episodes.
+        output: its folder, with profile.parquet.
+    """
+    if level == "no":
+        return
+    checks = [check_half_step(plan, table, output)]
+    if level in ("replayed", "all"):
+        checks.append(check_replayed(plan, table, read_parquet(output / "profile.parquet", PROFILE), output))
+    if level in ("acting", "all"):
+        checks.append(check_acting(plan, table, output))
+    report_checks(checks, output)
+
+
+def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """All episodes again at half the time step; differences to ``table``, see ``differences``."""
+    half = plan.fidelity.model_copy(update={"time_step": plan.fidelity.time_step / 2.0})
+    again = run_plan(replace(plan, fidelity=half), output / "half-step")
+    return differences("half step", again, table)
+
+
+def check_replayed(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """A sample replayed with the study's scheme: what each episode fed and blew over length, as a schedule.
+
+    The first ``SAMPLE_POLICIES`` policies on the first ``SAMPLE_CONTEXTS`` contexts, time-lapse 4. Slow:
+    an episode takes minutes.
+    """
+    names, places, was = _sample(plan, table)
+    parts = []
+    for k in places:
+        policies = {name: Scheduled(plan.config, replayed(profile, name, k, plan.seeds[0])) for name in names}
+        again = run_plan(
+            replace(plan, policies=policies, contexts=[plan.contexts[k]], seeds=plan.seeds[:1], fidelity=STUDY),
+            output / "study-replayed" / f"context-{k}",
+        )
+        parts.append(again.assign(context=k))
+    return differences("study's scheme, replayed", pd.concat(parts, ignore_index=True), was)
+
+
+def check_acting(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """The same sample, but the policies act by what they observe with the study's scheme."""
+    names, places, was = _sample(plan, table)
+    sample = replace(
+        plan, policies={name: plan.policies[name] for name in names}, contexts=[plan.contexts[k] for k in places],
+        seeds=plan.seeds[:1], fidelity=STUDY,
+    )  # fmt: skip
+    again = run_plan(sample, output / "study-acting")
+    return differences("study's scheme, acting", again.assign(context=[places[k] for k in again["context"]]), was)
+
+
+def _sample(plan: Plan, table: pd.DataFrame) -> tuple[list[str], list[int], pd.DataFrame]:
+    """Names of the policies, places of the contexts, and what the evaluation says of them."""
+    names = list(plan.policies)[:SAMPLE_POLICIES]
+    places = list(range(min(SAMPLE_CONTEXTS, len(plan.contexts))))
+    chosen = table["policy"].isin(names) & table["context"].isin(places) & (table["seed"] == plan.seeds[0])
+    return names, places, table[chosen]
+
+
+def replayed(profile: pd.DataFrame, policy: str, context: int, seed: int) -> Schedule:
+    """What an episode fed and blew over the inserted length."""
+    rows = profile[(profile["policy"] == policy) & (profile["context"] == context) & (profile["seed"] == seed)]
+    if rows.empty:
+        raise ValueError(f"no profile of {policy} on context {context} with seed {seed} is stored")
+    columns = (rows[name].astype(float) for name in ("inserted_length", "feed_speed", "air_supply_rate"))
+    position, feed, air = (tuple(column) for column in columns)
+    return Schedule("inserted_length", "linear", position, feed, air)
+
+
+def differences(check: str, again: pd.DataFrame, before: pd.DataFrame) -> pd.DataFrame:
+    """For every policy and KPI: mean before, its change on the same contexts with interval, the rank by reward."""
+    ranks = [_ranks(frame) for frame in (again, before)]
+    rows = []
+    for policy in dict.fromkeys(again["policy"]):
+        for kpi in KPIS:
+            was = by_context(before, policy, kpi)
+            change = mean_interval((by_context(again, policy, kpi) - was).to_numpy())
+            interval = (float(was.mean()), change.mean, change.low, change.high)
+            rows.append((check, policy, kpi, *interval, ranks[0][policy], ranks[1][policy]))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _ranks(table: pd.DataFrame) -> dict[str, int]:
+    means = table.groupby("policy")["reward"].mean().sort_values(ascending=False)
+    return {str(policy): place for place, policy in enumerate(means.index, start=1)}
+
+
+def report_checks(parts: Sequence[pd.DataFrame], output: Path) -> pd.DataFrame:
+    """Store fidelity.csv and say in words what moved."""
+    checks = pd.concat(parts, ignore_index=True)
+    write_atomically(output / "fidelity.csv", checks.to_csv(index=False, float_format="%.6g"))
+    print("\n".join(words(checks)))
+    return checks
+
+
+def words(checks: pd.DataFrame) -> list[str]:
+    """Whether the ranking stays, and the figures that move by more than rounding, with intervals without zero."""
+    lines = []
+    for check, rows in checks.groupby("check", sort=False):
+        places = rows.drop_duplicates("policy")
+        agreement = kendalltau(places["rank"], places["rank_before"]).statistic if len(places) > 1 else 1.0
+        same = "stays" if (places["rank"] == places["rank_before"]).all() else "changes"
+        rewards = rows[rows["kpi"] == "reward"].sort_values("rank")
+        order = ", ".join(f"{row['policy']} {row['before'] + row['mean']:.1f}" for row in rewards.to_dict("records"))
+        lines.append(
+            f"{check}: the ranking of {len(places)} policies by reward {same} (Kendall's tau {agreement:.2f}): {order}"
+        )
+        for row in rows.to_dict("records"):
+            clear = row["low"] > 0.0 or row["high"] < 0.0
+            if clear and abs(row["mean"]) > WORTH_A_WORD * abs(row["before"]):
+                name, factor, unit = KPIS[row["kpi"]]
+                change = Interval(row["mean"], row["low"], row["high"]).text(factor)
+                lines.append(f"{row['policy']}: {name} changes by {change} {unit}".rstrip())
+    return lines

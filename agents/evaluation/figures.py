@@ -1,0 +1,100 @@
+"""Pictures of policies: time against vibration, profiles over the inserted length, worst episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pandas as pd
+from matplotlib.figure import Figure
+
+from agents.records.drawing import BLUE, GREY, GRID, MM, RED, colours, plain, save
+
+
+def trade_off(summary: pd.DataFrame, path: Path) -> Path:
+    """Inspection time against the share of length out of the limit, a point a policy with both intervals."""
+    figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
+    rows = summary.set_index(["policy", "kpi"])
+    for colour, policy in zip(colours(), dict.fromkeys(summary["policy"]), strict=False):
+        time, share = rows.loc[(policy, "inspection_time_s")], rows.loc[(policy, "share_within_limit")]
+        x, y = time["mean"], 100.0 * (1.0 - share["mean"])
+        across = [[x - time["low"]], [time["high"] - x]]
+        along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=plain(policy))
+    return _save_time_against_vibration(figure, path)
+
+
+def front(points: pd.DataFrame, path: Path) -> Path:
+    """Fronts of policy families: inspection time against length out of the limit, a line a family."""
+    figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
+    for colour, (family, rows) in zip(colours(), points.groupby("family", sort=False), strict=False):
+        ordered = rows.sort_values("time_s")
+        x, y = ordered["time_s"], 100.0 * ordered["out_share"]
+        across = [x - ordered["time_low"], ordered["time_high"] - x]
+        along = [y - 100.0 * ordered["out_low"], 100.0 * ordered["out_high"] - y]
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o-", capsize=3, color=colour, label=plain(str(family)))
+    return _save_time_against_vibration(figure, path)
+
+
+def _save_time_against_vibration(figure: Figure, path: Path) -> Path:
+    (axis,) = figure.axes
+    axis.set_xlabel("inspection time [s]")
+    axis.set_ylabel("length out of the limit [%]")
+    axis.set_ylim(bottom=0.0)
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    return save(figure, path)
+
+
+def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
+    """Feed, air and vibration over the inserted length by policy, in bins of two metres."""
+    figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
+    binned = profile.assign(bin=(profile["inserted_length"] // 2.0) * 2.0 + 1.0)
+    fields = (
+        ("feed_speed", 1.0, "feed [m/s]"),
+        ("air_supply_rate", 3600.0, "air [m3/h]"),
+        ("radial_rms_m", MM, "radial rms [mm]"),
+    )
+    for colour, policy in zip(colours(), dict.fromkeys(profile["policy"]), strict=False):
+        groups = binned[binned["policy"] == policy].groupby("bin")
+        for axis, (name, factor, label) in zip(axes, fields, strict=True):
+            mean = groups[name].mean() * factor
+            axis.plot(mean.index, mean, color=colour, label=plain(policy))
+            axis.set_ylabel(label)
+        loud = groups["radial_rms_m"].quantile(0.9) * MM
+        axes[2].plot(loud.index, loud, color=colour, linewidth=0.7)
+    for axis in axes:
+        axis.grid(**GRID)
+        axis.set_ylim(bottom=0.0)
+    axes[0].legend(frameon=False, ncols=3)
+    axes[2].axhline(0.1, color=GREY, linestyle=":")
+    axes[2].set_xlabel("inserted length [m]")
+    return save(figure, path)
+
+
+def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Path:
+    """Of each policy the episode with the lowest reward: feed and vibration over the inserted length."""
+    policies = list(dict.fromkeys(table["policy"]))
+    figure, axes = plt.subplots(
+        len(policies), 1, figsize=(9, 2.0 * len(policies) + 0.6), sharex=True, squeeze=False, layout="constrained"
+    )
+    for axis, policy in zip(axes[:, 0], policies, strict=True):
+        part = table[table["policy"] == policy]
+        worst = part.loc[part["reward"].idxmin()]
+        place = ["policy", "context", "seed"]
+        rows = profile[(profile[place] == worst[place]).all(axis=1)]
+        rows = rows[rows["agent"] == worst["agent"]] if "agent" in rows else rows
+        axis.plot(rows["inserted_length"], rows["radial_rms_m"] * MM, color=BLUE, linewidth=0.8)
+        axis.set_ylabel("radial rms [mm]", color=BLUE)
+        feed = axis.twinx()
+        feed.plot(rows["inserted_length"], rows["feed_speed"], color=RED, linewidth=0.8)
+        feed.set_ylabel("feed [m/s]", color=RED)
+        feed.set_ylim(0.0, 0.42)
+        axis.set_title(
+            f"{plain(policy)}: reward {worst['reward']:.0f}, friction {worst['friction']:.2f},"
+            f" helix {worst['helix_diameter']:g} m",
+            fontsize=10,
+        )
+        axis.grid(**GRID)
+    axes[-1, 0].set_xlabel("inserted length [m]")
+    return save(figure, path)

@@ -1,0 +1,134 @@
+"""A training run as a TOML file: every setting, validated before any work is done."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from agents.policies.bundle import ALGORITHMS, Algorithm, Network
+from agents.policies.catalogue import make_policy
+from agents.policies.view import View
+from agents.vec_env import ENVIRONMENTS
+from probe_env.envs.contexts import Split, spread_contexts
+from probe_env.envs.env import task_config
+from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.settings import Model, quantity, tuples, whole_steps
+
+OURS = (
+    "self", "policy", "env", "policy_kwargs", "tensorboard_log", "seed", "device", "verbose", "_init_setup_model",
+    "use_sde", "sde_sample_freq", "use_sde_at_warmup", "rollout_buffer_class", "rollout_buffer_kwargs",
+    "replay_buffer_class", "replay_buffer_kwargs", "optimize_memory_usage", "action_noise", "stats_window_size",
+)  # fmt: skip
+"""Arguments of the algorithms that other fields set, or that a file of numbers cannot hold."""
+Count = Annotated[int, Field(ge=1)]
+
+
+class Environments(Model):
+    """What the agent is trained in."""
+
+    env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
+    num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
+    contexts: Contexts = "train"
+    probes: Probes = "scene"
+    """"random": every episode has a probe of its own."""
+    fidelity: str | Fidelity = "fast"
+    task: Annotated[dict[str, Any], AfterValidator(tuples)] = Field(default_factory=dict)
+    reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
+
+
+class Imitation(Model):
+    """Warm start: imitate a teacher on the states that the agent itself gets into (DAgger), before the first update."""
+
+    teacher: str = "privileged"
+    rounds: Count = 3
+    steps: Count = 8192
+    """Environment steps of a round."""
+    epochs: Count = 20
+    learning_rate: Annotated[float, quantity(1e-8, 1.0, "")] = 1e-3
+
+
+class Validation(Model):
+    """Where the best model is chosen."""
+
+    contexts: Split = "validation"
+    limit: Annotated[int, Field(ge=0)] = 12
+    """So many contexts, evenly spread; 0: all."""
+    fidelity: str | Fidelity = "fast"
+
+
+class Training(Model):
+    """A training run.
+
+    ``learning`` holds arguments of SB3's algorithm by their own names (``n_steps``, ``learning_rate``, ``gamma``, ...).
+    A phase is what is done between two checkpoints: all environments begin anew at its start, and at its end the agent
+    is validated. ``observations`` of the view default to all that the task shows.
+    """
+
+    algorithm: Algorithm = "ppo"
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
+    environment: Environments = Environments()
+    network: Network = Network()
+    averages: tuple[float, ...] = (5.0, 20.0)
+    friction_estimate: bool = False
+    least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
+    """The agent never blows less; 0: the task's own least."""
+    learning: dict[str, int | float | bool] = Field(default_factory=dict)
+    imitation: Imitation | None = None
+    validation: Validation = Validation()
+    phases: Annotated[int, Field(ge=0, le=100_000)] = 8
+    phase_steps: Count = 16_384
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        known = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
+        for name in self.learning:
+            if name not in known or name in OURS:
+                accepted = ", ".join(key for key in known if key not in OURS)
+                raise PydanticCustomError("learning", f"learning.{name} is not one of {self.algorithm}'s: {accepted}")
+        if self.imitation is not None and self.algorithm != "ppo":
+            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
+        if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
+            raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be at least one, and none twice")
+        if self.phases == 0 and self.imitation is None:
+            raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
+        for fidelity in map(resolve_fidelity, (self.environment.fidelity, self.validation.fidelity)):
+            if fidelity.time_lapse > 1.0 and not self.task.growing:
+                raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v0")
+            whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
+        self.view.columns(self.task)
+        spread_contexts(self.validation.contexts, self.validation.limit)
+        if self.learning.get("batch_size", 2) < 2:
+            raise PydanticCustomError(
+                "batch", f"learning.batch_size = {self.learning['batch_size']!r} must be 2 or more"
+            )
+        if self.imitation is not None:
+            try:
+                make_policy(self.imitation.teacher, self.shown_task)
+            except (ValueError, FileNotFoundError) as error:
+                raise PydanticCustomError("teacher", "{text}", {"text": f"imitation.teacher: {error}"}) from error
+        return self
+
+    @property
+    def task(self) -> TaskConfig:
+        """The task that the agent learns, as given."""
+        return task_config(ENVIRONMENTS[self.environment.env_id].defaults, self.environment.task)
+
+    @property
+    def shown_task(self) -> TaskConfig:
+        """The same with all observations shown: teachers look at some that the agent does not."""
+        return self.task.all_shown
+
+    @property
+    def view(self) -> View:
+        """What the agent sees."""
+        return View(
+            observations=tuple(self.task.observations),
+            averages=self.averages,
+            friction_estimate=self.friction_estimate,
+            least_air_supply_rate=self.least_air_supply_rate,
+        )

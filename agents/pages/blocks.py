@@ -1,0 +1,21 @@
+"""What the README and docs say of the stored results: a maker a block, named after it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from agents.pages import control, designs, simulator
+from agents.pages.sources import RESULTS
+
+__all__ = ["MAKERS", "RESULTS"]
+
+MAKERS: dict[str, Callable[[], str]] = {
+    maker.__name__: maker
+    for maker in (
+        control.agents, control.any_probe, control.evaluation, control.fidelity, control.map_quality, control.tradeoff,
+        designs.codesign, designs.designs, designs.search,
+        simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
+        simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
+        simulator.study, simulator.timelapse,
+    )
+}  # fmt: skip

@@ -1,0 +1,106 @@
+"""Evaluation, agents, fronts and the solver's check in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agents.evaluation.fidelity_check import words
+from agents.evaluation.report import compared_with, kpi_cells
+from agents.learning import results as agent_results
+from agents.pages.sources import RESULTS, command, source
+from agents.policies.catalogue import DATA
+from agents.records.columns import KPIS
+from agents.records.models import Made, Quality
+from agents.records.reading import read_csv, read_json
+from agents.records.tables import EPISODES
+from agents.rollouts.statistics import Interval, endings, grouped, sentences
+
+BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
+METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
+           "adaptive", "ppo-no-tension", "ppo-any-probe", "ppo", "privileged")  # fmt: skip
+
+
+def evaluation() -> str:
+    """KPIs of every policy on the held-out tubes, and the differences in words."""
+    return _evaluated(RESULTS / "evaluation", ("inspected_share", "radial_p99_m"))
+
+
+def any_probe() -> str:
+    """The same where every tube has a probe of its own, drawn from the design space."""
+    return _evaluated(RESULTS / "any-probe", ("radial_p99_m", "radial_acceleration_rms_m_per_s2", "air_m3"))
+
+
+def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
+    table = grouped(read_csv(folder / "episodes.csv", EPISODES))
+    against = compared_with(folder, table)
+    shown = [kpi for kpi in KPIS if kpi not in left_out]
+    names = [f"{KPIS[kpi][0]} [{KPIS[kpi][2]}]" if KPIS[kpi][2] else KPIS[kpi][0] for kpi in shown]
+    lines = [f"| policy | {' | '.join(names)} |", "|---" * (len(shown) + 1) + "|"]
+    for policy, cells in kpi_cells(table):
+        by_kpi = dict(zip(KPIS, cells, strict=True))
+        lines.append(f"| `{policy}` | " + " | ".join(by_kpi[kpi] for kpi in shown) + " |")
+    ends = endings(table)
+    words = "\n".join(f"* {line}" for line in sentences(table, against))
+    note = (
+        f"{len(table)} insertions on {table['context'].nunique()} held-out tubes, means with 95 % bootstrap intervals;"
+        f" {ends['diverged'].sum()} diverged, {ends['lost_drive'].sum()} lost their drive."
+    )
+    return "\n".join(lines) + f"\n\n{words}\n\n{note} {source(folder / 'provenance.json')}"
+
+
+def agents() -> str:
+    """The agents against the other policies with the differences in words; what training took."""
+    table = grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))
+    lines = [f"* {line}" for line in agent_results.verdicts(table, "ppo", BARS, "privileged")]
+    curves = agent_results.load_curves(RESULTS / "agents" / "ppo")
+    run = read_json(RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json", Made).model_dump()
+    imitation = run["config"]["imitation"]
+    speed = agent_results.throughput(curves, imitation["rounds"] * imitation["steps"])
+    best = curves.loc[curves.groupby("seed")["reward"].idxmax()]
+    lines.append(
+        f"* PPO improved on the warm start in {int((best['phase'] > 0).sum())} of {len(best)} seeds by the validation"
+        " tubes; in the others the warm start itself was kept."
+    )
+    note = (
+        "Interquartile means over training seeds, 95 % intervals over seeds and tubes. Training:"
+        f" {speed['minutes_a_seed']:.0f} minutes a seed (median) with one thread"
+        f" ({run['machine']['cores']} cores shared by two seeds), {speed['steps_per_second']:.0f} environment steps/s,"
+        f" {100.0 * speed['kernel_share']:.0f} % of the time in the simulation kernel. Made by `{run['command']}` at"
+        f" commit {run['commit']}; weights, learning curves and settings are stored in `results/agents/`."
+    )
+    methods = [name for name in METHODS if name in set(table["policy"])]
+    return f"{agent_results.markdown(table, methods)}\n\n" + "\n".join(lines) + f"\n\n{note}"
+
+
+def map_quality() -> str:
+    """What the vibration map is fitted to and explains."""
+    quality = read_json(DATA / "vibration-map.json", Quality).model_dump()
+    share = 100.0 * quality["explained_variance"]
+    return (
+        f"The map is fitted to {quality['episodes']} wandering insertions on the training tubes. Of"
+        f" {quality['held_out_tubes']} of these tubes, two of each helix diameter and left out of the fit, it tells"
+        f" {share:.0f} % of the variance of log rms. Made by `{command(quality)}` at commit {quality['commit']};"
+        " stored in `agents/policies/data/`."
+    )
+
+
+def tradeoff() -> str:
+    """Hypervolume of every family of policies."""
+    folder = RESULTS / "tradeoff"
+    volumes = read_csv(folder / "hypervolume.csv")
+    contexts = read_csv(folder / "episodes.csv", EPISODES)["context"].nunique()
+    parts = [
+        f"`{row['family']}` {Interval(row['hypervolume'], row['low'], row['high']).text()}"
+        for row in volumes.to_dict("records")
+    ]
+    return (
+        f"Hypervolume (share of the box from nothing to 900 s and all of the length out of the limit that a front"
+        f" dominates): {', '.join(parts)}; {contexts} tubes. {source(folder / 'provenance.json')}"
+    )
+
+
+def fidelity() -> str:
+    """What moves at half the step and with the study's scheme."""
+    folder = RESULTS / "fidelity"
+    lines = [f"* {line}" for line in words(read_csv(folder / "fidelity.csv"))]
+    return "\n".join(lines) + f"\n\n{source(folder / 'provenance.json')}"

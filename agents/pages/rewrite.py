@@ -1,0 +1,75 @@
+"""The README's and docs' tables and figures, made from stored results, so that neither can drift from the other.
+
+A block of a page between ``<!-- NAME -->`` and ``<!-- /NAME -->`` belongs to the maker of that name in
+``readme_blocks``.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from agents.learning import results as agent_results
+from agents.pages.blocks import MAKERS, RESULTS
+from agents.records.provenance import write_atomically
+from agents.study.cases import load_rows
+from agents.study.claims import Ensemble
+
+README, ACCURACY, CLUSTER = Path("README.md"), Path("docs/accuracy.md"), Path("docs/cluster.md")
+
+
+def rewrite_readme() -> None:
+    """Rewrite every block and figure."""
+    for page, names in _pages().items():
+        write_atomically(page, _rewritten(page, names))
+    _growth_figure(RESULTS / "study" / "growth.png")
+    _learning_figure(RESULTS / "agents" / "learning.png")
+    print("README.md and docs/ rewritten from results/")
+
+
+def check_readme() -> None:
+    """Raise ValueError if a block differs from what the stored results give."""
+    for page, names in _pages().items():
+        if _rewritten(page, names) != page.read_text():
+            raise ValueError(f"{page.name} differs from the stored results: run `make readme`")
+        print(f"{page.name} agrees with results/")
+
+
+def _rewritten(page: Path, names: tuple[str, ...]) -> str:
+    text = page.read_text()
+    for name in names:
+        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
+        if len(pattern.findall(text)) != 1:
+            raise ValueError(f"{page.name} must hold the block <!-- {name} --> ... <!-- /{name} --> exactly once")
+        content = MAKERS[name]()
+        text = pattern.sub(lambda match, content=content: f"{match[1]}{content}\n{match[2]}", text)  # type: ignore[misc]
+    return text
+
+
+def _growth_figure(path: Path) -> None:
+    from agents.study.figures import length_against_vibration
+
+    ensemble = Ensemble(load_rows(RESULTS / "study"))
+    lengths = (10, 20, 30, 40, 50, 55)
+    values = [ensemble.values(f"l{length}", "radial_rms_m") for length in lengths]
+    low, middle, high = ([f(v) for v in values] for f in (min, lambda v: sum(v) / len(v), max))
+    length_against_vibration(list(lengths), low, middle, high, path)
+
+
+def _learning_figure(path: Path) -> None:
+    from agents.learning.figures import learning_curves
+
+    runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension")}
+    learning_curves(runs, path)
+
+
+def _pages() -> dict[Path, tuple[str, ...]]:
+    """The blocks of every page."""
+    return {
+        README: (
+            "study", "bench", "environments", "map_quality", "evaluation", "agents", "any_probe", "search", "designs",
+            "codesign", "tradeoff", "fidelity", "presets", "choices",
+        ),
+        ACCURACY: ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
+        CLUSTER: ("scaling",),
+    }  # fmt: skip

@@ -1,0 +1,151 @@
+"""Speed, accuracy and stability of the simulator in words."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import pandas as pd
+
+from agents.bench import scaling as portioned
+from agents.chart import tables as chart
+from agents.chart import timelapse as lapses
+from agents.chart.costs import REPEATS
+from agents.chart.peers import comparison as others
+from agents.chart.report import error_tables
+from agents.chart.stability import map as stability_map
+from agents.pages.sources import RESULTS, source
+from agents.records.models import Made
+from agents.records.reading import read_csv, read_json
+from agents.records.store import stored_rows
+from agents.study.cases import load_rows
+from agents.study.claims import markdown
+
+
+def study() -> str:
+    """The study's claims against what was simulated."""
+    folder = RESULTS / "study"
+    table = load_rows(folder)
+    members = int(table.groupby("case").size().max())
+    made = source(folder / "ensemble-provenance.json")
+    note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {made}"
+    return f"{markdown(table)}\n\n{note}"
+
+
+def bench() -> str:
+    """Speeds as ratios within one run."""
+    path = RESULTS / "bench" / "bench.json"
+    results = read_json(path, Made).model_dump()
+    lines = ["| solver, l = 50 m | ns a node-step | times the TICM's |", "|---|---|---|"]
+    for name, row in results["solvers"].items():
+        lines.append(f"| {name} | {row['ns_per_node_step']:.0f} | {row['times_ticm']:.1f} |")
+    lines += [
+        "",
+        "| method, l = 50 m, one thread | step | ns a node-step | node-step ratio | ratio for a simulated second |",
+        "|---|---|---|---|---|",
+    ]
+    for name, row in results["fast"].items():
+        cells = (row["ns_per_node_step"], row["node_step_ratio"], row["simulated_second_ratio"])
+        lines.append(f"| {name} | {row['time_step_s']:g} s | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |")
+    insertion = results["insertion"]
+    lines += [
+        "",
+        f"A full insertion, 5 to 60 m at 0.2 m/s, takes {insertion['time_lapse_1']:.1f} s a probe (16 probes,"
+        f" {results['machine']['cores']} cores), with time-lapse 4 {insertion['time_lapse_4']:.1f} s.",
+    ]
+    scaling = results["scaling"]
+    note = (
+        f"Cost of a step grows with the number of nodes to the power {scaling['exponent']:.3f}"
+        f" ({scaling['nodes'][0]} to {scaling['nodes'][-1]} nodes). A new process has its first result after"
+        f" {results['first_result_s']:.1f} s with cached kernels. {source(path)}"
+    )
+    return "\n".join(lines) + f"\n\n{note}"
+
+
+def environments() -> str:
+    """Steps a second of the environments."""
+    path = RESULTS / "bench" / "bench.json"
+    results = read_json(path, Made).model_dump()
+    rows = results["environments"]
+    rates, episode = rows["steps_per_second"], rows["episode_s_per_probe"]
+    lines = ["| environments | steps/s | times the single one |", "|---|---|---|"]
+    lines += [f"| {name} | {rate:.0f} | {rate / rates['single']:.1f} |" for name, rate in rates.items()]
+    note = (
+        f"Steps of 0.1 s of `Snapshot-v0` with {rows['carrier_length_m']:g} m of carrier cable. Outside the kernel a"
+        f" batch of 16 spends {100.0 * rows['share_outside_kernel']:.0f} % of its time. A whole `Insertion-v0` episode"
+        f" at 0.2 m/s costs {episode['standard']:.1f} s a probe with `standard`, {episode['fast']:.1f} s with `fast`"
+        " (batch of 16, all cores)."
+    )
+    return "\n".join(lines) + f"\n\n{note} {source(path)}"
+
+
+@lru_cache
+def _chart_errors() -> tuple[pd.DataFrame, pd.DataFrame]:
+    return error_tables(RESULTS / "chart")
+
+
+def smooth() -> str:
+    """Slopes and errors before chaos."""
+    folder = RESULTS / "chart"
+    return f"{chart.smooth(stored_rows(folder / 'smooth.csv'))} {source(folder / 'smooth-provenance.json')}"
+
+
+def choices() -> str:
+    """The cheapest setting for a tolerance."""
+    table = chart.choices_markdown(chart.choices(*_chart_errors()))
+    return f"{table}\n\n{source(RESULTS / 'chart' / 'ensembles-provenance.json')}"
+
+
+def presets() -> str:
+    """Error and cost of the presets."""
+    costs = read_csv(RESULTS / "chart" / "costs.csv")
+    table = chart.presets(*_chart_errors(), costs)
+    bench = read_json(RESULTS / "bench" / "bench.json", Made).model_dump()["fast"]["imex32, 8 lanes"]
+    table += (
+        f" (Best of {REPEATS} in one run; the bench, another run, has {bench['simulated_second_ratio']:.0f} at 2e-4 s:"
+        " such ratios move by as much from run to run.)"
+    )
+    return f"{table}\n\n{source(RESULTS / 'chart' / 'insertions-provenance.json')}"
+
+
+def outputs() -> str:
+    """Errors of all outputs."""
+    return chart.outputs(_chart_errors()[0])
+
+
+def timelapse() -> str:
+    """What time-lapse changes."""
+    folder = RESULTS / "timelapse"
+    return f"{lapses.markdown(read_csv(folder / 'summary.csv'))}\n\n{source(folder / 'provenance.json')}"
+
+
+def stability() -> str:
+    """Steps that hold, and those that are wrong."""
+    folder = RESULTS / "stability"
+    return f"{stability_map.markdown(read_csv(folder / 'map.csv'))}\n\n{source(folder / 'provenance.json')}"
+
+
+def energy() -> str:
+    """Energy of passive chains."""
+    folder = RESULTS / "stability"
+    return f"{chart.energy(read_csv(folder / 'energy.csv'))}\n\n{source(folder / 'provenance.json')}"
+
+
+def scaling() -> str:
+    """What a thousand insertions cost on more cores."""
+    folder = RESULTS / "scaling"
+    portions, jobs = (read_csv(folder / f"{name}.csv") for name in ("portions", "jobs"))
+    seconds = portions.set_index("size")["seconds_an_insertion"]
+    told = ", ".join(f"{value:.1f} s in portions of {size}" for size, value in seconds.items())
+    one, more = jobs.iloc[0], jobs.iloc[-1]
+    return (
+        f"{portioned.markdown(read_csv(folder / 'projection.csv'))}\n\n"
+        f"Measured: an insertion costs {told} (one thread);"
+        f" {portioned.MEASURED} insertions take {one['seconds']:.0f} s with one worker,"
+        f" {more['seconds']:.0f} s with {more['jobs']:.0f}, their start included. {source(folder / 'provenance.json')}"
+    )
+
+
+def peers() -> str:
+    """Other codes on the same scene."""
+    folder = RESULTS / "chart"
+    return f"{others.markdown(read_csv(folder / 'peers.csv'))}\n\n{source(folder / 'peers-provenance.json')}"

@@ -1,0 +1,207 @@
+"""A trained agent as one file of plain arrays: weights, what it sees, the task, versions and a hash.
+
+Loading builds the network from the validated description and fills in the weights; nothing in the file is executed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.policies import BasePolicy
+
+from agents.policies.view import View
+from agents.records.arrays import read_arrays
+from agents.records.provenance import write_atomically
+from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError
+from probe_env.settings import Model, explain, quantity
+
+WEIGHT: Final = "weight:"
+_RESTORE: Final = "restore the file, or train again"
+Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
+ALGORITHMS: Final[dict[str, tuple[Any, str]]] = {
+    "ppo": (PPO, "MlpPolicy"),
+    "sac": (SAC, "MlpPolicy"),
+    "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
+}
+MOST_WEIGHTS: Final = 1 << 24
+"""Weights between the hidden layers, so that what a file describes cannot fill the memory."""
+LARGEST_WEIGHT: Final = 1e6
+LONGEST_DESCRIPTION: Final = 1 << 20
+ACTED: Final = ("growing", "period", "feed_speeds", "air_supply_rates")
+"""Fields of the task that give an action its meaning: an agent runs in no task where they differ."""
+
+
+class Network(Model):
+    """Size of the policy's networks; ``lstm_hidden_size`` is for recurrent-ppo alone."""
+
+    net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
+    lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
+    log_std_init: Annotated[float, quantity(-20.0, 5.0, "")] = -1.0
+
+    @model_validator(mode="after")
+    def _fits_in_memory(self) -> Self:
+        weights = sum(a * b for a, b in pairwise(self.net_arch))
+        if weights > MOST_WEIGHTS:
+            raise PydanticCustomError("weights", f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
+        return self
+
+    def arguments(self, algorithm: Algorithm) -> dict[str, Any]:
+        """SB3's ``policy_kwargs``."""
+        if algorithm == "sac":
+            return {"net_arch": list(self.net_arch)}
+        arguments = {"net_arch": list(self.net_arch), "log_std_init": self.log_std_init}
+        if algorithm == "recurrent-ppo":
+            arguments["lstm_hidden_size"] = self.lstm_hidden_size
+        return arguments
+
+
+class Description(Model):
+    """What a bundle says of itself."""
+
+    format: Literal[1] = 1
+    algorithm: Algorithm
+    network: Network
+    view: View
+    task: TaskConfig
+    trained: dict[str, Any]
+    """Run that made it: config, seed, steps, versions, commit, machine."""
+
+
+class Agent:
+    """A trained policy with SB3's ``predict`` on the task's own observations; memory is in the state that it returns.
+
+    Args:
+        description: what it is.
+        policy: SB3's policy with its weights.
+        config: the task that it acts in; may show more than the agent looks at.
+        hash: of the bundle, for ``describe``.
+
+    Raises:
+        ValueError: the task does not show what the agent needs, or its actions mean something else there.
+    """
+
+    def __init__(self, description: Description, policy: BasePolicy, config: TaskConfig, hash: str = "") -> None:
+        description.view.columns(config)
+        for name in ACTED:
+            trained, here = getattr(description.task, name), getattr(config, name)
+            if trained != here:
+                raise ValueError(f"{name} = {here!r} differs from {trained!r}, which the agent was trained with")
+        self.description, self.policy, self.config, self.hash = description, policy, config, hash
+        policy.set_training_mode(False)
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.floating[Any]],
+        state: tuple[Any, ...] | None = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[np.float32], tuple[Any, ...]]:
+        """Actions of the environment for observations (d,) or (N, d), and the state to give back next time."""
+        rows = np.atleast_2d(observation)
+        new = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        averages, inner = state if state is not None else (None, None)
+        features, averages = self.description.view.features(self.config, rows, averages, new)
+        start = np.ones(len(rows), dtype=bool) if state is None else new
+        actions, inner = self.policy.predict(features, inner, start, deterministic)
+        acted = self.description.view.env_actions(self.config, actions)
+        if not np.isfinite(acted).all():
+            raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
+        return (acted[0] if np.ndim(observation) == 1 else acted), (averages, inner)
+
+    def describe(self) -> dict[str, Any]:
+        """Equal for equal agents."""
+        return {"policy": "Agent", "algorithm": self.description.algorithm, "bundle": self.hash}
+
+
+def save_bundle(path: Path, description: Description, policy: BasePolicy) -> str:
+    """Write a bundle atomically; returns its hash."""
+    weights = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+    text = description.model_dump_json()
+    arrays = {f"{WEIGHT}{name}": value for name, value in weights.items()}
+    digest = _hash(text, weights)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, description=np.array(text), hash=np.array(digest), **arrays)
+    write_atomically(path, buffer.getvalue())
+    return digest
+
+
+def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
+    """Read a bundle for a task (default: the one that it was trained in).
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not a bundle, changed since it was written, of another format, or for another task. Pickles, such
+            as SB3's zip files hold, are refused and never executed.
+    """
+    path = Path(path)
+    try:
+        arrays = read_arrays(path, _expected)
+    except FileError as error:
+        raise FileError(path, f"not a bundle of plain arrays: {error.problem} - {_RESTORE}") from error
+    if not {"description", "hash"} <= set(arrays) or arrays["description"].size != 1 or arrays["hash"].size != 1:
+        raise FileError(path, f"not a bundle: it must hold a description, a hash and weights - {_RESTORE}")
+    text, digest = str(arrays["description"]), str(arrays["hash"])
+    weights = {name.removeprefix(WEIGHT): value for name, value in arrays.items() if name.startswith(WEIGHT)}
+    if _hash(text, weights) != digest:
+        raise FileError(path, f"changed or cut off since it was written: its hash does not match - {_RESTORE}")
+    try:
+        if len(text) > LONGEST_DESCRIPTION:
+            raise FileError(path, f"description: longer than {LONGEST_DESCRIPTION} characters - {_RESTORE}")
+        description = Description.model_validate_json(text)
+    except ValidationError as error:
+        raise FileError(path, f"description: {explain(error)}") from error
+    policy = build_policy(description, initialised=False)
+    _check_weights(path, policy, weights)
+    policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+    try:
+        return Agent(description, policy, config or description.task, digest)
+    except ValueError as error:
+        raise FileError(path, str(error)) from error
+
+
+def _expected(name: str) -> str:
+    return "f" if name.startswith(WEIGHT) else "U" if name in ("description", "hash") else ""
+
+
+def _check_weights(path: Path, policy: BasePolicy, weights: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Raise unless names, shapes and types are those of the network, and the values any that training could give."""
+    wrong = "weights do not fit the described network"
+    network = {name: value.numpy() for name, value in policy.state_dict().items()}
+    for name in sorted(network.keys() ^ weights.keys()):
+        raise FileError(path, f"{wrong}: {name!r} is {'missing' if name in network else 'not part of it'}")
+    for name, value in weights.items():
+        given, needed = (f"{array.dtype} {array.shape}" for array in (value, network[name]))
+        if given != needed:
+            raise FileError(path, f"{wrong}: {name!r} is {given}, not {needed}")
+        if np.abs(value).max(initial=0.0) > LARGEST_WEIGHT:
+            raise FileError(path, f"weights: {name!r} holds values beyond {LARGEST_WEIGHT:g}: nothing that was trained")
+
+
+def build_policy(description: Description, initialised: bool = True) -> BasePolicy:
+    """SB3's policy of a description, with new weights; ``initialised``: with those that training begins from."""
+    algorithm, name = ALGORITHMS[description.algorithm]
+    arguments = description.network.arguments(description.algorithm)
+    if not initialised and description.algorithm != "sac":
+        arguments["ortho_init"] = False  # which takes long for large networks
+    policy: BasePolicy = algorithm.policy_aliases[name](*description.view.spaces, lambda _: 0.0, **arguments)
+    return policy
+
+
+def _hash(text: str, weights: Mapping[str, npt.NDArray[Any]]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for name in sorted(weights):
+        digest.update(f"{name}{weights[name].dtype}{weights[name].shape}".encode() + weights[name].tobytes())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,95 @@
+"""All policies by name: built-in ones, those found by search, schedule files and trained agents."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from agents.policies.fixed import BUILT_IN, Scheduled
+from agents.policies.on_map import MAP_POLICIES, ByDiameter
+from agents.rollouts.plan import Policy
+from agents.terminal.names import checked_name, name_of
+from probe_env.envs.task import TaskConfig
+from probe_env.schedule import Schedule
+
+DATA: Final = Path(__file__).parent / "data"
+STORED: Final = ("best-constant", "best-schedule")
+"""Schedules found by ``probe-env optimise``, in ``agents/policies/data/``."""
+BY_DIAMETER: Final = "best-schedule-by-diameter"
+NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES)
+
+
+def named_policies(specs: Sequence[str], config: TaskConfig) -> dict[str, Policy]:
+    """Policies by the names that tables give them: "NAME=SPEC", or the name or file name in the spec.
+
+    Raises:
+        ValueError: none, or one name twice, or what no name may be; and what ``make_policy`` raises.
+    """
+    pairs = [name_and_spec(spec) for spec in specs]
+    names = [name for name, _ in pairs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or not names:
+        raise ValueError(
+            f"policies = {', '.join(specs) or 'none'}: at least one is needed, and no name twice"
+            + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
+        )
+    return {checked_name(name, "policy", "NAME=FILE gives a name"): make_policy(spec, config) for name, spec in pairs}
+
+
+def name_and_spec(given: str) -> tuple[str, str]:
+    """Name and spec of a policy as it is given. A file that is there wins, whatever its name has in it."""
+    places = [place for place, character in enumerate(given) if character == "="]
+    if _is_file(given) or not places:
+        return name_of(Path(given)) if "." in given else given, given
+    splits = [(given[:place], given[place + 1 :]) for place in places]
+    return next((split for split in splits if split[1] in NAMES or _is_file(split[1])), splits[0])
+
+
+def _is_file(spec: str) -> bool:
+    return Path(spec).suffix in (".csv", ".toml", ".npz") and Path(spec).exists()
+
+
+def make_policy(spec: str, config: TaskConfig) -> Policy:
+    """A policy by its name, from a schedule file (.csv, .toml) or from an agent's bundle (.npz).
+
+    Raises:
+        ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
+        FileNotFoundError: no such file.
+    """
+    for known in (BUILT_IN, MAP_POLICIES):
+        if spec in known:
+            kind, arguments = known[spec]
+            return kind(config, **arguments)
+    if spec in STORED:
+        return Scheduled(config, Schedule.read(DATA / f"{spec}.csv"))
+    if spec == BY_DIAMETER:
+        return ByDiameter.read(config, DATA)
+    suffix = Path(spec).suffix
+    if suffix in (".csv", ".toml"):
+        schedule = Schedule.read(spec)
+        _warn_of_limits(spec, schedule, config)
+        return Scheduled(config, schedule)
+    if suffix == ".npz":
+        from agents.policies.bundle import load_bundle  # torch takes seconds to import
+
+        return load_bundle(spec, config)
+    raise ValueError(
+        f"policy = {spec!r} is not one of {', '.join(NAMES)}, nor a schedule file (.csv, .toml)"
+        " nor an agent's bundle (.npz)"
+    )
+
+
+def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
+    """Say what a schedule asks for that the feed device or the air supply do not give: a measured log may."""
+    for name, values, (low, high), factor, unit in (
+        ("feed speed", schedule.feed_speed, config.feed_speeds, 1.0, "m/s"),
+        ("air supply", schedule.air_supply_rate, config.air_supply_rates, 3600.0, "m3/h"),
+    ):
+        if min(values) < low * (1.0 - 1e-6) or max(values) > high * (1.0 + 1e-6):
+            warnings.warn(
+                f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} goes beyond what the"
+                f" task gives, {low * factor:g} to {high * factor:g} {unit}: the nearest of these is taken",
+                stacklevel=2,  # one place, whoever asks: told once
+            )

@@ -1,0 +1,180 @@
+"""Fixed policies with SB3's ``predict``, so that evaluation treats them and trained agents alike.
+
+A policy sees the task's observation and nothing else. What it remembers of an episode is the ``state`` that
+``predict`` returns and takes, as with SB3's recurrent policies: one row an environment, the time first.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import FloatArray
+from probe_env.envs.task import TaskConfig, in_si_units
+from probe_env.schedule import Schedule
+
+State = tuple[np.ndarray, ...]
+STUDY_FEED, STUDY_AIR = 0.2, 63.0 / 3600.0
+
+
+@dataclass
+class FixedPolicy(ABC):
+    """Base: decodes the observation, keeps time and memory, encodes the action.
+
+    Attributes:
+        config: the task that it acts in.
+        memory: numbers that it remembers for each environment, besides the time.
+    """
+
+    config: TaskConfig
+    memory: ClassVar[int] = 0
+
+    @abstractmethod
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Target feed speed [m/s] and air supply [m3/s], each (N,), from what is seen; ``memory`` (N, m) is its own.
+
+        ``seen`` holds the time [s] since the episode began and what the task lets observe, see ``in_si_units``.
+        """
+
+    def start(self, memory: FloatArray) -> None:  # noqa: B027 (most policies remember nothing)
+        """Set the memory (rows of new episodes) to its start."""
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.floating],
+        state: State | None = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[np.float32], State]:
+        """Actions for observations (d,) or (N, d), and the state to give back next time."""
+        rows = np.atleast_2d(observation)
+        memory = np.zeros((len(rows), self.memory + 1)) if state is None else state[0].copy()
+        new = np.ones(len(rows), dtype=bool) if state is None else np.zeros(len(rows), dtype=bool)
+        if episode_start is not None:
+            new |= np.asarray(episode_start, dtype=bool)
+        fresh = np.zeros((int(new.sum()), self.memory + 1))
+        self.start(fresh[:, 1:])
+        memory[new] = fresh
+        feed, air = self.targets({"time": memory[:, 0], **in_si_units(self.config, rows)}, memory[:, 1:])
+        memory[:, 0] += self.config.period
+        actions = []
+        for values, (low, high) in ((feed, self.config.feed_speeds), (air, self.config.air_supply_rates)):
+            actions.append(2.0 * (np.clip(values, low, high) - low) / (high - low) - 1.0)
+        action = np.column_stack(actions).astype(np.float32)
+        return (action[0] if np.ndim(observation) == 1 else action), (memory,)
+
+    def describe(self) -> dict[str, Any]:
+        """What it is, as JSON-ready data; equal for equal policies."""
+        values = {name: value for name, value in asdict(self).items() if name != "config"}
+        return {"policy": type(self).__name__, **values}
+
+
+@dataclass
+class Constant(FixedPolicy):
+    """The same feed and air all the way; by default the study's."""
+
+    feed_speed: float = STUDY_FEED
+    air_supply_rate: float = STUDY_AIR
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Constant."""
+        one = np.ones_like(seen["time"])
+        return self.feed_speed * one, self.air_supply_rate * one
+
+
+@dataclass
+class Scheduled(FixedPolicy):
+    """A schedule over time or inserted length."""
+
+    schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the schedule says for the time or the inserted length."""
+        return self.schedule.at(seen[self.schedule.over])
+
+
+@dataclass
+class SlowDown(FixedPolicy):
+    """Full feed up to one length, slow feed from another on, linear between."""
+
+    fast: float = 0.4
+    slow: float = 0.08
+    air_supply_rate: float = 100.0 / 3600.0
+    begin: float = 10.0
+    end: float = 45.0
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Linear between the two lengths."""
+        feed = np.interp(seen["inserted_length"], (self.begin, self.end), (self.fast, self.slow))
+        return np.asarray(feed), np.full_like(seen["time"], self.air_supply_rate)
+
+
+@dataclass
+class OnOff(FixedPolicy):
+    """Slow as soon as the measured vibration passes a level, fast again once it has fallen below half of it."""
+
+    fast: float = 0.3
+    slow: float = 0.08
+    level: float = 8e-5
+    air_supply_rate: float = 100.0 / 3600.0
+    memory: ClassVar[int] = 1
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Memory: 1 while slow."""
+        loud, quiet = seen["rf_noise"] > self.level, seen["rf_noise"] < 0.5 * self.level
+        memory[:, 0] = np.where(loud, 1.0, np.where(quiet, 0.0, memory[:, 0]))
+        feed = np.where(memory[:, 0] > 0.5, self.slow, self.fast)
+        return feed, np.full_like(feed, self.air_supply_rate)
+
+
+@dataclass
+class PI(FixedPolicy):
+    """Feed speed by proportional-integral control of the measured vibration, on logarithms of both."""
+
+    level: float = 6e-5
+    proportional: float = 0.15
+    integral: float = 0.05
+    air_supply_rate: float = 100.0 / 3600.0
+    memory: ClassVar[int] = 1
+
+    def start(self, memory: FloatArray) -> None:
+        """Memory: logarithm of the feed speed that the integral has come to."""
+        memory[:, 0] = np.log(STUDY_FEED)
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Integral held within the range of the feed, so that it does not wind up."""
+        error = np.clip(np.log(self.level / seen["rf_noise"]), -2.0, 1.0)
+        low, high = np.log(self.config.feed_speeds)
+        memory[:, 0] = np.clip(memory[:, 0] + self.integral * self.config.period * error, low, high)
+        feed = np.exp(memory[:, 0] + self.proportional * error)
+        return feed, np.full_like(feed, self.air_supply_rate)
+
+
+@dataclass
+class Random(FixedPolicy):
+    """Feed and air drawn anew every period, the same for the same seed, step and environment's place."""
+
+    seed: int = 0
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """From time and measured length, so that it depends neither on company nor on history."""
+        shares = np.empty((2, len(seen["time"])))
+        for k, (time, noise) in enumerate(zip(seen["time"], seen["rf_noise"], strict=True)):
+            entropy = [self.seed, round(time * 1e3), int(np.float64(noise).view(np.uint64))]
+            shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
+        (slow, fast), (least, most) = self.config.feed_speeds, self.config.air_supply_rates
+        return slow + shares[0] * (fast - slow), least + shares[1] * (most - least)
+
+
+BUILT_IN: Final[dict[str, tuple[type[FixedPolicy], dict[str, Any]]]] = {
+    "constant": (Constant, {}),
+    "slow": (Constant, {"feed_speed": 0.1, "air_supply_rate": 100.0 / 3600.0}),
+    "slow-down": (SlowDown, {}),
+    "on-off": (OnOff, {}),
+    "pi": (PI, {}),
+    "random": (Random, {}),
+}

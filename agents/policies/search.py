@@ -1,0 +1,151 @@
+"""The best constant feed and the best open-loop schedules for the training tubes, by CMA-ES on the vibration map.
+
+All are schedules over the inserted length, so they are stored and evaluated as any other: in ``data/`` with
+every trial and how they were made. The map stands in for the simulator in the search; what is found is simulated on
+the validation tubes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from cmaes import CMA
+from tqdm import tqdm
+
+from agents.policies.fixed import Scheduled
+from agents.policies.on_map import LEAST_AIR
+from agents.policies.vibration_map import CONTEXT, FEEDS, VibrationMap, features_of, metre_cost, stored_map
+from agents.records.provenance import provenance, write_atomically, write_json
+from agents.rollouts.plan import Plan, run_plan
+from probe_env import Context, load_contexts
+from probe_env.arrays import FloatArray
+from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS
+from probe_env.schedule import Schedule
+
+KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
+AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
+METRES: Final = np.arange(5.5, 60.0, 1.0)
+POPULATION: Final = 16
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family of schedules: logarithms of feed speed at some lengths and air supply at some, each in [0, 1].
+
+    Attributes:
+        knots, air_knots: lengths [m]; a single one is a constant.
+        start: where the search begins.
+        helix_diameter: of the tubes that it is for [m]; None: all.
+    """
+
+    knots: tuple[float, ...]
+    air_knots: tuple[float, ...]
+    start: tuple[float, ...]
+    helix_diameter: float | None = None
+
+    def schedule(self, x: list[float], config: TaskConfig) -> Schedule:
+        """The schedule of a point of the search space."""
+        low, high = np.log(FEEDS)
+        feed = np.exp(low + np.array(x[: len(self.knots)]) * (high - low))
+        air = LEAST_AIR + np.array(x[len(self.knots) :]) * (config.air_supply_rates[1] - LEAST_AIR)
+        places = sorted({*self.knots, *self.air_knots})
+        feeds, airs = np.interp(places, self.knots, feed), np.interp(places, self.air_knots, air)
+        return Schedule("inserted_length", "linear", tuple(places), tuple(map(float, feeds)), tuple(map(float, airs)))
+
+    def tubes(self, contexts: tuple[Context, ...]) -> tuple[Context, ...]:
+        """Those of the contexts that it is for."""
+        return tuple(c for c in contexts if self.helix_diameter in (None, c.helix_diameter))
+
+
+def _schedule_family(helix_diameter: float | None = None) -> Family:
+    return Family(KNOTS, AIR_KNOTS, (0.95, 0.9, 0.6, 0.6, 0.55, 0.45, 0.35, 0.2, 0.5, 0.9, 0.95, 0.95), helix_diameter)
+
+
+FAMILIES: Final[dict[str, Family]] = {
+    "best-constant": Family((5.0,), (5.0,), (0.45, 0.7)),
+    "best-schedule": _schedule_family(),
+    **{f"best-schedule-d{d:g}": _schedule_family(d) for d in HELIX_DIAMETERS},
+}
+
+
+@dataclass(frozen=True)
+class MapCost:
+    """Expected cost of schedules on tubes by a map, and so their reward."""
+
+    tubes: tuple[Context, ...]
+    config: TaskConfig
+    vibration: VibrationMap = field(default_factory=stored_map)
+
+    @cached_property
+    def _tiled(self) -> tuple[FloatArray, FloatArray]:
+        values = np.array([[getattr(c, name) for name in CONTEXT] for c in self.tubes])
+        return np.tile(METRES, len(values)), np.repeat(values, len(METRES), axis=0)
+
+    def reward(self, schedule: Schedule) -> float:
+        """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
+        lengths, tubes = self._tiled
+        feed, air = schedule.at(lengths)
+        cost = metre_cost(*self.vibration.distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config)
+        return float(len(METRES) * (self.config.progress_weight - cost.mean()))
+
+
+def run_search(family_name: str, trials: int, output: Path, work: Path, vibration: VibrationMap) -> Schedule:
+    """Search a family; stores NAME.csv (the schedule), NAME-trials.csv and NAME.json in ``output``.
+
+    A search takes less than a minute and is the same each time, so an interrupted one begins again; the simulated
+    episodes on the validation tubes are kept in ``work``.
+
+    Raises:
+        ValueError: no such family, or a budget out of range.
+    """
+    if family_name not in FAMILIES:
+        raise ValueError(f"family = {family_name!r} is not one of {', '.join(FAMILIES)}")
+    if trials < 1:
+        raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
+    family, config = FAMILIES[family_name], TaskConfig()
+    cost = MapCost(family.tubes(load_contexts("train")), config, vibration)
+    points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, family_name)
+    best = family.schedule(points[int(rewards.argmax())].tolist(), config)
+    table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
+    tubes = family.tubes(load_contexts("validation"))
+    plan = Plan({family_name: Scheduled(config, best)}, tubes, config=config, fidelity=PRESETS["fast"])
+    simulated = run_plan(plan, work / family_name)
+    setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": float(rewards.max())}
+    setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
+    write_atomically(output / f"{family_name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
+    write_atomically(output / f"{family_name}.csv", best.to_csv())
+    write_json(output / f"{family_name}.json", provenance() | setting)
+    print(f"{family_name}: " + ", ".join(f"{name} {value:.4g}" for name, value in setting.items()))
+    print(best.to_csv())
+    return best
+
+
+def search(
+    reward: Callable[[list[float]], float], start: Sequence[float], trials: int, name: str
+) -> tuple[FloatArray, FloatArray]:
+    """Points tried (n, d) of the unit cube and their rewards (n,) by CMA-ES; fewer trials once it has converged.
+
+    A generation is tried to its end or not at all, so a longer search begins as a shorter one.
+    """
+    optimizer = CMA(
+        np.array(start), sigma=0.2, bounds=np.array([[0.0, 1.0]] * len(start)), seed=0, population_size=POPULATION
+    )
+    points: list[FloatArray] = []
+    rewards: list[float] = []
+    with tqdm(total=trials, desc=name, unit="trial") as bar:
+        while len(points) < trials and not optimizer.should_stop():
+            generation = [optimizer.ask() for _ in range(POPULATION)]
+            told = [reward(point.tolist()) for point in generation]
+            optimizer.tell([(point, -value) for point, value in zip(generation, told, strict=True)])
+            points += generation
+            rewards += told
+            bar.update(POPULATION)
+    return np.array(points), np.array(rewards)

@@ -1,0 +1,121 @@
+"""What a trained agent sees and how its actions are meant: the same in training, evaluation and pictures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from probe_env.envs.task import OBSERVATIONS, TaskConfig, in_si_units
+from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
+from probe_env.settings import Model, quantity
+
+Rows = npt.NDArray[np.floating[Any]]
+TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
+
+
+CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
+
+
+class View(Model):
+    """Some of the task's observations with their running averages, and a logarithmic feed action.
+
+    ``friction_estimate`` adds the friction that steady sliding would need for the measured root tension. Averages are
+    the memory that a controller needs to guess friction from noisy windows. Feed speed spans a factor of 20, so equal
+    steps of an action are equal ratios of speed. The agent's air action spans what the task allows, but nothing below
+    ``least_air_supply_rate`` [m3/s]: too little air loses the drive, which is rare enough for training to miss.
+    """
+
+    observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
+    averages: Annotated[tuple[TimeConstant, ...], Field(max_length=16)] = (5.0, 20.0)
+    friction_estimate: bool = False
+    least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
+
+    @model_validator(mode="after")
+    def _estimable(self) -> Self:
+        missing = [name for name in MEASURED if name not in self.observations]
+        if self.friction_estimate and missing:
+            raise PydanticCustomError("estimate", f"friction_estimate needs the observations {', '.join(missing)}")
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return (len(self.observations) + self.friction_estimate) * (1 + len(self.averages))
+
+    @property
+    def spaces(self) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+        """Spaces of features and actions."""
+        features = gym.spaces.Box(-np.inf, np.inf, (self.size,), dtype=np.float32)
+        return features, gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+
+    def columns(self, config: TaskConfig) -> list[int]:
+        """Places of its observations among the task's.
+
+        Raises:
+            ValueError: the task does not show one of them, or blows less than ``least_air_supply_rate`` at most.
+        """
+        names = list(config.observations)
+        missing = [name for name in self.observations if name not in names]
+        if missing:
+            raise ValueError(f"observations = {', '.join(missing)} are not shown by this task: {', '.join(names)}")
+        if self.least_air_supply_rate >= config.air_supply_rates[1]:
+            raise ValueError(
+                f"least_air_supply_rate = {self.least_air_supply_rate!r} m3/s must be below the task's "
+                f"air_supply_rates[1] = {config.air_supply_rates[1]!r} m3/s"
+            )
+        return [names.index(name) for name in self.observations]
+
+    def features(
+        self, config: TaskConfig, rows: Rows, averages: Rows | None, new: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Features (N, size) of observations (N, d), and the averages (N, m) to give back next time.
+
+        Args:
+            config: the task that the observations are of.
+            rows: observations (N, d).
+            averages: what the last call returned; None: all episodes are new.
+            new: (N,) where an episode begins.
+        """
+        seen = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
+        if self.friction_estimate:
+            names = [*MEASURED, *(name for name in SHAPE if name in self.observations)]
+            physical = in_si_units(config, np.asarray(rows))
+            friction = friction_from_tension({name: physical[name] for name in names})
+            scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
+            seen = np.column_stack([seen, scaled]).astype(np.float32)
+        repeated = np.tile(seen, len(self.averages))
+        if averages is None:
+            averages = repeated
+        gains = np.repeat(-np.expm1(-config.period / np.array(self.averages)), seen.shape[1]).astype(np.float32)
+        kept = np.where(new[:, None], repeated, averages + gains * (repeated - averages)).astype(np.float32)
+        return np.concatenate([seen, kept], axis=1), kept
+
+    def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
+        """(N, 2) actions of the environment for the agent's: its feed action is of the logarithm."""
+        low, high = config.feed_speeds
+        share = 0.5 * (np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0) + 1.0)
+        feed = low * (high / low) ** share[:, 0]
+        linear = 2.0 * (feed - low) / (high - low) - 1.0
+        floor = self._air_floor(config)
+        blown = floor + (1.0 - floor) * share[:, 1]
+        return np.clip(np.column_stack([linear, 2.0 * blown - 1.0]), -1.0, 1.0).astype(np.float32)
+
+    def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
+        """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
+        low, high = config.feed_speeds
+        feed = low + 0.5 * (np.asarray(actions[:, 0], dtype=np.float64) + 1.0) * (high - low)
+        logarithmic = 2.0 * np.log(feed / low) / np.log(high / low) - 1.0
+        floor = self._air_floor(config)
+        blown = (0.5 * (np.asarray(actions[:, 1], dtype=np.float64) + 1.0) - floor) / (1.0 - floor)
+        acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, 2.0 * blown - 1.0]).astype(np.float32)
+        return np.clip(acted, -1.0, 1.0)
+
+    def _air_floor(self, config: TaskConfig) -> float:
+        """The least air as a share of the task's range."""
+        low, high = config.air_supply_rates
+        return max(self.least_air_supply_rate - low, 0.0) / (high - low)

@@ -1,0 +1,252 @@
+"""A hash of the code that a result depends on: definitions found by following names from where the work starts.
+
+It is blind to where a definition stands, to comments, docstrings, annotations, imports, checks, the wording of errors
+and warnings, to what reads and writes files, and to Python's version, so files can be moved and typed without making
+stored results old. What counts is the body of every function, class and constant that can be reached: a class
+(annotations name classes too) with its fields and those of its methods whose names occur in what is reached. A
+method's results do not depend on the modules of other methods.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, NamedTuple
+
+PACKAGES: Final = ("probe_env", "agents")
+TICM: Final = ("ticm",)
+LANES: Final = ("imex", "lane_group", "lanes", "factors")
+METHOD_MODULES: Final[dict[str, tuple[str, ...]]] = {
+    "newmark": TICM,
+    "wilson": TICM,
+    "implicit": (*TICM, "implicit", "factors"),
+    "imex": LANES,
+    "imex32": LANES,
+    "explicit": LANES,
+    "banded": (*TICM, "banded"),
+}
+"""The modules of ``probe_env.physics.methods`` in which a method is written."""
+ALL_METHODS: Final = frozenset({*TICM, *LANES, "implicit", "banded", "transfer_matrix"})
+ASIDE: Final = (
+    "agents.design.database", "agents.learning.checkpoints", "agents.records.arrays", "agents.records.atomic",
+    "agents.records.code_hash", "agents.records.models", "agents.records.provenance",
+    "agents.records.reading", "agents.records.store", "agents.records.tables", "agents.records.work",
+    "agents.terminal.tables", "probe_env.errors", "probe_env.files",
+)  # fmt: skip
+"""Modules that read, write and tell: no result depends on them. With the modules in them."""
+IGNORED_FIELDS: Final = frozenset({"annotation", "returns", "type_comment", "type_params", "ctx", "kind"})
+
+
+class Definition(NamedTuple):
+    """A definition at the top of a module or of a class."""
+
+    module: str
+    name: str
+    node: ast.stmt
+
+
+@lru_cache
+def code_hash(roots: tuple[str, ...], method: str | None = None) -> str:
+    """Short hash of the code that ``roots`` depend on.
+
+    Args:
+        roots: where the work starts, "module:function" or "module:Class.method".
+        method: of the simulation; the modules of other methods are left out. None: all methods count.
+
+    Call it from one thread only: CPython 3.11 cannot parse in two.
+    """
+    others = ALL_METHODS - set(METHOD_MODULES[method]) if method else frozenset()
+    digest = hashlib.sha256()
+    for text in sorted(_texts(roots, frozenset(f"probe_env.physics.methods.{name}" for name in others))):
+        digest.update(text.encode() + b"\n")
+    return digest.hexdigest()[:16]
+
+
+def class_hash(kind: type, *methods: str) -> str:
+    """Short hash of the code that methods of a class depend on; empty for a class that is not ours."""
+    if kind.__module__.split(".")[0] not in PACKAGES:
+        return ""
+    return code_hash(tuple(f"{kind.__module__}:{kind.__qualname__}.{name}" for name in methods))
+
+
+def _texts(roots: tuple[str, ...], without: frozenset[str]) -> Iterator[str]:
+    """Every reachable definition in its canonical form, its name first."""
+    todo: list[Definition | None] = []
+    names_used: set[str] = set()
+    for root in roots:
+        module, _, path = root.partition(":")
+        name, _, used = path.partition(".")
+        names_used |= {used} - {""}
+        todo.append(_find(module, name))
+        if todo[-1] is None:
+            raise ValueError(f"root = {root!r}: there is no {name} in {module}")
+    methods: dict[str, list[Definition]] = {}  # of reached classes, by name, that nothing has used yet
+    seen: set[tuple[str, str]] = set()
+    while todo:
+        found = todo.pop()
+        if found is None or found.module in without or _is_aside(found.module) or (found.module, found.name) in seen:
+            continue
+        seen.add((found.module, found.name))
+        parts: list[ast.AST] = [found.node]
+        if isinstance(found.node, ast.ClassDef):
+            parts = [*found.node.decorator_list, *found.node.bases, *found.node.keywords]
+            for member in found.node.body:
+                if isinstance(member, ast.FunctionDef) and not member.name.startswith("__"):
+                    inner = Definition(found.module, f"{found.name}.{member.name}", member)
+                    methods.setdefault(member.name, []).append(inner)
+                else:
+                    parts.append(member)
+        names = _names_of_ours(found, parts)
+        yield f"{found.name} " + " ".join(filter(None, (_canonical(part, names) for part in parts)))
+        for part in parts:
+            attributes, targets = _uses(part, found.module)
+            names_used |= attributes
+            todo += targets
+        for name in names_used & methods.keys():
+            todo += methods.pop(name)
+
+
+def _is_aside(module: str) -> bool:
+    return any(module == name or module.startswith(f"{name}.") for name in ASIDE)
+
+
+def _uses(node: ast.AST, module: str) -> tuple[set[str], list[Definition | None]]:
+    """Names of attributes and the definitions that a piece of code refers to."""
+    attributes: set[str] = set()
+    targets: list[Definition | None] = []
+    local = _imports(list(ast.walk(node)))
+    for part, counts in _walk(node):
+        if isinstance(part, ast.Name):
+            found = _find(*local[part.id]) if part.id in local else _find(module, part.id)
+            targets.append(found if counts or (found and isinstance(found.node, ast.ClassDef)) else None)
+        elif isinstance(part, ast.Attribute) and counts:
+            attributes.add(part.attr)
+            if isinstance(part.value, ast.Name):
+                targets.append(_find_in_alias(module, part.value.id, part.attr))
+        elif isinstance(part, ast.Constant) and counts and isinstance(part.value, str) and part.value.isidentifier():
+            attributes.add(part.value)  # getattr(thing, "name")
+    return attributes, targets
+
+
+def _walk(node: ast.AST, counts: bool = True) -> Iterator[tuple[ast.AST, bool]]:
+    """Everything in a piece of code, and whether it counts or only names a type."""
+    yield node, counts
+    for name, value in ast.iter_fields(node):
+        inner = counts and name not in IGNORED_FIELDS
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST) and not _is_wording(child):
+                yield from _walk(child, inner)
+
+
+def _is_wording(node: ast.AST) -> bool:
+    """Imports, docstrings and other bare strings, raised errors, checks, warnings, what is logged or printed, places.
+
+    A check (``check_...`` or ``within``, its value not used) raises or does nothing. What ``__file__`` leads to is an
+    input, to be hashed as one.
+    """
+    if isinstance(node, ast.Import | ast.ImportFrom | ast.Raise):
+        return True
+    if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+        return any(isinstance(part, ast.Name) and part.id == "__file__" for part in ast.walk(node.value))
+    if not isinstance(node, ast.Expr):
+        return False
+    if isinstance(node.value, ast.Constant):
+        return True
+    called = node.value.func if isinstance(node.value, ast.Call) else None
+    if isinstance(called, ast.Attribute):
+        spoken = isinstance(called.value, ast.Name) and called.value.id in ("warnings", "logger", "logging")
+        return spoken or called.attr.lstrip("_").startswith("check_")
+    return isinstance(called, ast.Name) and (called.id in ("print", "within") or called.id.startswith("check_"))
+
+
+def _names_of_ours(found: Definition, parts: Iterable[ast.AST]) -> dict[str, tuple[str, str | None]]:
+    """What the names in a definition that are imported stand for."""
+    imported = {name: target for name, target in _module(found.module).items() if isinstance(target, tuple)}
+    return imported | _imports([node for part in parts for node in ast.walk(part)])
+
+
+def _canonical(node: object, names: Mapping[str, tuple[str, str | None]]) -> str:
+    """A piece of code as text that depends on neither Python's version nor how definitions are imported."""
+    if isinstance(node, ast.AST):
+        if _is_wording(node):
+            return "raise" if isinstance(node, ast.Raise) else ""
+        if isinstance(node, ast.JoinedStr):
+            return f"f({' '.join(_canonical(v, names) for v in node.values if not isinstance(v, ast.Constant))})"
+        if isinstance(node, ast.Name) and node.id in names:
+            return f"Name(id={(names[node.id][1] or node.id)!r})"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            target = names.get(node.value.id)
+            if target is not None and target[1] is None:  # an attribute of a module is a name like any other
+                return f"Name(id={node.attr!r})"
+        fields = ((name, _canonical(v, names)) for name, v in ast.iter_fields(node) if name not in IGNORED_FIELDS)
+        return f"{type(node).__name__}({' '.join(f'{name}={text}' for name, text in fields if text)})"
+    if isinstance(node, list):
+        return ",".join(filter(None, (_canonical(entry, names) for entry in node)))
+    return "" if node is None else repr(node)
+
+
+@lru_cache
+def _module(name: str) -> dict[str, ast.stmt | tuple[str, str | None]]:
+    """Top-level names of a module: their definition, or the module and name that they are imported from."""
+    path = _path(name)
+    if path is None:
+        return {}
+    statements: list[ast.stmt] = []
+    todo = list(ast.parse(path.read_text()).body)
+    while todo:
+        statement = todo.pop(0)
+        statements.append(statement)
+        if isinstance(statement, ast.If | ast.Try):
+            todo = [*statement.body, *statement.orelse, *todo]
+    names: dict[str, ast.stmt | tuple[str, str | None]] = dict(_imports(statements))
+    for statement in statements:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            names[statement.name] = statement
+        elif isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign):
+            for target in statement.targets if isinstance(statement, ast.Assign) else [statement.target]:
+                names |= {part.id: statement for part in ast.walk(target) if isinstance(part, ast.Name)}
+    return names
+
+
+def _imports(nodes: list[ast.AST] | list[ast.stmt]) -> dict[str, tuple[str, str | None]]:
+    """What of our own packages is imported: name -> (module, name in it or None for the module itself)."""
+    names: dict[str, tuple[str, str | None]] = {}
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PACKAGES:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                names[alias.asname or alias.name] = (inner, None) if _path(inner) else (node.module, alias.name)
+        elif isinstance(node, ast.Import):
+            ours = (alias for alias in node.names if alias.name.split(".")[0] in PACKAGES)
+            names |= {alias.asname or alias.name: (alias.name, None) for alias in ours}
+    return names
+
+
+@lru_cache
+def _path(module: str) -> Path | None:
+    """The file of a module of ours; nothing is imported to find it."""
+    package, *inner = module.split(".")
+    spec = find_spec(package)
+    assert spec is not None
+    assert spec.submodule_search_locations is not None
+    place = Path(spec.submodule_search_locations[0], *inner)
+    candidates = (place / "__init__.py", place.with_suffix(".py"))
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _find(module: str, name: str | None) -> Definition | None:
+    """The definition behind a name, through imports; None for what is not ours."""
+    target = _module(module).get(name) if name else None
+    if isinstance(target, tuple):
+        return _find(*target)
+    return Definition(module, str(name), target) if target is not None else None
+
+
+def _find_in_alias(module: str, alias: str, name: str) -> Definition | None:
+    """The definition behind ``alias.name`` where the alias is a module."""
+    target = _module(module).get(alias)
+    return _find(target[0], name) if isinstance(target, tuple) and target[1] is None else None

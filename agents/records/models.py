@@ -1,0 +1,202 @@
+"""JSON files and journals (a line of JSON a record), validated by models."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Final, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from agents.records.columns import CARRIED, KPIS
+from probe_env.design import RANGES
+from probe_env.envs.starts import Probes
+from probe_env.envs.task import TaskConfig
+from probe_env.files import MEBI, FileError, as_text, open_regular, read_text
+from probe_env.settings import explain
+
+MOST_JSON: Final = 16 * MEBI
+MOST_JOURNAL: Final = 4096 * MEBI
+MOST_LINE: Final = 4 * MEBI
+ENDINGS: Final = ("complete", "lost_drive", "diverged")
+TRIAL_KPIS: Final = (
+    "reward", "radial_rms_m", "share_within_limit", "inspection_time_s", "inspected_m", "drive_margin_n",
+    "lost_drive", "diverged",
+)  # fmt: skip
+_RESTORE: Final = "restore the file or choose another folder"
+
+
+class Stored(BaseModel):
+    """Base of what is stored: fields that nobody reads may be there, as newer versions add some."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+
+S = TypeVar("S", bound=Stored)
+Key = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+
+
+class Episode(Stored):
+    """A line of ``episodes.jsonl``. Profiles may hold NaN: of the period in which a probe diverged."""
+
+    key: Key
+    unit: tuple[str, int, int]
+    kpis: dict[str, FiniteFloat]
+    profile: dict[str, list[float]]
+    probe: dict[str, FiniteFloat] | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        _named("kpis", self.kpis, (*KPIS, *ENDINGS))
+        _named("profile", self.profile, CARRIED)
+        if len({len(values) for values in self.profile.values()}) > 1:
+            raise PydanticCustomError("profile", "profile: its columns are not of one length")
+        if self.probe is not None:
+            _named("probe", self.probe, tuple(RANGES))
+        return self
+
+
+class Trial(Stored):
+    """A line of ``designs.jsonl``."""
+
+    key: Key
+    kpis: dict[str, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        _named("kpis", self.kpis, TRIAL_KPIS)
+        return self
+
+
+class Setting(Stored):
+    """``setting.json``: what all episodes of a folder share. Fields that are newer than it have their defaults."""
+
+    task: TaskConfig
+    fidelity: dict[str, Any]
+    code: str = ""
+    """Hash of the code that made them."""
+    probes: Probes = "scene"
+
+
+class Machine(Stored):
+    """Where something was made."""
+
+    processor: str
+    cores: int
+
+
+class Made(Stored):
+    """``provenance.json`` and its like."""
+
+    command: str
+    commit: str
+    packages: dict[str, str]
+    machine: Machine
+
+
+class Evaluated(Made):
+    """``provenance.json`` of an evaluation."""
+
+    policies: dict[str, dict[str, Any]]
+
+
+class Compared(Stored):
+    """``report.json``."""
+
+    against: str
+
+
+class Quality(Made):
+    """``vibration-map.json``: how the map was made and how well it tells."""
+
+    episodes: int
+    held_out_tubes: int
+    explained_variance: FiniteFloat
+    mean_absolute_error_decades: FiniteFloat
+
+
+def _named(field: str, given: dict[str, Any], needed: tuple[str, ...]) -> None:
+    missing = [name for name in needed if name not in given]
+    if missing:
+        raise PydanticCustomError("missing", "{text}", {"text": f"{field}: without {', '.join(missing)}"})
+
+
+def read_json(path: Path, model: type[S]) -> S:
+    """A JSON file as a model.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not JSON, or not what the model says.
+    """
+    return _valid(path, "", read_text(path, MOST_JSON), model)
+
+
+def read_journal(path: Path, model: type[S]) -> dict[str, dict[str, Any]]:
+    """Records of a journal by their keys; none if there is no file. Of two with one key the later counts.
+
+    A last line that an interrupt cut off is left out; ``set_aside`` takes it away before anything is appended.
+
+    Raises:
+        FileError: any other line is not a record: names file and line.
+    """
+    records: dict[str, dict[str, Any]] = {}
+    if not os.path.lexists(path):
+        return records
+    for number, line, _ in _lines(path):
+        if line.endswith(b"\n") or not _cut_off(line):
+            record = _valid(path, f"line {number}: ", as_text(path, line, number), model).model_dump(exclude_none=True)
+            records[record["key"]] = record
+    return records
+
+
+def set_aside(path: Path) -> None:
+    """Make a journal ready to be appended to: a line that was cut off goes to ``NAME.cut-off`` beside it."""
+    if not path.exists():
+        return
+    line, begin = b"\n", 0
+    for _, line, begin in _lines(path):  # noqa: B007
+        pass
+    if line.endswith(b"\n"):
+        return
+    whole = not _cut_off(line)
+    with (path if whole else path.with_name(f"{path.name}.cut-off")).open("ab") as file:
+        file.write(b"\n" if whole else line + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    if not whole:
+        os.truncate(path, begin)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
+    """Number, content and first byte of every line."""
+    with open_regular(path, MOST_JOURNAL) as file:
+        begin, number = 0, 0
+        while line := file.readline(MOST_LINE + 1):
+            number += 1
+            if len(line) > MOST_LINE:
+                raise FileError(path, f"line {number}: longer than the {MOST_LINE} bytes of any record - {_RESTORE}")
+            yield number, line, begin
+            begin += len(line)
+
+
+def _cut_off(line: bytes) -> bool:
+    """Whether a line without an end is the beginning of a record, and not a whole one."""
+    begin = b'{"key": "'
+    if not (line.startswith(begin) or begin.startswith(line)) or b"\0" in line:
+        return False
+    try:
+        json.loads(line)
+    except (ValueError, RecursionError):
+        return True
+    return False
+
+
+def _valid(path: Path, place: str, text: str, model: type[S]) -> S:
+    try:
+        return model.model_validate_json(text)
+    except ValidationError as error:
+        hint = _RESTORE if not place else f"take the line out (what it held is run again), or {_RESTORE}"
+        raise FileError(path, f"{place}{explain(error)} - {hint}") from error

@@ -1,0 +1,223 @@
+"""Everything published, made again in order from one clean commit: what is stale, how long it takes, and the runs.
+
+``configs/results.toml`` lists the stages. A stage works in a folder of its own, named after its code, inputs and
+command, so what was interrupted goes on and nothing is mixed; when it is done, its files take the place of the
+published ones and ``results/made/STAGE.json`` says what made them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import Field
+
+from agents.records.code_hash import code_hash
+from agents.records.models import Made
+from agents.records.provenance import (
+    CHECKOUT,
+    STAGE_VARIABLE,
+    changed_code,
+    commit,
+    in_history,
+    provenance,
+    write_atomically,
+    write_json,
+)
+from agents.records.reading import read_json
+from agents.terminal.tables import print_table
+from probe_env.files import read_text
+from probe_env.settings import Model
+
+CONFIG: Final = CHECKOUT / "configs" / "results.toml"
+MADE: Final = CHECKOUT / "results" / "made"
+WORK: Final = CHECKOUT / "output" / "results"
+
+
+class Stage(Model):
+    """One command whose results are published.
+
+    Attributes:
+        name: of the stage.
+        command: of ``probe-env``; ``{work}`` is the folder that it works in.
+        publish: published folder -> patterns of the files in the work folder that go there.
+        code: where the code that the results depend on begins, see ``code_hash``.
+        method: of the simulation; None: all methods count.
+        reads: patterns of files that the results depend on.
+        after: stages whose results it reads.
+        minutes: that it takes on two cores, before it has been measured here.
+    """
+
+    name: str
+    command: str
+    publish: dict[str, tuple[str, ...]]
+    code: tuple[str, ...]
+    method: str | None = None
+    reads: tuple[str, ...] = ()
+    after: tuple[str, ...] = ()
+    minutes: Annotated[float, Field(gt=0.0)]
+
+    def state(self) -> dict[str, str]:
+        """What the results depend on."""
+        files = {path for pattern in self.reads for path in CHECKOUT.glob(pattern)}
+        contents = sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in files)
+        inputs = hashlib.sha256("".join(contents).encode())  # blind to the folders that they are in
+        code = code_hash(self.code, self.method)
+        return {"command": self.command, "code": code, "inputs": inputs.hexdigest()[:16]}
+
+    @property
+    def work(self) -> Path:
+        """The folder for just these code, inputs and command."""
+        digest = hashlib.sha256(json.dumps(self.state(), sort_keys=True).encode()).hexdigest()[:8]
+        return WORK / f"{self.name}-{digest}"
+
+    def made(self) -> dict[str, Any]:
+        """What is known of the published results; empty if nothing."""
+        path = MADE / f"{self.name}.json"
+        return read_json(path, MadeStage).model_dump() if path.exists() else {}
+
+    def stale(self) -> str:
+        """Why the published results are not those of the present state; empty if they are."""
+        made = self.made()
+        if not made:
+            return "never made"
+        changed = [name for name, value in self.state().items() if made.get(name) != value]
+        if changed:
+            return f"{' and '.join(changed)} changed"
+        if not in_history(made["commit"]):
+            return f"commit {made['commit']} is not in the history"
+        return "" if all((CHECKOUT / file).exists() for file in made["files"]) else "files are missing"
+
+
+class MadeStage(Made):
+    """``results/made/STAGE.json``."""
+
+    code: str
+    inputs: str
+    seconds: float
+    files: tuple[str, ...]
+
+
+class Stages(Model):
+    """The file's stages."""
+
+    stage: tuple[Stage, ...]
+
+
+def load_stages() -> tuple[Stage, ...]:
+    """The stages in their order.
+
+    Raises:
+        ValueError: a stage stands before one that it needs, or twice.
+    """
+    stages = Stages.from_toml(CONFIG).stage
+    for k, stage in enumerate(stages):
+        before = [other.name for other in stages[:k]]
+        unknown = [name for name in stage.after if name not in before]
+        if unknown or stage.name in before:
+            raise ValueError(
+                f"{CONFIG.name}: stage {stage.name}: after {', '.join(unknown)}, which must stand before it"
+            )
+    return stages
+
+
+def run_results(names: Sequence[str], only_list: bool = False) -> None:
+    """Make what is stale of the named stages (none: of all) and of those that they read, in order.
+
+    Raises:
+        ValueError: no such stage; or the code differs from the commit, and nothing was run.
+        RuntimeError: a stage failed; those before it are published.
+    """
+    stages = load_stages()
+    known = {stage.name: stage for stage in stages}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"stage = {name!r} is not one of {', '.join(known)}")
+    wanted = _with_sources(names or list(known), known)
+    todo = _print_plan([stage for stage in stages if stage.name in wanted])
+    if only_list or not todo:
+        return
+    if not in_history(commit()):
+        files = ", ".join(changed_code()[:5]) or "there is no git history here"
+        raise ValueError(f"published results come from clean commits only; commit first: {files}")
+    for stage in todo:
+        _run(stage)
+
+
+def _with_sources(names: Sequence[str], known: dict[str, Stage]) -> set[str]:
+    wanted: set[str] = set()
+    todo = list(names)
+    while todo:
+        name = todo.pop()
+        if name not in wanted:
+            wanted.add(name)
+            todo += known[name].after
+    return wanted
+
+
+def _print_plan(stages: Sequence[Stage]) -> list[Stage]:
+    """The stages that are stale, with those that read what these make; says why, and how long they take."""
+    reasons: dict[str, str] = {}
+    for stage in stages:
+        sources = [name for name in stage.after if reasons.get(name)]
+        reasons[stage.name] = stage.stale() or (f"{', '.join(sources)} will change" if sources else "")
+    todo = [stage for stage in stages if reasons[stage.name]]
+    minutes = {stage.name: stage.made().get("seconds", 60.0 * stage.minutes) / 60.0 for stage in stages}
+    rows = [(s.name, reasons[s.name] or "up to date", f"{minutes[s.name]:.0f}" if s in todo else "") for s in stages]
+    print_table("Published results", ("stage", "state", "minutes"), rows, left=2)
+    hours = sum(minutes[stage.name] for stage in todo) / 60.0
+    print(
+        f"{len(todo)} of {len(stages)} stages to make: about {hours:.1f} hours on two cores"
+        if todo
+        else "all is up to date"
+    )
+    return todo
+
+
+def _run(stage: Stage) -> None:
+    """Run a stage, or what is left of it, and publish."""
+    state, work = stage.state(), stage.work
+    clock = work / "seconds.txt"
+    before = float(read_text(clock)) if clock.exists() else 0.0
+    command = stage.command.format(work=work.relative_to(CHECKOUT))
+    print(f"{stage.name}: probe-env {command.strip()}", flush=True)
+    begin = time.perf_counter()
+    try:
+        status = subprocess.run(
+            [sys.executable, "-m", "agents.cli", *shlex.split(command)],
+            cwd=CHECKOUT,
+            env=os.environ | {STAGE_VARIABLE: stage.name},
+            check=False,
+        )
+    finally:
+        seconds = before + time.perf_counter() - begin
+        if work.exists():
+            write_atomically(clock, f"{seconds:.0f}\n")
+    if status.returncode:
+        raise RuntimeError(f"stage {stage.name} failed (exit status {status.returncode}); it goes on when run again")
+    files = _publish(stage, work)
+    write_json(MADE / f"{stage.name}.json", provenance() | state | {"seconds": round(seconds), "files": files})
+
+
+def _publish(stage: Stage, work: Path) -> list[str]:
+    """Put a stage's files in their published places; files of an earlier run that there are no more go."""
+    files: dict[str, Path] = {}
+    for folder, patterns in stage.publish.items():
+        for pattern in patterns:
+            found = [path for path in work.glob(pattern) if path.is_file()]
+            if not found:
+                raise RuntimeError(f"stage {stage.name}: {work} holds no {pattern} to publish")
+            files |= {str(Path(folder) / path.relative_to(work)): path for path in found}
+    for target, path in files.items():
+        write_atomically(CHECKOUT / target, path.read_bytes())
+    for gone in set(stage.made().get("files", ())) - set(files):
+        (CHECKOUT / gone).unlink(missing_ok=True)
+    return sorted(files)

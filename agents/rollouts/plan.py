@@ -1,0 +1,284 @@
+"""Evaluation: policies x contexts x seeds on the native batch, resumable, into one table of KPIs per episode.
+
+An episode depends on its policy, context and seed alone, not on what ran beside it, so an evaluation that was
+interrupted goes on to the same table.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.processes.workers import HERE, Workers
+from agents.records import reading as stored
+from agents.records.code_hash import class_hash, code_hash
+from agents.records.columns import CARRIED
+from agents.records.models import Episode, Setting, set_aside
+from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.work import Work, announce
+from probe_env import Context, Fidelity
+from probe_env.design import RANGES
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.starts import Probes
+from probe_env.envs.task import SHOWN, TaskConfig, describe
+
+BATCH = 16
+SHARED = ("fidelity", "code", "probes")
+"""What all episodes of a table have in common, besides the task."""
+CODE = (
+    "probe_env.envs.episodes:Episodes.reset",
+    "probe_env.envs.episodes:Episodes.step",
+    "agents.rollouts.plan:per_metre",
+)
+"""What an episode depends on, besides its policy."""
+
+
+class Policy(Protocol):
+    """What evaluation needs: SB3's ``predict`` and a description that is equal for equal policies."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Action and state."""
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is evaluated: every policy on every context with every seed.
+
+    ``probes``: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
+    """
+
+    policies: Mapping[str, Policy]
+    contexts: Sequence[Context]
+    seeds: Sequence[int] = (0,)
+    config: TaskConfig = field(default_factory=TaskConfig)
+    fidelity: Fidelity = field(default_factory=Fidelity)
+    probes: Probes = "scene"
+
+    def setting(self) -> dict[str, Any]:
+        """What all episodes share: results with another setting do not belong in the same table."""
+        return {
+            **describe(self.config),
+            "fidelity": self.fidelity.model_dump(),
+            "code": code_hash(CODE, self.fidelity.method),
+            "probes": self.probes,
+        }
+
+    def units(self) -> list[tuple[str, int, int]]:
+        """Policy name, context number and seed of every episode."""
+        return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
+
+    def key(self, unit: tuple[str, int, int]) -> str:
+        """Identity of an episode: policy as described and written, context and seed."""
+        name, k, seed = unit
+        policy = self.policies[name]
+        written = class_hash(type(policy), "predict")
+        parts = [policy.describe(), written, self.contexts[k].model_dump(), k, seed]  # the place is in the seed
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def run_plan(
+    plan: Plan,
+    output: Path | None,
+    batch: int = BATCH,
+    progress: bool = True,
+    threads: int | None = None,
+    workers: Workers = HERE,
+) -> pd.DataFrame:
+    """Run what is missing in ``output`` and return the table of all episodes of the plan.
+
+    Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
+    end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
+    written. Without an output nothing is read or written.
+
+    Raises:
+        ValueError: the folder holds episodes of another setting; nothing is changed.
+    """
+    if output is None:
+        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
+        return _tables(plan, {record["key"]: record for record in map(json.loads, lines)})[0]
+    journal = output / "episodes.jsonl"
+    done = _check_setting(plan, output)
+    units = {plan.key(unit): unit for unit in plan.units()}
+    missing = deque(unit for key, unit in units.items() if key not in done)
+    announce(
+        Work("episode", len(units), lambda: len(units.keys() & read_journal(journal).keys()), output),
+        quiet=not progress,
+    )
+    if missing:
+        output.mkdir(parents=True, exist_ok=True)
+        write_json(output / "setting.json", plan.setting())
+        set_aside(journal)
+        with (
+            journal.open("ab") as file,
+            tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
+        ):
+            for line in _lines(plan, missing, batch, threads, workers):
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+                bar.update()
+        done = read_journal(journal)
+    table, profile = _tables(plan, done)
+    _write_tables(table, profile, output)
+    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
+    return table
+
+
+def _tables(plan: Plan, done: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """KPIs and profiles of all episodes of the plan."""
+    rows, profiles = [], []
+    for unit in plan.units():
+        record = done[plan.key(unit)]
+        name, k, seed = unit
+        place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
+        made = {"commit": record.get("commit", "unknown")}
+        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | made)
+        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
+    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+
+
+def read_journal(path: Path) -> dict[str, dict[str, Any]]:
+    """Stored episodes by key; a last line that was cut off by an interrupt is left out."""
+    return stored.read_journal(path, Episode)
+
+
+def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
+    path, journal = output / "setting.json", output / "episodes.jsonl"
+    if path.exists():
+        this = Setting.model_validate_json(json.dumps(plan.setting()))
+        before, now = _shared(stored.read_json(path, Setting)), _shared(this)
+        different = [name for name in now if before.get(name) != now[name]]
+        if different:
+            raise ValueError(
+                f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
+            )
+    elif read_journal(journal):
+        raise stored.FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
+    return read_journal(journal)
+
+
+def _shared(setting: Setting) -> dict[str, Any]:
+    """What episodes must share: not what is observed, and fields newer than the results have their defaults."""
+    return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in SHARED}
+
+
+def _lines(
+    plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None, workers: Workers
+) -> Iterator[str]:
+    """A line of JSON for each episode, run here or by workers in portions of a batch."""
+    if workers.here:
+        yield from _run_units(plan, missing, batch, threads)
+        return
+    size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
+    portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
+    for _, line in workers.stream(partial(_portion, plan), portions):
+        yield line
+
+
+def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
+    """Episodes that a worker does side by side: a whole batch, or fewer so that each has two portions at least."""
+    return max(min(batch, episodes // (2 * jobs)), 1)
+
+
+def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> Iterator[str]:
+    """What a worker does: some episodes side by side on one thread."""
+    return _run_units(plan, deque(units), len(units), 1)
+
+
+def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Iterator[str]:
+    """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
+    count = min(batch, len(missing))
+    episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)
+    probes: list[dict[str, float] | None] = [None] * count
+    units: list[tuple[str, int, int] | None] = [None] * count
+    states: list[Any] = [None] * count
+    profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
+    observation = episodes.observation.copy()
+    while missing or episodes.running.any():
+        idle = [k for k in range(count) if not episodes.running[k]]
+        fresh = []
+        for k in idle[: len(missing)]:
+            units[k], states[k], profile[k] = missing.popleft(), None, []
+            fresh.append(k)
+        if fresh:
+            options = {k: {"context": plan.contexts[_unit(units[k])[1]]} for k in fresh}
+            rngs = {k: np.random.default_rng([_unit(units[k])[2], _unit(units[k])[1]]) for k in fresh}
+            observation, started = episodes.reset(fresh, rngs, options)
+            if plan.probes == "random":
+                for k in fresh:
+                    probes[k] = {name: started[k]["probe"][name] for name in RANGES}
+        active = episodes.running.copy()
+        actions = np.zeros((count, 2), dtype=np.float32)
+        for k in np.flatnonzero(active).tolist():
+            policy = plan.policies[_unit(units[k])[0]]
+            start = np.array([states[k] is None])
+            action, states[k] = policy.predict(observation[k : k + 1], states[k], start, deterministic=True)
+            actions[k] = action[0]
+        step = episodes.step(actions, active)
+        observation = step.observation
+        for k in np.flatnonzero(active).tolist():
+            info = step.infos[k]
+            profile[k].append(tuple(float(info[name]) for name in CARRIED))
+            if "episode_kpis" in info:
+                yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k], probes[k])
+
+
+def _unit(unit: tuple[str, int, int] | None) -> tuple[str, int, int]:
+    assert unit is not None
+    return unit
+
+
+def _line(
+    plan: Plan,
+    unit: tuple[str, int, int],
+    kpis: dict[str, float],
+    profile: list[tuple[float, ...]],
+    probe: dict[str, float] | None,
+) -> str:
+    columns = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(profile).items()}
+    record = {"key": plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis, "profile": columns}
+    return json.dumps(record | ({"probe": probe} if probe else {})) + "\n"
+
+
+def per_metre(profile: list[tuple[float, ...]]) -> dict[str, np.ndarray]:
+    """Periods (the columns of ``CARRIED``) gathered by metre of inserted length: means, but root mean square of rms.
+
+    ``inserted_length`` is then the middle of the metre, ``time`` that of its last period.
+    """
+    if not profile:
+        return {name: np.zeros(0) for name in CARRIED}
+    periods = pd.DataFrame(profile, columns=list(CARRIED))
+    # the period that ends on a whole metre belongs to the metre before
+    metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0
+    groups = periods.assign(radial_rms_m=periods["radial_rms_m"] ** 2).groupby(metre)
+    gathered = groups.mean()
+    gathered["radial_rms_m"] **= 0.5
+    gathered["time"] = groups["time"].max()
+    gathered["inserted_length"] = gathered.index + 0.5
+    return {name: gathered[name].to_numpy() for name in CARRIED}
+
+
+def _write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> None:
+    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
+    for name, frame in (("episodes", table), ("profile", profile)):
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        write_atomically(output / f"{name}.parquet", buffer.getvalue())

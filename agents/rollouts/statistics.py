@@ -1,0 +1,147 @@
+"""Statistics of an evaluation: means with intervals, interquartile means, paired differences, plain sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import bootstrap, trim_mean
+
+from agents.records.columns import KPIS
+
+CONFIDENCE: Final = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean with its confidence interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    def text(self, factor: float = 1.0) -> str:
+        """Mean and interval, three digits."""
+        return f"{_short(self.mean * factor)} [{_short(self.low * factor)}, {_short(self.high * factor)}]"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def mean_interval(values: np.ndarray) -> Interval:
+    """Mean of independent values with a bootstrap interval (BCa); the mean alone where all are equal or one.
+
+    Raises:
+        ValueError: no values, or some that are not finite.
+    """
+    values = np.asarray(values, dtype=float)
+    if len(values) == 0 or not np.isfinite(values).all():
+        raise ValueError(f"values = {values!r} must be finite and at least one")
+    mean = float(values.mean())
+    if len(values) == 1 or np.ptp(values) == 0.0:
+        return Interval(mean, mean, mean)
+    result = bootstrap((values,), np.mean, confidence_level=CONFIDENCE, rng=np.random.default_rng(0))
+    low, high = result.confidence_interval
+    if not np.isfinite([low, high]).all():  # BCa fails on nearly equal values: take plain percentiles
+        result = bootstrap((values,), np.mean, method="percentile", rng=np.random.default_rng(0))
+        low, high = result.confidence_interval
+    return Interval(mean, float(low), float(high))
+
+
+def interquartile_mean(values: np.ndarray) -> float:
+    """Mean of the middle half."""
+    return float(interquartile_means(values))
+
+
+def interquartile_means(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half of each row."""
+    return np.asarray(trim_mean(np.asarray(values, dtype=float), 0.25, axis=-1))
+
+
+def grouped(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with training seeds of one method gathered: policy NAME@K becomes NAME with K in column ``agent``."""
+    parts = {name: method_and_seed(name) for name in table["policy"].unique()}
+    return table.assign(
+        agent=table["policy"].map(lambda name: parts[name][1]), policy=table["policy"].map(lambda name: parts[name][0])
+    )
+
+
+def method_and_seed(policy: str) -> tuple[str, int]:
+    """NAME@K as (NAME, K), anything else as (NAME, 0)."""
+    name, mark, seed = policy.rpartition("@")
+    return (name, int(seed)) if mark and seed.isdecimal() else (policy, 0)
+
+
+def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:
+    """A KPI of a method: training seeds in rows, contexts in columns, averaged over the seeds of the episodes."""
+    return table[table["policy"] == policy].pivot_table(index="agent", columns="context", values=kpi)
+
+
+def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:
+    """A KPI of a policy by context, averaged over the seeds: the independent values."""
+    return table[table["policy"] == policy].groupby("context")[kpi].mean()
+
+
+def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
+    """Mean of first minus second on the same contexts, with its interval.
+
+    Raises:
+        ValueError: the policies were not run on the same contexts and seeds.
+    """
+    places = [set(map(tuple, table.loc[table["policy"] == p, ["context", "seed"]].to_numpy())) for p in (first, second)]
+    if places[0] != places[1] or not places[0]:
+        raise ValueError(f"{first} and {second} were not run on the same contexts and seeds: nothing to pair")
+    return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
+
+
+def summarise(table: pd.DataFrame) -> pd.DataFrame:
+    """For every policy and KPI: mean, interval, interquartile mean, worst; and how episodes ended."""
+    rows = []
+    for policy in dict.fromkeys(table["policy"]):
+        part = table[table["policy"] == policy]
+        for kpi in KPIS:
+            values = by_context(table, policy, kpi).to_numpy()
+            interval = mean_interval(values)
+            good_high = kpi in ("reward", "share_within_limit", "inspected_share")
+            worst = part[kpi].min() if good_high else part[kpi].max()
+            rows.append((policy, kpi, interval.mean, interval.low, interval.high, interquartile_mean(values), worst))
+    return pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high", "iqm", "worst"])
+
+
+def endings(table: pd.DataFrame) -> pd.DataFrame:
+    """How many episodes of each policy were complete, lost their drive or diverged."""
+    columns = ["complete", "lost_drive", "diverged"]
+    return (
+        table.groupby("policy", sort=False)[columns].sum().astype(int).assign(episodes=table.groupby("policy").size())
+    )
+
+
+def sentences(table: pd.DataFrame, reference: str) -> list[str]:
+    """One plain sentence for every other policy: time and length within the limit against the reference."""
+    lines = []
+    for policy in dict.fromkeys(table["policy"]):
+        if policy == reference:
+            continue
+        time = paired_difference(table, policy, reference, "inspection_time_s")
+        share = paired_difference(table, policy, reference, "share_within_limit")
+        longer = "as long as" if time.low == time.high == 0.0 else f"{_in_words(time, 1.0, ' s')} than"
+        lines.append(
+            f"{policy} takes {longer} {reference} and keeps"
+            f" {_in_words(share, 100.0, ' % of the length')} within the limit."
+        )
+    return lines
+
+
+def _in_words(difference: Interval, factor: float, unit: str) -> str:
+    """A difference such as "41 s less [38, 44]", or that its interval includes none."""
+    low, high = difference.low * factor, difference.high * factor
+    if low <= 0.0 <= high and low < high:
+        return (
+            f"no clearly different amount (by {_short(difference.mean * factor)}{unit} [{_short(low)}, {_short(high)}])"
+        )
+    near, far = sorted((abs(low), abs(high)))
+    word = "less" if difference.mean < 0.0 else "more"
+    return f"{_short(abs(difference.mean * factor))}{unit} {word} [{_short(near)}, {_short(far)}]"

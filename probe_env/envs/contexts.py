@@ -1,0 +1,141 @@
+"""What a controller is not told: friction, contact stiffness and drag of a tube, and its helix diameter.
+
+The study names no list of helix diameters; six from 1.0 to 2.5 m stand for the tubes of one heat exchanger.
+Fixed lists of contexts for training, validation and test ship in ``data/contexts.csv``, in an order of which every
+prefix is balanced over helix diameters and spread over friction: the first few of a list stand for all of it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import qmc, rankdata
+
+from probe_env.scene import Scene
+from probe_env.settings import Model, quantity
+
+Split = Literal["train", "validation", "test"]
+SPLIT_SIZES: Final[dict[Split, int]] = {"train": 96, "validation": 24, "test": 48}
+HELIX_DIAMETERS: Final = (1.0, 1.2, 1.4, 1.7, 2.0, 2.5)  # [m]
+FRICTION: Final = (0.10, 0.25)
+STIFFNESS: Final = (0.7e5, 1.4e5)  # [N/m]
+DRAG_FACTOR: Final = (0.9, 1.1)
+FILE: Final = Path(__file__).parents[1] / "data" / "contexts.csv"
+FILE_HASH: Final = "909d5a5f69dcc121"
+
+
+class Context(Model):
+    """One tube with one probe in it: what differs between episodes."""
+
+    friction: Annotated[float, quantity(0.0, 1.0, "")] = 0.15
+    contact_stiffness: Annotated[float, quantity(1e2, 1e8, "N/m")] = 1e5
+    drag_factor: Annotated[float, quantity(0.1, 10.0, "")] = 1.0
+    helix_diameter: Annotated[float, quantity(0.3, 1e4, "m")] = 1.2
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene in this context."""
+        return scene.model_copy(
+            update={
+                "tube": {"helix_diameter": self.helix_diameter},
+                "contact": {"friction": self.friction, "stiffness": self.contact_stiffness},
+                "air": {"drag_coefficient": scene.air.drag_coefficient * self.drag_factor},
+            }
+        )
+
+
+def draw_context(rng: np.random.Generator, fixed: dict[str, Any] | None = None) -> Context:
+    """A random context; ``fixed`` sets fields by name, and drawing goes on alike whatever is fixed.
+
+    Raises:
+        ValueError: an unknown field or a value out of range (pydantic's ValidationError).
+    """
+    drawn = {
+        "friction": float(rng.uniform(*FRICTION)),
+        "contact_stiffness": float(rng.uniform(*STIFFNESS)),
+        "drag_factor": float(rng.uniform(*DRAG_FACTOR)),
+        "helix_diameter": float(rng.choice(HELIX_DIAMETERS)),
+    }
+    return Context.model_validate(drawn | (fixed or {}))
+
+
+@lru_cache
+def load_contexts(split: Split) -> tuple[Context, ...]:
+    """A shipped list of contexts.
+
+    Raises:
+        ValueError: no such split, or the file is not the one that this version ships.
+    """
+    if split not in get_args(Split):
+        raise ValueError(f"split = {split!r} is not one of {', '.join(get_args(Split))}")
+    text = FILE.read_text()
+    if hashlib.sha256(text.encode()).hexdigest()[:16] != FILE_HASH:
+        raise ValueError(f"{FILE.name} was changed, so results would not compare; its hash must be {FILE_HASH}")
+    names = tuple(Context.model_fields)
+    return tuple(
+        Context.model_validate({name: float(row[name]) for name in names})
+        for row in csv.DictReader(text.splitlines())
+        if row["split"] == split
+    )
+
+
+def spread_contexts(split: Split, limit: int = 0) -> tuple[Context, ...]:
+    """The first so many contexts of a shipped list; 0: all.
+
+    Helix diameters are as often in it as they can be, and friction, stiffness and drag are spread as in the whole
+    list. A context has the same place, which seeds its start, whatever the limit.
+
+    Raises:
+        ValueError: no such split, or more than there are.
+    """
+    listed = load_contexts(split)
+    if not 0 <= limit <= len(listed):
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")
+    return listed[: limit or None]
+
+
+def make_file() -> str:
+    """The text of the shipped file: as many tubes of each helix diameter, the rest drawn, rounded and ordered."""
+    names = tuple(Context.model_fields)
+    lines = [",".join(("split", *names))]
+    for number, (split, size) in enumerate(SPLIT_SIZES.items()):
+        rng = np.random.default_rng([2026, number])
+        drawn = []
+        for k in range(size):
+            c = draw_context(rng, {"helix_diameter": HELIX_DIAMETERS[k % len(HELIX_DIAMETERS)]})
+            rounded = {"friction": round(c.friction, 4), "contact_stiffness": round(c.contact_stiffness, -2)}
+            drawn.append(c.model_copy(update=rounded | {"drag_factor": round(c.drag_factor, 4)}))
+        for c in in_spread_order(drawn):
+            lines.append(f"{split},{c.friction:.4f},{c.contact_stiffness:.0f},{c.drag_factor:.4f},{c.helix_diameter}")
+    return "\n".join(lines) + "\n"
+
+
+def in_spread_order(contexts: Sequence[Context]) -> list[Context]:
+    """The contexts in an order of which every prefix has all helix diameters equally often, within one, and is spread.
+
+    One after the other is chosen of the diameters that are due: the one with which the prefix has the least centred
+    discrepancy (Hickernell's, of ``scipy.stats.qmc``) over all fields, plus twice that over friction,
+    which matters most.
+    """
+    ranks = np.column_stack(
+        [(rankdata([getattr(c, name) for c in contexts]) - 0.5) / len(contexts) for name in Context.model_fields]
+    )
+    order: list[int] = []
+    while len(order) < len(contexts):
+        used = [contexts[k].helix_diameter for k in order]
+        left = [k for k in range(len(contexts)) if k not in order]
+        least = min(used.count(contexts[k].helix_diameter) for k in left)
+        due = [k for k in left if used.count(contexts[k].helix_diameter) == least]
+        order.append(min(due, key=lambda k: _unevenness(ranks[[*order, k]])))
+    return [contexts[k] for k in order]
+
+
+def _unevenness(points: npt.NDArray[np.float64]) -> float:
+    """Of points (n, 4), friction first; rounded, so that ties are ties on every processor."""
+    return round(float(qmc.discrepancy(points) + 2.0 * qmc.discrepancy(points[:, :1])), 9)

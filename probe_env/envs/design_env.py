@@ -1,0 +1,210 @@
+"""Design-v0: the action is the probe."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final
+
+import gymnasium as gym
+import numpy as np
+
+from probe_env.design import RANGES, Design
+from probe_env.envs.contexts import Context
+from probe_env.envs.env import Observation, task_config
+from probe_env.envs.limits import check_simulable
+from probe_env.envs.starts import SETTLING, Contexts, Starts, drawn_context
+from probe_env.envs.task import OBSERVATIONS, PRIVILEGED, TaskConfig
+from probe_env.envs.trials import Controller, judge, section_scenes, try_insertions, try_sections
+from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.scene import Scene
+from probe_env.schedule import Schedule
+
+STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
+
+
+def _corner(*high: str) -> Design:
+    return Design.from_unit([1.0 if name in high else 0.0 for name in RANGES])
+
+
+HARDEST: Final = (
+    _corner("tensile_rigidity", "flexural_rigidity"),
+    _corner("guide_length", "guide_float_diameter", "carrier_float_diameter"),
+)
+"""The stiff, light design that asks for the shortest step and the hardest wall; the one that drag stretches most."""
+
+
+class DesignEnv(gym.Env[Observation, Observation]):
+    """Build a probe and see how loud, slow and hard to drive it is: one step an episode.
+
+    ## Description
+    The action names a probe within what can be bought; the step builds it and tries it in one tube under a given feed:
+    in five sections of constant length (sensor 10, 20, ... 50 m from the entrance, 1 s to settle, 2 s measured), or in
+    a whole insertion with `full=True`. All probes are compared over the same 47.5 m of tube.
+
+    ## Action Space
+    `Box(-1, 1, (7,), float32)`, mapped linearly:
+
+    | Num | Action | Min | Max | Unit |
+    |---|---|---|---|---|
+    | 0 | guide length, rounded to whole pitches | 1 | 10 | m |
+    | 1 | diameter of the guide's floats | 0.016 | 0.020 | m |
+    | 2 | diameter of the carrier's floats | 0.016 | 0.020 | m |
+    | 3 | float pitch, rounded to 1 mm | 0.1 | 0.15 | m |
+    | 4 | tensile rigidity | 0.5e5 | 2e5 | N |
+    | 5 | flexural rigidity | 0.025 | 0.1 | N m2 |
+    | 6 | line density | 0.09 | 0.14 | kg/m |
+
+    `action_of` gives the action of a `Design`. 10 m and 20 mm are the study's limits (handling, weld projections), the
+    other ranges are assumptions.
+
+    ## Observation Space
+    `Box(0, 4000, (1,), float32)`: helix diameter / 2.5 m. `config={"privileged": True}` adds friction / 0.25, contact
+    stiffness / 1e5 N/m and drag over table 2's.
+
+    ## Rewards
+    The sum of `info["reward_terms"]`, with the weights of `Insertion-v0`: progress (1 per metre that the sensor gets to
+    see: a long guide inspects less), vibration, time and air over the shared 47.5 m, uninspected (per metre of these
+    behind a place where the probe loses its drive or diverges), diverged (-10).
+
+    ## Starting State
+    A context is drawn as in `Insertion-v0`; `options` of `reset` fix fields of it, or give a whole "context".
+
+    ## Episode End
+    Terminated after one step. `info` then has `design` (as built), `kpis` (radial rms, share within the limit,
+    inspection time, air, inspected length, drive margin: least mean root tension less the required one, ...).
+
+    ## Arguments
+    * `config`, `scene`, `contexts`: as for `Insertion-v0`.
+    * `fidelity`: preset or settings; time-lapse counts for whole insertions only. Default "standard".
+    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h. For whole insertions also a
+      policy with SB3's `predict`.
+    * `full`: whole insertions, some 5 s each, instead of sections.
+
+    ## Version History
+    * v0: first version.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        config: TaskConfig | Mapping[str, Any] | None = None,
+        scene: Scene | None = None,
+        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
+        contexts: Contexts = "random",
+        feed: Schedule | Controller | None = None,
+        full: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v0 with options")
+        self.config, self.scene, self.contexts = task_config({}, config), scene or Scene(), contexts
+        # an insertion settles like that of Insertion-v0; the probes are those that the action may build
+        self.starts = Starts(self.config, self.scene, contexts, "random", *SETTLING)
+        self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, full)
+        self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
+        if not full and not isinstance(self.feed, Schedule):
+            raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")
+        shown = {"helix_diameter": OBSERVATIONS["helix_diameter"]} | (PRIVILEGED if self.config.privileged else {})
+        low, high = np.array([bounds[:2] for bounds in shown.values()], dtype=np.float32).T
+        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (len(RANGES),), dtype=np.float32)
+        self.context: Context | None = None
+
+    @staticmethod
+    def action_of(design: Design) -> Observation:
+        """(7,) the action that builds a design."""
+        return (2.0 * design.to_unit() - 1.0).astype(np.float32)
+
+    @staticmethod
+    def design_of(action: Observation) -> Design:
+        """The design of an action (7,) in [-1, 1], not yet rounded to what is built.
+
+        Raises:
+            ValueError: of another shape, not finite or out of range.
+        """
+        values = np.asarray(action, dtype=float)
+        if values.shape != (len(RANGES),) or not (np.abs(values) <= 1.0 + 1e-6).all():
+            raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
+        return Design.from_unit(0.5 * (np.clip(values, -1.0, 1.0) + 1.0))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draw a tube.
+
+        Raises:
+            ValueError: an option is not known or not valid, or there is a design that this fidelity or the model cannot
+                simulate in such a tube, see ``limits``.
+        """
+        super().reset(seed=seed)
+        trial = copy.deepcopy(self.np_random)  # the generator itself moves on only if all is valid
+        context = drawn_context(self.contexts, trial, dict(options or {}))
+        for design in HARDEST:
+            self._check_simulable(design, context)
+        drawn_context(self.contexts, self.np_random, {})
+        self.context = context
+        return self._observation(), {"context": self.context.model_dump()}
+
+    def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Build and try the probe; the episode ends.
+
+        Raises:
+            ValueError: the action is not valid.
+            RuntimeError: the episode has ended and was not reset.
+        """
+        design = self.design_of(action)
+        if self.context is None:
+            raise RuntimeError("the episode has ended: call reset before step")
+        seed = [int(self.np_random.integers(2**31))]
+        shared = (self.config, self.fidelity, self.scene, seed)
+        if self.full:
+            controller = _Follow(self.feed, self.config) if isinstance(self.feed, Schedule) else self.feed
+            trial = try_insertions([design], [self.context], [controller], *shared, threads=1)
+        else:
+            assert isinstance(self.feed, Schedule)
+            trial = try_sections([design], [self.context], [self.feed], *shared)
+        terms, kpis = judge([design], trial, self.config, self.scene.tube.helix_length)
+        info = {
+            "design": design.built.model_dump(),
+            "context": self.context.model_dump(),
+            "reward_terms": {name: float(values[0]) for name, values in terms.items()},
+            "kpis": {name: float(values[0]) for name, values in kpis.items()},
+        }
+        observation = self._observation()
+        self.context = None
+        return observation, float(sum(info["reward_terms"].values())), True, False, info
+
+    def _check_simulable(self, design: Design, context: Context) -> None:
+        most_air = self.config.air_supply_rates[1]
+        if self.full:
+            scene = self.starts.build(context, {"probe": design.built.model_dump()})
+            check_simulable(scene, self.fidelity, scene.tube.helix_length, most_air)
+        else:
+            assert isinstance(self.feed, Schedule)
+            for scene in section_scenes(design, context, self.feed, self.scene):
+                check_simulable(scene, self.fidelity, scene.inserted_length, scene.air_supply_rate)
+
+    def _observation(self) -> Observation:
+        assert self.context is not None
+        values = [self.context.helix_diameter / 2.5]
+        if self.config.privileged:
+            values += [self.context.friction / 0.25, self.context.contact_stiffness / 1e5, self.context.drag_factor]
+        return np.array(values, dtype=np.float32)
+
+
+class _Follow:
+    """A schedule over inserted length as a controller."""
+
+    def __init__(self, schedule: Schedule, config: TaskConfig) -> None:
+        self.schedule, self.config = schedule, config
+        self.column = list(config.observations).index("inserted_length")
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """What the schedule says."""
+        lengths = np.atleast_2d(observation)[:, self.column] * 60.0
+        pairs = [self.schedule.at(length) for length in lengths]
+        return np.array([self.config.action(float(feed), float(air)) for feed, air in pairs]), ()

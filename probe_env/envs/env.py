@@ -1,0 +1,208 @@
+"""The Gymnasium environments: glue around ``Episodes`` with one probe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity
+from probe_env.scene import Scene
+
+if TYPE_CHECKING:
+    from probe_env.envs.render import Renderer
+
+Observation = npt.NDArray[np.float32]
+RENDER_MODES = ("rgb_array", "human")
+
+
+def spaces_of(config: TaskConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+    """Observation and action space of a task."""
+    low, high = np.array([bounds[:2] for bounds in config.observations.values()], dtype=np.float32).T
+    return gym.spaces.Box(low, high, dtype=np.float32), gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+
+
+def task_config(defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, Any] | None) -> TaskConfig:
+    """The environment's task: defaults, changed by a mapping, or a whole configuration.
+
+    Raises:
+        ValueError: a field that is not known or not valid.
+    """
+    if isinstance(config, TaskConfig):
+        return config
+    return TaskConfig.model_validate(dict(defaults) | dict(config or {}))
+
+
+class ProbeEnv(gym.Env[Observation, Observation]):
+    """Base of the environments with one probe, see ``InsertionEnv`` for the arguments."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
+    defaults: ClassVar[dict[str, Any]] = {}
+
+    def __init__(
+        self,
+        config: TaskConfig | Mapping[str, Any] | None = None,
+        scene: Scene | None = None,
+        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
+        contexts: Contexts = "random",
+        feed_speed: float = 0.2,
+        air_supply_rate: float = 63.0 / 3600.0,
+        probes: Probes = "scene",
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
+        self.config = task_config(self.defaults, config)
+        self.episodes = Episodes(1, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, 1)
+        self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
+        self.render_mode = render_mode
+        self._renderer: Renderer | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; see ``Episodes.reset`` for the options."""
+        super().reset(seed=seed)
+        observation, infos = self.episodes.reset([0], {0: self.np_random}, {0: options})
+        if self.render_mode is not None:
+            from probe_env.envs.render import Renderer  # and with it matplotlib
+
+            self._renderer = Renderer(self.episodes)
+            self._renderer.add(infos[0], 0.0)
+            if self.render_mode == "human":
+                self.render()
+        return observation[0], infos[0]
+
+    def step(self, action: Observation) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """One control period with a target of feed speed and air supply."""
+        step = self.episodes.step(np.asarray(action)[None])
+        reward = float(step.reward[0])
+        if self._renderer is not None:
+            self._renderer.add(step.infos[0], reward)
+            if self.render_mode == "human":
+                self.render()
+        return step.observation[0], reward, bool(step.terminated[0]), bool(step.truncated[0]), step.infos[0]
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """An RGB picture (h, w, 3) of the present period; with "human" it is shown in a window instead."""
+        if self.render_mode is None:
+            gym.logger.warn("render was called without a render_mode: give render_mode='rgb_array' or 'human'")
+            return None
+        if self._renderer is None:
+            raise RuntimeError("nothing to render: call reset first")
+        if self.render_mode == "human":
+            self._renderer.show()
+            return None
+        return self._renderer.picture()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+class InsertionEnv(ProbeEnv):
+    """Feed a probe into the helix: fast while it is free, slowly where it rings.
+
+    ## Description
+    A cable with floats is fed into a helical tube, pulled by an air stream and held back by the feed. Above some
+    inserted length it rings and buries the signal in noise. How soon depends on friction and drag, which the
+    controller is not told. One episode feeds the probe from 5 m (or its guide length + 2.5 m) to the end of the
+    helix at 60 m.
+
+    ## Action Space
+    `Box(-1, 1, (2,), float32)`, mapped linearly:
+
+    | Num | Action | Min | Max | Unit |
+    |---|---|---|---|---|
+    | 0 | target feed speed; the feed ramps at 0.5 m/s2 | 0.02 | 0.4 | m/s |
+    | 1 | target air supply; follows with a lag of 1 s | 30 | 130 | m3/h |
+
+    ## Observation Space
+    A `Box` of float32; names, bounds and meaning in `probe_env.envs.task.OBSERVATIONS`:
+
+    | Num | Observation | Scale |
+    |---|---|---|
+    | 0, 1 | inserted and remaining length | 60 m |
+    | 2, 3 | applied feed speed, applied air supply | 0.4 m/s, 130 m3/h |
+    | 4, 5 | radial and axial accelerometer, rms | log10, 1 m/s2 |
+    | 6 | eddy-current noise, proportional to the radial rms (5 % sensor noise) | log10, 0.1 mm |
+    | 7 | mean root tension (2 % sensor noise; the load cell ends at 10 kN) | 20 N |
+    | 8, 9 | previous action | - |
+    | 10 | helix diameter | 2.5 m |
+
+    Friction and contact stiffness are not observed. `config={"observe_root_tension": False}` leaves out 7,
+    `{"privileged": True}` adds friction, contact stiffness and drag; `{"observe_probe": True}` the seven figures of the
+    probe that was built (`probe_env.envs.task.PROBE`), for one controller of many probes.
+
+    ## Rewards
+    The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
+    to 3), time (-0.1 per second), air (-0.2 per m3), jerk (-0.005 times the squared change of the action),
+    uninspected (per metre that was not inspected when the episode ends, the most that inspecting one can cost),
+    diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
+
+    ## Starting State
+    A context is drawn (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
+    diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` fix any of these. A context that
+    the fidelity's step or the model cannot simulate is a `ValueError` that names it, see `probe_env.envs.limits`.
+
+    ## Episode End
+    Terminated at the end of the helix, on lost drive (mean root tension below 0.8 N, an assumption for the rising
+    straight part, in 3 periods in a row once 15 m are in) and when the simulation diverges
+    (`info["diverged"]`, with the last finite observation); truncated after 900 s.
+    `info["episode_kpis"]` then has the figures of the episode.
+
+    ## Arguments
+    * `config`: fields of `TaskConfig` to change, or a whole one.
+    * `scene`: what contexts and options change; default table 2 of the study.
+    * `fidelity`: "study", "standard", "fast" or settings of one's own, see `probe_env.fidelity`.
+    * `contexts`: "random", or a shipped list: "train", "validation", "test".
+    * `feed_speed`, `air_supply_rate`: of the settling, SI units.
+    * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
+      agent serves many probes; it shows in the reset's `info["probe"]` and, with `config={"observe_probe": True}`, in
+      the observation; a constant length is cut to whole pitches.
+    * `render_mode`: "rgb_array" or "human".
+
+    ## Version History
+    * v0: first version.
+    """
+
+
+class SnapshotEnv(ProbeEnv):
+    """A probe of constant length, as in the study's figures: for quick tests and comparison.
+
+    ## Description
+    As `Insertion-v0`, but the length stays as it is (carrier length of the scene, 50 m, or the option
+    `carrier_length`): what is fed in counts as inspected and does not lengthen the probe. Control period 0.1 s,
+    truncated after 8 s; the probe starts from rest and settles for one period.
+
+    ## Action Space
+    As `Insertion-v0`.
+
+    ## Observation Space
+    As `Insertion-v0`.
+
+    ## Rewards
+    As `Insertion-v0`; nothing is left uninspected.
+
+    ## Starting State
+    At rest, then one period at the settling's feed and air.
+
+    ## Episode End
+    Truncated after 8 s; terminated on lost drive and when the simulation diverges.
+
+    ## Arguments
+    As `Insertion-v0`.
+
+    ## Version History
+    * v0: first version.
+    """
+
+    defaults: ClassVar[dict[str, Any]] = {"growing": False, "period": 0.1, "time_limit": 8.0, "settle_time": 0.1}

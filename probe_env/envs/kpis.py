@@ -1,0 +1,82 @@
+"""Figures of a whole episode, gathered period by period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import FloatArray
+
+LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200
+BINS = round(np.log10(HIGHEST / LOWEST) * PER_DECADE)
+SIGNALS = {"radial": "m", "radial_acceleration": "m_per_s2"}
+"""Signals of the figures and their units; rms is over the length inspected, p99 and max over the magnitude in time."""
+
+
+class Percentiles:
+    """Percentiles of the magnitude of many samples, to 1.2 %, in a histogram of logarithmic bins."""
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(BINS, dtype=np.int64)
+
+    def add(self, samples: FloatArray) -> None:
+        """Count samples of any sign, unit and shape."""
+        place = np.log10(np.clip(np.abs(samples), LOWEST, HIGHEST * 0.999) / LOWEST) * PER_DECADE
+        self.counts += np.bincount(place.astype(np.int64).ravel(), minlength=BINS)
+
+    def percentile(self, percent: float) -> float:
+        """Upper edge of the bin that holds the percentile; 0 without samples."""
+        total = int(self.counts.sum())
+        if total == 0:
+            return 0.0
+        bin_ = int(np.searchsorted(np.cumsum(self.counts), percent / 100.0 * total))
+        return float(LOWEST * 10.0 ** ((bin_ + 1) / PER_DECADE))
+
+
+@dataclass
+class Tally:
+    """What one episode has come to; lengths in m, times in s, air in m3."""
+
+    time: float = 0.0
+    inspected: float = 0.0
+    within_limit: float = 0.0
+    air: float = 0.0
+    reward: float = 0.0
+    lost_drive_events: int = 0
+    lost_drive_run: int = 0
+    squares: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
+    greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
+    samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
+    last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
+
+    def add_signals(self, travel: float, rms: dict[str, float], radial: FloatArray, sample_period: float) -> None:
+        """Radial displacement samples (k,) [m] of a period, and the rms of each signal in it."""
+        acceleration = np.diff(np.concatenate([self.last_radial, radial]), n=2) / sample_period**2
+        self.last_radial = radial[-2:].copy()
+        for name, values in (("radial", radial), ("radial_acceleration", acceleration)):
+            self.squares[name] += travel * rms[name] ** 2
+            self.greatest[name] = max(self.greatest[name], float(np.abs(values).max()))
+            self.samples[name].add(values)
+
+    def kpis(self, length: float, diverged: bool, lost_drive: bool, complete: bool) -> dict[str, float]:
+        """The episode's figures; ``length`` is all that was to be inspected [m]."""
+        values: dict[str, float] = {
+            "inspection_time_s": self.time,
+            "inspected_m": self.inspected,
+            "inspected_share": self.inspected / length if length > 0.0 else 0.0,
+            "share_within_limit": self.within_limit / length if length > 0.0 else 0.0,
+            "air_m3": self.air,
+            "reward": self.reward,
+            "lost_drive_events": float(self.lost_drive_events),
+            "lost_drive": float(lost_drive),
+            "diverged": float(diverged),
+            "complete": float(complete),
+        }
+        for name, unit in SIGNALS.items():
+            mean_square = self.squares[name] / self.inspected if self.inspected > 0.0 else 0.0
+            values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))
+            values[f"{name}_p99_{unit}"] = self.samples[name].percentile(99.0)
+            values[f"{name}_max_{unit}"] = self.greatest[name]
+        return values

@@ -1,0 +1,118 @@
+"""What a setting can simulate, so that an environment refuses the rest by name before an episode begins.
+
+One bound is the step's: contact allows omega dt <= 1.8 (stability.py). Three are the model's, whatever the step:
+
+* a wall softer than pi^4 EI / (4 p^3) is none. A beam on a foundation of k / p buckles at 2 sqrt(EI k / p), between
+  two floats at pi^2 EI / p^2: below, the cable leaves through the wall before it buckles between floats;
+* steady drag must not press a float deeper into the wall than the tube has clearance;
+* rotations are small: the tip of a probe that drag stretches and presses into the wall slides s along the helix and
+  so turns by s / r, which the couple V l theta of (9) takes for a slope: waves that run to the tip gain energy from
+  it. Beyond 1 rad sin and cos are off by 16 and 46 %. A probe that starts at rest is not held by friction until it
+  has sunk in, so that the start is bounded without it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from probe_env.fidelity import Fidelity
+from probe_env.physics.chain import air_speed
+from probe_env.physics.stability import LEAST_STEP, contact_time_step
+from probe_env.scene import Probe, Scene
+
+MOST_TURN: Final = 1.0  # [rad]
+REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
+SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
+
+
+class Sliding(NamedTuple):
+    """A probe that slides steadily: greatest tension [N], depth in the wall there and slide of the tip [m]."""
+
+    tension: float
+    depth: float
+    slide: float
+
+
+def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float) -> None:
+    """Raise ValueError if a fidelity cannot simulate an episode; fields are named as in a ``Context``.
+
+    Args:
+        scene: as the episode starts, at rest with its air supply.
+        fidelity: method, step and mesh.
+        longest: the inserted length at its end [m].
+        most_air: the greatest air supply [m3/s].
+    """
+    stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
+    limit = contact_time_step(scene, fidelity.nodes_per_pitch, fidelity.method)
+    if fidelity.time_step > limit * (1.0 + 1e-9):
+        raise ValueError(
+            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
+            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_that_holds(fidelity, limit)}"
+        )
+    softest = softest_wall(probe)
+    if stiffness < softest:
+        raise ValueError(
+            f"contact_stiffness = {stiffness:g} N/m is below {softest:.4g} N/m (pi^4 EI / (4 p^3)): the cable would"
+            " buckle through so soft a wall before it buckles between its floats; give a stiffer contact"
+        )
+    clearance = scene.tube.inner_diameter - max(probe.guide_float_diameter, probe.carrier_float_diameter)
+    start = steady_sliding(scene, scene.inserted_length, scene.air_supply_rate, friction=0.0)
+    end = steady_sliding(scene, longest, most_air, scene.contact.friction)
+    told = (
+        f"helix_diameter = {diameter:g} m with contact_stiffness = {stiffness:g} N/m and a drag coefficient of"
+        f" {scene.air.drag_coefficient:g}"
+    )
+    if end.depth > clearance:
+        raise ValueError(
+            f"{told}: at {3600.0 * most_air:g} m3/h and {longest:g} m drag presses the floats {1e3 * end.depth:.2g} mm"
+            f" into the wall, and the clearance is {1e3 * clearance:.2g} mm; {REMEDY}"
+        )
+    turn = max(start.slide, end.slide) * 2.0 / diameter
+    if turn > MOST_TURN:
+        raise ValueError(
+            f"{told}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
+            f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
+        )
+
+
+def softest_wall(probe: Probe) -> float:
+    """Contact stiffness [N/m] below which the cable buckles through the wall, not between floats."""
+    return math.pi**4 * probe.flexural_rigidity / (4.0 * probe.float_pitch**3)
+
+
+def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction: float) -> Sliding:
+    """How far drag alone stretches ``length`` metres of probe and presses them into the wall, at no feed.
+
+    Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / D), with the drag q of the guide's floats, then of
+    the carrier's; an element of it gives T / EA, and as much as its floats sink in, T p / (k r^2).
+    """
+    probe, radius = scene.probe, scene.tube.helix_diameter / 2.0
+    pressure = 0.5 * scene.air.drag_coefficient * scene.air.density * air_speed(scene, air_supply_rate) ** 2
+    guide = min(probe.guide_length, length)
+    tension = greatest = whole = 0.0
+    for diameter, section in (
+        (probe.guide_float_diameter, guide),
+        (probe.carrier_float_diameter, length - guide),
+    ):
+        drag = pressure * math.pi / 4.0 * (diameter**2 - probe.cable_diameter**2) / probe.float_pitch
+        decay = friction * (1.0 - diameter / scene.tube.helix_diameter) / radius
+        if decay * section < 1e-6:  # the limit, where the other form cancels
+            whole += tension * section + 0.5 * drag * section**2
+            tension += drag * section
+        else:
+            most, left = drag / decay, math.exp(-decay * section)
+            whole += most * section + (tension - most) * (1.0 - left) / decay
+            tension = most + (tension - most) * left
+        greatest = max(greatest, tension)
+    sinking = probe.float_pitch / (scene.contact.stiffness * radius)
+    return Sliding(greatest, greatest * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
+
+
+def _that_holds(fidelity: Fidelity, limit: float) -> str:
+    """Settings that hold, the step a round one."""
+    steps = (float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1))
+    step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
+    method = fidelity.method if step >= LEAST_STEP.get(fidelity.method, 0.0) else "imex"
+    changes = {"method": method, "time_step": step} if step else {"method": "implicit"}
+    return repr(fidelity.model_dump() | changes)

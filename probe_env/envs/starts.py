@@ -1,0 +1,119 @@
+"""How an episode begins: tube and probe, given or drawn, and how much of the probe is in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+
+from probe_env.design import RANGES, Design
+from probe_env.envs.contexts import STIFFNESS, Context, Split, draw_context, load_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.scene import Probe, Scene
+
+Contexts = Literal["random"] | Split
+Probes = Literal["scene", "random"]
+SHORTEST_START: Final = 5.0  # [m] inserted
+SETTLING: Final = (0.2, 63.0 / 3600.0)
+"""Feed speed [m/s] and air supply [m3/s] before an episode, unless others are given."""
+CARRIER_AT_START: Final = 2.5  # [m], at least
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What episodes begin from.
+
+    Attributes:
+        config: the task.
+        scene: what contexts and options change.
+        contexts: "random", or the shipped list that is drawn from.
+        probes: "scene", or "random": a ``Design`` is drawn.
+        feed_speed, air_supply_rate: of the settling before an episode [m/s], [m3/s].
+
+    Raises:
+        ValueError: no such list of contexts or of probes.
+    """
+
+    config: TaskConfig
+    scene: Scene
+    contexts: Contexts
+    probes: Probes
+    feed_speed: float
+    air_supply_rate: float
+
+    def __post_init__(self) -> None:
+        if self.probes not in get_args(Probes):
+            raise ValueError(f"probes = {self.probes!r} is not one of {', '.join(get_args(Probes))}")
+        drawn_context(self.contexts, np.random.default_rng(0), {})  # names a list that is not there
+
+    @property
+    def stiffest(self) -> Scene:
+        """The scene with the hardest contact and the lightest floats that may be drawn: a step for it holds for all."""
+        listed = load_contexts(self.contexts) if self.contexts != "random" else ()
+        drawn = max((context.contact_stiffness for context in listed), default=STIFFNESS[1])
+        update: dict[str, Any] = {"contact": {"stiffness": max(drawn, self.scene.contact.stiffness)}}
+        if self.probes == "random":
+            lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
+            probe = Design.model_validate(lightest).probe(self.scene.probe)
+            update |= {"probe": probe, "carrier_length": _whole_pitches(self.scene.carrier_length, probe)}
+        return self.scene.model_copy(update=update)
+
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
+        """Context and scene of an episode, see ``Episodes.reset`` for the options; whatever they fix is drawn as well.
+
+        Raises:
+            ValueError: an option is not known or not valid.
+        """
+        given = dict(options)
+        changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
+        context = drawn_context(self.contexts, rng, given)
+        drawn = Design.random(rng).built.model_dump() if self.probes == "random" else {}
+        changes["probe"] = drawn | dict(changes.get("probe", {}))
+        return context, self.build(context, changes)
+
+    def build(self, context: Context, changes: Mapping[str, Any]) -> Scene:
+        """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
+        scene = context.apply(self.scene)
+        if self.config.growing and "carrier_length" in changes:
+            raise ValueError("carrier_length is not an option here: the probe starts short and is fed in")
+        probe = scene.probe.model_copy(update=changes.get("probe", {}))
+        carrier = changes.get("carrier_length", scene.carrier_length)
+        if self.probes == "random":  # of any pitch
+            carrier = _whole_pitches(carrier, probe)
+        if self.config.growing:
+            start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
+            carrier = round((start - probe.guide_length) / probe.float_pitch) * probe.float_pitch
+        update: dict[str, Any] = {
+            "probe": probe,
+            "carrier_length": carrier,
+            "feed_speed": self.feed_speed,
+            "air_supply_rate": self.air_supply_rate,
+        }
+        return scene.model_copy(update=update)
+
+
+def _whole_pitches(length: float, probe: Probe) -> float:
+    """A length cut to whole float pitches [m]."""
+    return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
+
+
+def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:
+    """A context from the generator, at random or from a shipped list; ``given`` fixes fields or a whole "context".
+
+    Takes "context" out of ``given``.
+
+    Raises:
+        ValueError: no such list, or a field that is not known or not valid.
+    """
+    if contexts not in ("random", *get_args(Split)):
+        raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+    whole = given.pop("context", None)
+    if whole is not None:
+        values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
+        given = values | given
+    if contexts == "random":
+        return draw_context(rng, given)
+    choices = load_contexts(contexts)
+    return choices[int(rng.integers(len(choices)))].model_copy(update=given)

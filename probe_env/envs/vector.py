@@ -1,0 +1,152 @@
+"""The native vector environment: N probes in the lanes of one batch, for ``gymnasium.make_vec``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from probe_env.arrays import FloatArray
+from probe_env.envs.env import InsertionEnv, Observation, ProbeEnv, SnapshotEnv, spaces_of, task_config
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity
+from probe_env.scene import Scene
+
+
+class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
+    """N environments in one batch; each equals a single environment with the seed ``seed + i`` bit for bit.
+
+    Args:
+        num_envs: N.
+        autoreset_mode: when an ended episode starts anew: ``AutoresetMode.NEXT_STEP`` (default), ``SAME_STEP``
+            (with ``final_obs`` and ``final_info`` in the infos) or ``DISABLED`` (``options["reset_mask"]``).
+        threads: at most so many; default: all cores.
+        config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes: see ``InsertionEnv``.
+        max_episode_steps: refused: the time limit is a field of ``config``.
+        render_mode: refused: render a single environment.
+
+    Raises:
+        ValueError: an argument is not valid.
+    """
+
+    single: ClassVar[type[ProbeEnv]] = ProbeEnv
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: TaskConfig | Mapping[str, Any] | None = None,
+        scene: Scene | None = None,
+        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
+        contexts: Contexts = "random",
+        feed_speed: float = 0.2,
+        air_supply_rate: float = 63.0 / 3600.0,
+        probes: Probes = "scene",
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if max_episode_steps is not None:
+            raise ValueError(f"max_episode_steps = {max_episode_steps!r}: set config['time_limit'] in seconds instead")
+        if render_mode is not None:
+            raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
+        self.config = task_config(self.single.defaults, config)
+        self.episodes = Episodes(
+            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, threads
+        )
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = self.single.metadata | {"autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = spaces_of(self.config)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start episodes: all, or those of ``options["reset_mask"]``. Other options are those of the single one.
+
+        Raises:
+            ValueError: seeds, mask or options are not valid.
+        """
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(f"options['reset_mask'] must be {self.num_envs} booleans, at least one of them true")
+        which = np.flatnonzero(mask).tolist()
+        self._seed(seed, which)
+        observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
+        self._ended[mask] = False
+        merged: dict[str, Any] = {}
+        for k in which:
+            merged = self._add_info(merged, infos[k], k)
+        return observation, merged
+
+    def step(
+        self, actions: npt.ArrayLike
+    ) -> tuple[Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+        """One control period; ended episodes are handled after ``autoreset_mode``."""
+        starting = self._ended.copy()
+        if starting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise RuntimeError(f"episode {np.flatnonzero(starting)[0]} has ended: reset it with options['reset_mask']")
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        reward: FloatArray = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros_like(starting), np.zeros_like(starting)
+        observation = self.episodes.observation.copy()
+        if not starting.all():
+            step = self.episodes.step(actions, ~starting)
+            observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
+            infos = step.infos
+        if starting.any():  # NEXT_STEP: this step is their reset
+            observation, started = self._start(np.flatnonzero(starting).tolist())
+            for k, info in started.items():
+                infos[k] = info
+        self._ended = terminated | truncated
+        if self._ended.any() and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            ended = np.flatnonzero(self._ended).tolist()
+            final = observation.copy()
+            observation, started = self._start(ended)
+            for k in ended:
+                infos[k] = started[k] | {"final_obs": final[k], "final_info": infos[k]}
+            self._ended[:] = False
+        merged: dict[str, Any] = {}
+        for k, info in enumerate(infos):
+            if info:
+                merged = self._add_info(merged, info, k)
+        return observation, reward.copy(), terminated.copy(), truncated.copy(), merged
+
+    def _start(self, which: list[int]) -> tuple[Observation, dict[int, dict[str, Any]]]:
+        return self.episodes.reset(which, self._rngs)
+
+    def _seed(self, seed: int | Sequence[int | None] | None, which: list[int]) -> None:
+        """One generator an environment: seed + i, a seed each, or on as before."""
+        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
+        for k in which:
+            given = None if seeds is None else seeds[k]
+            if given is not None or k not in self._rngs:
+                self._rngs[k] = gym.utils.seeding.np_random(given)[0]
+
+
+class InsertionVectorEnv(ProbeVectorEnv):
+    """Native batch of ``probe_env/Insertion-v0``."""
+
+    single = InsertionEnv
+
+
+class SnapshotVectorEnv(ProbeVectorEnv):
+    """Native batch of ``probe_env/Snapshot-v0``."""
+
+    single = SnapshotEnv

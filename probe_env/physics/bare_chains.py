@@ -1,0 +1,90 @@
+"""Chains with a closed form, run on the kernels of the methods themselves: what no scene has is set in the arrays."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+from probe_env.physics.chain import Chain, build_chain
+from probe_env.physics.drive import Drive
+from probe_env.physics.kernel_call import Sampling
+from probe_env.physics.methods.factors import node_matrices
+from probe_env.physics.methods.method import build_method
+from probe_env.physics.methods.ticm import OK
+from probe_env.physics.state import State
+from probe_env.scene import Scene
+
+LAPACK = "newmark (LAPACK)"
+"""Newmark with the banded solver of LAPACK in place of the TICM."""
+AXIAL, RADIAL = 0, 1
+
+
+class ChainRun(NamedTuple):
+    """Whether a run held; samples (k, 4) of x, y, theta and V of a node; sweeps; processor time of its thread [s]."""
+
+    held: bool
+    samples: FloatArray
+    sweeps: int
+    cpu: float
+
+
+def plain_chain(elements: int, **changes: Any) -> Chain:
+    """Table 2's cable, straight, with nothing but elasticity and damping."""
+    nodes = elements + 1
+    scene = Scene.model_validate({"tube": {"helix_diameter": 1e4, "helix_length": 1000.0}, "carrier_length": 0.1})
+    none = np.zeros(nodes)
+    plain = build_chain(scene)._replace(
+        cos_phi=1.0, sin_phi=0.0, curvature=0.0, couple_length=0.0, frame_inertia=0.0, friction=0.0,
+        contact_stiffness=none, outer_gap=np.full(nodes, np.inf), lever=none, drag=none,
+        support_stiffness=np.zeros((nodes, 3)), load=np.zeros((nodes, 3)),
+    )  # fmt: skip
+    return plain._replace(**changes)
+
+
+def bent_chain(elements: int, helix_diameter: float = 1.2, **changes: Any) -> Chain:
+    """The same with the frame angle of a helix, but without its inertia terms."""
+    sin_phi = plain_chain(1).element_length / helix_diameter
+    return plain_chain(elements, sin_phi=sin_phi, cos_phi=float(np.sqrt(1.0 - sin_phi**2)), **changes)
+
+
+def linear_matrix(chain: Chain) -> FloatArray:
+    """(3 n, 3 n) M^-1 K of the free nodes, tip first."""
+    n = chain.node_count - 1
+    tip, inner, ahead, behind = node_matrices(chain)
+    matrix = np.kron(np.eye(n), inner) + np.kron(np.eye(n, k=1), ahead) + np.kron(np.eye(n, k=-1), behind)
+    matrix[:3, :3] = tip
+    return np.asarray(matrix)
+
+
+def masses(chain: Chain) -> FloatArray:
+    """(3 n,) diagonal of M of the free nodes."""
+    return np.tile([chain.mass, chain.mass, chain.inertia], chain.node_count - 1)
+
+
+def run_chain(
+    method: str,
+    chain: Chain,
+    time_step: float,
+    state: State,
+    steps: int,
+    every: int,
+    *,
+    node: int = 0,
+    sensor: int = 0,
+    feed: float = 0.0,
+    air: float = 0.0,
+) -> ChainRun:
+    """Advance a state in place by a method (or ``LAPACK``) at constant feed speed and air speed [m/s]."""
+    scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
+    advance = build_method(scheme, solver, chain, time_step, sensor, 4)
+    inputs = Drive(feed, air).inputs_of_steps(steps, time_step, chain.element_length, 0)
+    samples, counts = np.zeros((steps // every, 1, 4)), np.zeros(2, dtype=np.int64)
+    sampling = Sampling(every, every, np.array([node], dtype=np.int64), samples, np.zeros(chain.node_count), counts)
+    begin = time.thread_time()
+    status, done, *_ = advance(inputs, chain.node_count - 1, state, sampling)
+    spent = time.thread_time() - begin
+    held = status == OK and bool(np.isfinite(state.d).all())
+    return ChainRun(held, samples[:, 0], max(done, int(counts[0])), spent)

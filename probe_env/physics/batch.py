@@ -1,0 +1,271 @@
+"""Many probes of the fast scheme, in lanes of four on a pool of threads: the batch counterpart of Simulator."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import FloatArray
+from probe_env.errors import SimulationError
+from probe_env.machine import available_cores
+from probe_env.physics.kernel_call import Sampling, check_array, check_points
+from probe_env.physics.methods.lane_group import LANES, Lane, advance_group
+from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
+from probe_env.physics.signals import window_statistics
+from probe_env.physics.simulator import STEPS_PER_CALL, Simulator
+from probe_env.scene import Scene
+from probe_env.settings import whole_steps
+
+
+@dataclass(frozen=True)
+class Window:
+    """What a window of time showed at the sensor of each of N probes.
+
+    Attributes:
+        statistics: name -> (N,) in SI units, see ``signals.window_statistics``; NaN-free, zero for probes that
+            were not advanced or have diverged.
+        inserted_length: (N,) at the end of the window [m].
+        feed_speed, air_supply_rate: (N,) at the end of the window [m/s], [m3/s].
+        diverged: (N,) bool.
+        time, axial, radial, tension: samples (k,), (k, N) if asked for: displacements of the sensor [m] and
+            root tension [N].
+    """
+
+    statistics: dict[str, FloatArray]
+    inserted_length: FloatArray
+    feed_speed: FloatArray
+    air_supply_rate: FloatArray
+    diverged: npt.NDArray[np.bool_]
+    time: FloatArray | None = None
+    axial: FloatArray | None = None
+    radial: FloatArray | None = None
+    tension: FloatArray | None = None
+
+
+class SimulatorBatch:
+    """N probes that are advanced together; each equals, bit for bit, a ``Simulator`` of its own.
+
+    Args:
+        scenes: one a probe; they may differ in everything.
+        method: as for ``Simulator``; "imex" and "explicit" run four probes side by side in
+            vector registers, "imex32" eight.
+        time_step: [s].
+        nodes_per_pitch: nodes in one float pitch.
+        threads: at most so many; default: the cores of this process.
+        seeds: of each probe's start perturbation; default 0, 1, 2, ...
+        options: further arguments of ``Simulator``: growing, time_lapse, ramp, air_lag, perturbation.
+
+    Raises:
+        ValueError: an argument is not valid.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        method: str = "imex",
+        time_step: float = 2e-4,
+        nodes_per_pitch: int = 4,
+        *,
+        threads: int | None = None,
+        seeds: Sequence[int] | None = None,
+        **options: Any,
+    ) -> None:
+        if len(scenes) == 0:
+            raise ValueError("scenes is empty: a batch needs at least one")
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads = {threads!r} is outside the accepted range 1 and more")
+        seeds = range(len(scenes)) if seeds is None else seeds
+        self.threads: Final = threads or available_cores()
+        self.simulators: Final = [
+            Simulator(scene, method, time_step, nodes_per_pitch, seed=seed, **options)
+            for scene, seed in zip(scenes, seeds, strict=True)
+        ]
+        self.method, self.time_step, self.nodes_per_pitch = method, time_step, nodes_per_pitch
+        # the two samples before a window, for differences across its start: every probe comes from rest
+        self._before = [np.zeros((2, 3)) for _ in scenes]
+
+    def __len__(self) -> int:
+        return len(self.simulators)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        probes = [s.snapshot() for s in self.simulators]
+        return {"format": FORMAT, "probes": probes, "before": [before.copy() for before in self._before]}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Back to a snapshot of this batch, or of one with the same probes in the same places.
+
+        Raises:
+            ValueError: not such a snapshot; names the probe and the field. Nothing has been changed then.
+        """
+        saved = check_names("snapshot", check_format("snapshot", snapshot), ("format", "probes", "before"))
+        for name in ("probes", "before"):
+            check_types("snapshot", saved, {name: list})
+            if len(saved[name]) != len(self):
+                raise ValueError(f"snapshot: {len(saved[name])} {name}; here are {len(self)}")
+        for k, (simulator, state, before) in enumerate(
+            zip(self.simulators, saved["probes"], saved["before"], strict=True)
+        ):
+            simulator.checked(state, f"snapshot: probe {k}")
+            check_array(f"snapshot: before[{k}]", before, (2, 3))
+        for simulator, state in zip(self.simulators, saved["probes"], strict=True):
+            simulator.restore(state)
+        self._before = [before.copy() for before in saved["before"]]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"format": FORMAT} | self.__dict__
+
+    def __setstate__(self, saved: Mapping[str, Any]) -> None:
+        given = dict(check_format("pickled SimulatorBatch", saved))
+        del given["format"]
+        self.__dict__.update(given)
+
+    def replace(self, index: int, simulator: Simulator) -> None:
+        """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
+        for name in ("method", "time_step", "nodes_per_pitch"):
+            if getattr(simulator, name) != getattr(self, name):
+                raise ValueError(
+                    f"{name} = {getattr(simulator, name)!r} differs from the batch's {getattr(self, name)!r}"
+                )
+        self.simulators[index] = simulator
+        self._before[index] = np.zeros((2, 3))
+
+    def advance(
+        self,
+        feed_speed: FloatArray | float | None = None,
+        air_supply_rate: FloatArray | float | None = None,
+        duration: float = 1.0,
+        sample_period: float = 1e-3,
+        active: npt.NDArray[np.bool_] | None = None,
+        keep_samples: bool = False,
+    ) -> Window:
+        """Advance all active probes by ``duration`` towards new targets (a value, (N,) values, or None: as before).
+
+        A probe that diverges is reported in the window and left out from then on; the others go on.
+
+        Raises:
+            ValueError: an argument is not valid.
+        """
+        count = len(self)
+        steps = whole_steps("duration", duration, self.time_step)
+        every = whole_steps("sample_period", sample_period, self.time_step)
+        if steps % every:
+            raise ValueError(
+                f"duration = {duration!r} s is not a whole number of sample periods of {sample_period:g} s"
+            )
+        speeds, airs = _targets(feed_speed, count), _targets(air_supply_rate, count)
+        for simulator, speed, air in zip(self.simulators, speeds, airs, strict=True):
+            simulator.check_targets(speed, air)
+        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
+        for k in running:  # all before any: the kernels check no bounds
+            self._check_fits(k)
+        for k in running:
+            self.simulators[k].set_targets(speeds[k], airs[k])
+        signals = np.zeros((count, steps // every + 2, 3))
+        running.sort(key=lambda k: self.simulators[k].root)
+        width = LANES.get(self.method, 1)
+        groups = [running[start : start + width] for start in range(0, len(running), width)]
+        with ThreadPoolExecutor(self.threads) as pool:
+            list(pool.map(lambda group: self._advance_group(group, steps, every, signals), groups))
+        for k in running:
+            self._before[k] = signals[k, -2:].copy()
+        return self._window(signals, running, every, keep_samples)
+
+    def _check_fits(self, k: int) -> None:
+        simulator = self.simulators[k]
+        try:
+            simulator.check_fits()
+            check_points(np.array([simulator.sensor]), simulator.root)
+            check_array("before", self._before[k], (2, 3))
+        except ValueError as error:
+            raise ValueError(f"probe {k}: {error}") from error
+
+    def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> None:
+        """Advance the probes of a group; sensor x, y and root V go to ``signals`` after the two samples before."""
+        if self.method not in LANES:
+            self._advance_one(group[0], steps, every, signals)
+            return
+        members = [self.simulators[k] for k in group]
+        lanes = [Lane(*s.lane_constants(), s.state, s.root) for s in members]
+        points = [np.array([s.sensor, -1], dtype=np.int64) for s in members]
+        for k in group:
+            signals[k, :2] = self._before[k]
+        done = 0
+        while done < steps:
+            stretch = min(steps - done, STEPS_PER_CALL)
+            first = every - done % every
+            rows = max(0, (stretch - first) // every + 1)
+            samples = [np.zeros((rows, 2, 4)) for _ in group]
+            inputs = [s.inputs_of_steps(stretch) for s in members]
+            failed = advance_group(
+                self.method, lanes, inputs, self.time_step, self.nodes_per_pitch, first, every, points, samples
+            )
+            start = 2 + done // every
+            for k, rows_of_probe in zip(group, samples, strict=True):
+                signals[k, start : start + rows, 0:2] = rows_of_probe[:, 0, 0:2]
+                signals[k, start : start + rows, 2] = rows_of_probe[:, 1, 3]
+            for simulator, lane, step in zip(members, lanes, failed, strict=True):
+                simulator.note_steps(step or stretch, lane.root, diverged=step > 0)
+            lanes = [lane for lane, step in zip(lanes, failed, strict=True) if not step]
+            points = [point for point, step in zip(points, failed, strict=True) if not step]
+            group = [k for k, step in zip(group, failed, strict=True) if not step]
+            members = [self.simulators[k] for k in group]
+            done += stretch
+            if not group:
+                return
+
+    def _advance_one(self, k: int, steps: int, every: int, signals: FloatArray) -> None:
+        """``_advance_group`` for a method that does not run in lanes."""
+        simulator = self.simulators[k]
+        points, samples = np.array([simulator.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, 4))
+        tension_sum, counts = np.zeros(simulator.chain.node_count), np.zeros(2, dtype=np.int64)
+        with contextlib.suppress(SimulationError):  # kept by the simulator, reported in the window
+            simulator.advance_steps(steps, Sampling(every, every, points, samples, tension_sum, counts))
+        signals[k, :2] = self._before[k]
+        signals[k, 2:, 0:2] = samples[:, 0, 0:2]
+        signals[k, 2:, 2] = samples[:, 1, 3]
+
+    def _window(self, signals: FloatArray, running: Sequence[int], every: int, keep: bool) -> Window:
+        period = every * self.time_step
+        diverged = np.array([s.diverged for s in self.simulators])
+        good = np.zeros(len(self), dtype=bool)
+        good[list(running)] = True
+        good &= ~diverged
+        axial, radial, tension = (signals[good, :, field].T for field in range(3))
+        statistics: dict[str, FloatArray] = {}
+        for name, values in window_statistics(axial, radial, tension, period).items():
+            statistics[name] = np.zeros(len(self))
+            statistics[name][good] = values
+        new = np.where(good[:, None, None], signals, 0.0)[:, 2:]
+        return Window(
+            statistics=statistics,
+            inserted_length=np.array([s.inserted_length for s in self.simulators]),
+            feed_speed=np.array([s.feed_speed for s in self.simulators]),
+            air_supply_rate=np.array([s.air_supply_rate for s in self.simulators]),
+            diverged=diverged,
+            time=period * np.arange(1, new.shape[1] + 1) if keep else None,
+            axial=new[:, :, 0].T.copy() if keep else None,
+            radial=new[:, :, 1].T.copy() if keep else None,
+            tension=new[:, :, 2].T.copy() if keep else None,
+        )
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> SimulatorBatch:
+        new = copy.copy(self)
+        object.__setattr__(new, "simulators", copy.deepcopy(self.simulators, memo))
+        new._before = copy.deepcopy(self._before, memo)
+        return new
+
+
+def _targets(value: FloatArray | float | None, count: int) -> list[float | None]:
+    if value is None:
+        return [None] * count
+    values = np.broadcast_to(np.asarray(value, dtype=float), (count,))
+    return [float(v) for v in values]

@@ -1,0 +1,129 @@
+"""From a scene to the arrays that the kernels work on: masses, element compliance, frame, floats.
+
+Nodes are numbered from the tip (0) to the held root (n), so that a longer probe only appends nodes; the
+study's node j is node n - j here. Element i joins node i and its neighbour i + 1 on the root side.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+from probe_env.scene import Scene
+
+
+class Chain(NamedTuple):
+    """A chain of equal elements with per-node contact, drag and support; SI units, arrays of n + 1 nodes.
+
+    The last node is held. ``curvature`` (1/r) drives the inertia terms of (14) and ``cos_phi``/``sin_phi``
+    the geometry; both vanish together in a scene, but tests of closed forms set them apart.
+    """
+
+    element_length: float
+    cos_phi: float
+    sin_phi: float
+    axial_compliance: float  # a_x [m/N], below (6)
+    shear_compliance: float  # a_y [m/N]
+    bending_compliance: float  # beta [rad/(N m)]
+    coupling_compliance: float  # gamma [rad/N]
+    damping_time: float
+    mass: float
+    inertia: float
+    curvature: float
+    couple_length: float  # l in V l theta of (9); 0 switches the couple off
+    frame_inertia: float  # J / r of (15)
+    friction: float
+    cable_radius: float  # d_c / 2, where the cable itself would touch the wall
+    contact_stiffness: FloatArray  # 0 where there is no float
+    outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
+    lever: FloatArray  # d_f / 2
+    drag: FloatArray  # c_D rho_f (A_f - A_c) / 2, 0 where there is no float
+    support_stiffness: FloatArray  # (n + 1, 3) springs to the moving frame
+    load: FloatArray  # (n + 1, 3) constant external load
+
+    @property
+    def node_count(self) -> int:
+        """Nodes, the held root included."""
+        return len(self.drag)
+
+
+def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = None) -> Chain:
+    """Lumped-mass chain of a scene after (1), (2) and (5)-(11); ``length`` [m] if not the inserted one."""
+    tube, probe, contact, air = scene.tube, scene.probe, scene.contact, scene.air
+    h = probe.float_pitch / nodes_per_pitch
+    nodes = round((scene.inserted_length if length is None else length) / h) + 1
+    sensor = sensor_node(scene, nodes_per_pitch)
+    index = np.arange(nodes)
+    is_float = index % nodes_per_pitch == 0
+    diameter = np.where(index <= sensor, probe.guide_float_diameter, probe.carrier_float_diameter)
+
+    mass = probe.line_density * h  # (1)
+    inertia = mass * (h**2 / 12.0 + probe.cable_diameter**2 / 16.0)  # (1)
+    sin_phi = h / tube.helix_diameter  # (2)
+    curvature = 2.0 / tube.helix_diameter
+    cable_area = math.pi * probe.cable_diameter**2 / 4.0
+    frontal_area = math.pi * diameter**2 / 4.0 - cable_area
+    gap = tube.inner_diameter - diameter if contact.walls == "both" else np.full(nodes, np.inf)
+    return Chain(
+        element_length=h,
+        cos_phi=math.sqrt(1.0 - sin_phi**2),
+        sin_phi=sin_phi,
+        axial_compliance=h / probe.tensile_rigidity,
+        shear_compliance=h**3 / (3.0 * probe.flexural_rigidity),
+        bending_compliance=h / probe.flexural_rigidity,
+        coupling_compliance=h**2 / (2.0 * probe.flexural_rigidity),
+        damping_time=probe.damping_time,
+        mass=mass,
+        inertia=inertia,
+        curvature=curvature,
+        couple_length=h,
+        frame_inertia=inertia * curvature,
+        friction=contact.friction,
+        cable_radius=probe.cable_diameter / 2.0,
+        contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
+        outer_gap=gap,
+        lever=diameter / 2.0,
+        drag=np.where(is_float, 0.5 * air.drag_coefficient * air.density * frontal_area, 0.0),
+        support_stiffness=np.zeros((nodes, 3)),
+        load=np.zeros((nodes, 3)),
+    )
+
+
+def air_speed(scene: Scene, air_supply_rate: float) -> float:
+    """Speed of the air between cable and tube, Q / (a - A_c) of (10) [m/s]."""
+    area = math.pi * (scene.tube.inner_diameter**2 - scene.probe.cable_diameter**2) / 4.0
+    return air_supply_rate / area
+
+
+def sensor_node(scene: Scene, nodes_per_pitch: int) -> int:
+    """Node of the sensor, counted from the tip."""
+    return round(scene.probe.guide_length / scene.probe.float_pitch * nodes_per_pitch)
+
+
+def element_blocks(chain: Chain) -> tuple[FloatArray, FloatArray]:
+    """(3, 3) matrices G, H: deformation of element i in its own frame is G d_i + H d_{i+1}, after (5).
+
+    The element's force on node i is -G^T fbar and on node i + 1 is -H^T fbar, with fbar from
+    ``element_stiffness``.
+    """
+    c, s = chain.cos_phi, chain.sin_phi
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # Phi of (26)
+    lever = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, chain.element_length, 1.0]])  # L of (6)
+    return turn.T, -lever.T @ turn
+
+
+def element_stiffness(chain: Chain) -> FloatArray:
+    """(3, 3) inverse of the element's compliance F of (5)."""
+    ax, ay = chain.axial_compliance, chain.shear_compliance
+    b, g = chain.bending_compliance, chain.coupling_compliance
+    determinant = ay * b - g * g
+    return np.array(
+        [
+            [1.0 / ax, 0.0, 0.0],
+            [0.0, b / determinant, -g / determinant],
+            [0.0, -g / determinant, ay / determinant],
+        ]
+    )

@@ -1,0 +1,110 @@
+"""Closed forms: steady sliding both ways, the linear chain, an impact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+from probe_env.physics.bare_chains import linear_matrix, masses
+from probe_env.physics.chain import Chain, air_speed, build_chain
+from probe_env.scene import Probe, Scene
+
+MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
+"""What the estimate looks at, SI units."""
+SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter", "float_pitch")
+"""Figures of the probe that it depends on."""
+
+
+def steady_root_tension(scene: Scene) -> float:
+    """Closed form of the root tension under steady sliding [N], friction at the float's surface.
+
+    T = (q r / mu') (1 - exp(-mu' L / r)), mu' = mu (1 - d_f / d_h); q is the mean drag per metre. With two
+    float sizes q is piecewise constant and the guide's end tension is carried on.
+    """
+    chain = build_chain(scene)
+    relative = air_speed(scene, scene.air_supply_rate) - scene.feed_speed
+    pitch = scene.probe.float_pitch
+    force = chain.drag * relative * abs(relative)
+    radius = scene.tube.helix_diameter / 2.0
+    tension = 0.0
+    for drag, lever in zip(force[:-1][force[:-1] > 0.0], chain.lever[:-1][force[:-1] > 0.0], strict=True):
+        mu = chain.friction * (1.0 - lever / radius)
+        if mu == 0.0:
+            tension += drag
+        else:
+            limit = drag / pitch * radius / mu
+            tension = limit + (tension - limit) * math.exp(-mu * pitch / radius)
+    return tension
+
+
+def friction_from_tension(seen: Mapping[str, FloatArray]) -> FloatArray:
+    """Friction coefficient (n,) at which steady sliding has the measured root tension, by bisection.
+
+    Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / d_h), with the drag q of the guide's floats, then of
+    the carrier's; tension falls as friction rises. Drag, but for the probe's floats, is table 2's.
+
+    Args:
+        seen: ``MEASURED``, (n,) each; ``SHAPE`` where the probe is not table 2's.
+    """
+    tension, length, diameter = (seen[name] for name in ("root_tension", "inserted_length", "helix_diameter"))
+    scene = Scene()
+    wind = np.array([air_speed(scene, float(q)) for q in seen["air_supply_rate"]]) - seen["feed_speed"]
+    table = {name: np.full_like(tension, getattr(scene.probe, name)) for name in SHAPE}
+    guide, *diameters, pitch = (seen.get(name, table[name]) for name in SHAPE)
+    forces = [_drag_per_metre(d, pitch) * wind * np.abs(wind) for d in diameters]
+    guide = np.minimum(guide, length)
+    radius = diameter / 2.0
+    low, high = np.zeros_like(tension), np.full_like(tension, 2.0)
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        at_middle = np.zeros_like(tension)
+        for force, section in zip(forces, (guide, length - guide), strict=True):
+            decay = middle * section / radius
+            at_middle = at_middle * np.exp(-decay) - force * radius / middle * np.expm1(-decay)
+        low, high = np.where(at_middle > tension, middle, low), np.where(at_middle > tension, high, middle)
+    return np.asarray(0.5 * (low + high) / (1.0 - diameters[1] / diameter))
+
+
+def _drag_per_metre(float_diameter: FloatArray, pitch: FloatArray) -> FloatArray:
+    """Drag force a metre over the square of the wind [N s2/m3], after (10)."""
+    air, cable = Scene().air, Probe().cable_diameter
+    frontal = math.pi / 4.0 * (float_diameter**2 - cable**2)
+    return 0.5 * air.drag_coefficient * air.density * frontal / pitch
+
+
+def linear_chain(chain: Chain, times: FloatArray, before: FloatArray, load: FloatArray) -> FloatArray:
+    """Displacements (k, n, 3) of a damped chain without contact that rested under one load when another one set in.
+
+    Every mode obeys q'' + delta lambda q' + lambda q = p; exact for the discrete chain, so what a method is off by is
+    its error in time alone. The chain must be without the frame's inertia terms.
+
+    Args:
+        chain: n nodes and the held root.
+        times: (k,) since the change [s]; 0 gives the rest under the load before.
+        before: (n, 3) load until then [N], [N m].
+        load: (n, 3) load from then on.
+    """
+    root_mass = np.sqrt(masses(chain))
+    symmetric = root_mass[:, None] * linear_matrix(chain) / root_mass
+    squares, modes = np.linalg.eigh(0.5 * (symmetric + symmetric.T))
+    start, at_rest = (modes.T @ (force.ravel() / root_mass) / squares for force in (before, load))
+    discriminant = np.sqrt((chain.damping_time * squares).astype(complex) ** 2 - 4.0 * squares)
+    slow, fast = (0.5 * (sign * discriminant - chain.damping_time * squares) for sign in (1.0, -1.0))
+    amplitude = (start - at_rest) / (slow - fast)
+    moving = amplitude * (slow * np.exp(np.outer(times, fast)) - fast * np.exp(np.outer(times, slow)))
+    return np.asarray(((at_rest + moving.real) @ modes.T / root_mass).reshape(len(times), -1, 3))
+
+
+def impact(mass: float, stiffness: float, height: float, speed: float, times: FloatArray) -> FloatArray:
+    """Height (k,) of a free mass above a spring that it flies at and leaves again; the contact lasts pi / omega."""
+    omega = math.sqrt(stiffness / mass)
+    arrival = height / speed
+    departure = arrival + math.pi / omega
+    inside = -speed / omega * np.sin(omega * (times - arrival))
+    return np.where(
+        times < arrival, height - speed * times, np.where(times < departure, inside, speed * (times - departure))
+    )

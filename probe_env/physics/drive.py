@@ -1,0 +1,70 @@
+"""How the probe is driven: feed speed with a ramp limit, air with a first-order lag, and the growing length.
+
+``inputs_of_steps`` turns targets into the inputs of every coming step, for the kernels of all methods.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from probe_env.arrays import FloatArray
+
+SPEED, SLOPE, AIR, APPEND = 0, 1, 2, 3
+"""Columns of a step's inputs: u and Q / (a - A_c) at its start [m/s], du/dt over it [m/s2], nodes appended after."""
+
+
+@dataclass
+class Drive:
+    """Feed speed, air speed and fed cable, now and where they are heading.
+
+    Attributes:
+        speed, speed_target: feed speed [m/s].
+        air, air_target: air speed in the tube [m/s].
+        ramp: greatest change of the feed speed [m/s2].
+        air_lag: time constant of the air [s]; 0 follows at once.
+        travel: cable fed in since the last node was appended [m].
+        growth: length fed in per length travelled: 0 constant length, 1 insertion, more is time-lapse.
+    """
+
+    speed: float
+    air: float
+    ramp: float = math.inf
+    air_lag: float = 0.0
+    growth: float = 0.0
+    travel: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.speed_target, self.air_target = self.speed, self.air
+
+    def inputs_of_steps(self, steps: int, time_step: float, element_length: float, room: int) -> FloatArray:
+        """Inputs (steps, 4) of the coming steps; moves on to their end. ``room``: nodes that may be appended."""
+        inputs = np.empty((steps, 4))
+        gain = -math.expm1(-time_step / self.air_lag) if self.air_lag > 0.0 else 1.0
+        self.speed, self.air, self.travel = _inputs(
+            inputs, self.speed, self.speed_target, self.ramp * time_step, self.air, self.air_target, gain,
+            self.travel, self.growth, time_step, element_length, room,
+        )  # fmt: skip
+        return inputs
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inputs(inputs, speed, speed_target, ramp_step, air, air_target, gain, travel, growth, dt, h, room):
+    """Step by step, so that the result does not depend on how a run is cut into calls."""
+    for k in range(len(inputs)):
+        change = min(max(speed_target - speed, -ramp_step), ramp_step)
+        inputs[k, 0] = speed
+        inputs[k, 1] = change / dt
+        inputs[k, 2] = air
+        inputs[k, 3] = 0.0
+        speed = speed_target if abs(speed_target - speed) <= ramp_step else speed + change
+        air = air_target if gain == 1.0 else air + gain * (air_target - air)
+        travel += growth * speed * dt
+        if travel >= h and room > 0:
+            travel -= h
+            room -= 1
+            inputs[k, 3] = 1.0
+    return speed, air, travel

@@ -1,0 +1,71 @@
+"""The system of (17)-(18) assembled as a banded matrix and solved by LAPACK through SciPy.
+
+A check on the TICM and the yardstick for its speed: same equations, same update, another solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import solve_banded
+
+from probe_env.arrays import FloatArray
+from probe_env.physics.chain import Chain, element_blocks, element_stiffness
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.newmark import Scheme, Work
+from probe_env.physics.state import State
+
+HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
+
+
+Step = Callable[[FloatArray, int, State, Work], int]
+
+
+def stepper(chain: Chain, scheme: Scheme) -> Step:
+    """A step function (inputs, root, state, work) -> first diverged node or -1, constant matrices prepared."""
+    head, tail = element_blocks(chain)
+    stiffness = element_stiffness(chain)
+    damped = (1.0 + chain.damping_time * scheme.B_v) * stiffness
+    elastic = _elastic_band(head, tail, damped, chain.node_count - 1)  # of the longest probe
+
+    def step(inputs: FloatArray, root: int, state: State, work: Work) -> int:
+        ticm.node_equations(chain, scheme, inputs, root, state, work)
+        d, v, a = state.d[: root + 1], state.v[: root + 1], state.a[: root + 1]
+        h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a  # zero at the root
+        history = chain.damping_time * (h_v[:-1] @ head.T + h_v[1:] @ tail.T) @ stiffness.T
+        right = work.q[:root] - history @ head
+        right[1:] -= history[:-1] @ tail
+        band = elastic[:, : 3 * root].copy()
+        _add_node_matrices(band, work.P[:root])
+        solution = np.zeros((root + 1, 3))
+        solution[:-1] = solve_banded(
+            (HALF_BANDWIDTH, HALF_BANDWIDTH), band, right.ravel(), overwrite_ab=True, check_finite=False
+        ).reshape(-1, 3)
+        deformation = solution[:-1] @ head.T + solution[1:] @ tail.T
+        axial = deformation @ damped[0] + history[:, 0]
+        return int(ticm.apply_solution(scheme, state, solution, axial))
+
+    return step
+
+
+def _elastic_band(head: FloatArray, tail: FloatArray, stiffness: FloatArray, nodes: int) -> FloatArray:
+    """Elements' stiffness in the storage of ``solve_banded``, the held root left out."""
+    band = np.zeros((2 * HALF_BANDWIDTH + 1, 3 * nodes))
+    own, next_own = head.T @ stiffness @ head, tail.T @ stiffness @ tail
+    diagonal = np.repeat(own[None], nodes, axis=0)
+    diagonal[1:] += next_own
+    for row in range(3):
+        for column in range(3):
+            band[HALF_BANDWIDTH + row - column, column::3] += diagonal[:, row, column]
+            upper = (head.T @ stiffness @ tail)[row, column]  # node i by node i + 1
+            band[HALF_BANDWIDTH + row - column - 3, 3 + column :: 3] += upper
+            lower = (tail.T @ stiffness @ head)[row, column]
+            band[HALF_BANDWIDTH + row - column + 3, column:-3:3] += lower
+    return band
+
+
+def _add_node_matrices(band: FloatArray, P: FloatArray) -> None:
+    entries = ((0, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2))
+    for k, (row, column) in enumerate(entries):
+        band[HALF_BANDWIDTH + row - column, column::3] += P[:, k]

@@ -1,0 +1,374 @@
+"""One probe: state, driving, stepping, sampling, and an error when the state diverges."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+from probe_env.errors import SimulationError, StabilityWarning
+from probe_env.physics.chain import air_speed, build_chain, sensor_node
+from probe_env.physics.drive import Drive
+from probe_env.physics.kernel_call import Sampling, check_state
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.lane_group import lane_constants
+from probe_env.physics.methods.method import Advance, build_method
+from probe_env.physics.run import Run, point_name, shapes_of
+from probe_env.physics.saved import FORMAT, check_format, check_names, check_same, check_types
+from probe_env.physics.stability import check_rounding, stable_time_step
+from probe_env.physics.state import State, at_rest
+from probe_env.scene import Scene
+from probe_env.settings import whole_steps, within
+
+STEPS_PER_CALL: Final = 2000
+"""Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
+
+
+class Simulator:
+    """Advances one probe, of constant length or growing as it is fed in.
+
+    ``iterations`` and ``unconverged_steps`` count, since the start, the iterations of ``implicit`` and its steps
+    in which they did not converge (see implicit.py for what is done then).
+
+    Args:
+        scene: what to simulate; its carrier length is the one at the start.
+        method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1; "imex", the fast
+            scheme; "imex32", the same in single precision, for batches; "implicit", which holds with any step;
+            "explicit", central differences.
+        time_step: [s], > 0, for imex32 at least 5e-5. Beyond ``stable_time_step`` a ``StabilityWarning`` is given,
+            nothing refused.
+        nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
+        solver: of the linear system of a step: "ticm", "banded" (LAPACK) or "transfer-matrix".
+        growing: feed the probe in: nodes are appended at the root as cable enters, up to the helix's end.
+        time_lapse: length fed in per length travelled, >= 1: the length grows faster than the clock while the
+            dynamics keep the true speed; 1 is the truth.
+        ramp: greatest change of the feed speed [m/s2].
+        air_lag: time constant with which the air supply follows its target [s].
+        perturbation: standard deviation of a random radial start displacement of all nodes [m], to get
+            independent members of an ensemble; 0 is the study's start.
+        seed: of the perturbation.
+
+    Raises:
+        ValueError: an argument is not valid; names it, its value and what is accepted.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        method: str = "newmark",
+        time_step: float = 1e-4,
+        nodes_per_pitch: int = 4,
+        *,
+        solver: str = "ticm",
+        growing: bool = False,
+        time_lapse: float = 1.0,
+        ramp: float = math.inf,
+        air_lag: float = 0.0,
+        perturbation: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+        check_rounding(method, time_step)
+        within("time_lapse", time_lapse, 1.0, 1000.0, "")
+        within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
+        within("air_lag", air_lag, 0.0, 1e3, "s")
+        within("perturbation", perturbation, 0.0, 1e-3, "m")
+        if (
+            isinstance(nodes_per_pitch, bool)
+            or nodes_per_pitch != int(nodes_per_pitch)
+            or not 1 <= nodes_per_pitch <= 64
+        ):
+            raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
+        self.scene, self.method, self.solver = scene, method, solver
+        self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
+        self.growing, self.time_lapse, self.ramp, self.air_lag = growing, time_lapse, ramp, air_lag
+        self.perturbation, self.seed = perturbation, seed
+        h = scene.probe.float_pitch / self.nodes_per_pitch
+        longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if growing else scene.inserted_length
+        self.chain = build_chain(scene, self.nodes_per_pitch, longest)
+        self._start_root = round(scene.inserted_length / h)
+        self.sensor = sensor_node(scene, self.nodes_per_pitch)
+        self._advance = self._build()
+        self.stable_time_step = stable_time_step(scene, self.nodes_per_pitch, method)
+        if self.time_step > self.stable_time_step * (1.0 + 1e-9):
+            warnings.warn(
+                f"time_step = {time_step:g} s is beyond the known stable limit {self.stable_time_step:.2g} s of"
+                f" {method} for this scene; the run stops with SimulationError if it diverges",
+                StabilityWarning,
+                stacklevel=2,
+            )
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
+        self.state = at_rest(self.chain.node_count)
+        self.steps_done, self.root = 0, self._start_root
+        self.iterations, self.unconverged_steps = 0, 0
+        self.drive = Drive(
+            speed=self.scene.feed_speed,
+            air=air_speed(self.scene, self.scene.air_supply_rate),
+            ramp=self.ramp,
+            air_lag=self.air_lag,
+            growth=self.time_lapse if self.growing else 0.0,
+        )
+        self._error: SimulationError | None = None
+        if self.perturbation > 0.0:
+            noise = np.random.default_rng(self.seed).normal(size=self.root)
+            self.state.d[: self.root, 1] = self.perturbation * noise
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Back to a snapshot of this simulator (or of one built alike); goes on bit for bit as it did.
+
+        Alike is all but ``perturbation`` and ``seed``, which only ``reset`` looks at.
+
+        Raises:
+            ValueError: not a snapshot, of another version, or of one built otherwise; names the field, what was found
+                and what is accepted. Nothing has been changed then.
+        """
+        self.__dict__.update(copy.deepcopy(self.checked(snapshot)))
+
+    def checked(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
+        """What ``restore`` would take from a snapshot; its errors name it ``what``."""
+        snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
+        check_same(what, snapshot["built"], self._built())
+        changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
+        check_types(what, changing, _CHANGING_TYPES)
+        check_names(f"{what}: drive", vars(changing["drive"]), vars(self.drive))
+        check_state(changing["state"], changing["root"], self.chain.node_count, f"{what}: state")
+        if not isinstance(changing["_error"], SimulationError | None):
+            raise ValueError(f"{what}: _error = {changing['_error']!r} is not a SimulationError or None")
+        return changing
+
+    def _built(self) -> dict[str, Any]:
+        """What a state depends on, as plain values."""
+        return {name: getattr(self, name) for name in _BUILT} | {"scene": self.scene.model_dump()}
+
+    def _changing(self) -> dict[str, Any]:
+        """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
+        return {name: value for name, value in self.__dict__.items() if name not in FIXED}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the method's closure and scratch, which are rebuilt."""
+        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "_advance"}
+
+    def __setstate__(self, saved: Mapping[str, Any]) -> None:
+        given = dict(check_format("pickled Simulator", saved))
+        del given["format"]
+        self.__dict__.update(given)
+        self._advance = self._build()
+
+    def _build(self) -> Advance:
+        return build_method(self.method, self.solver, self.chain, self.time_step, self.sensor, self.nodes_per_pitch)
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.steps_done * self.time_step
+
+    @property
+    def inserted_length(self) -> float:
+        """Cable inside the helix, the part of an element that has not got its node yet included [m]."""
+        return self.root * self.chain.element_length + self.drive.travel
+
+    @property
+    def feed_speed(self) -> float:
+        """Feed speed now [m/s]."""
+        return self.drive.speed
+
+    @property
+    def air_supply_rate(self) -> float:
+        """Air supply rate now [m3/s]."""
+        return self.drive.air / air_speed(self.scene, 1.0)
+
+    @property
+    def tension(self) -> FloatArray:
+        """(n,) axial force of every element now [N], entrance first."""
+        return self.state.axial_force[self.root - 1 :: -1].copy()
+
+    def run(
+        self,
+        duration: float = 8.0,
+        sample_period: float = 1e-3,
+        points: Sequence[str | float] = ("sensor", "tip"),
+        snapshots: Sequence[float] = (),
+        progress: Callable[[float], None] | None = None,
+    ) -> Run:
+        """Simulate from rest at t = 0 with the scene's constant inputs; see ``advance`` for the arguments."""
+        self.reset()
+        return self.advance(None, None, duration, sample_period, points, snapshots, progress)
+
+    def advance(
+        self,
+        feed_speed: float | None = None,
+        air_supply_rate: float | None = None,
+        duration: float | None = None,
+        sample_period: float = 1e-3,
+        points: Sequence[str | float] = ("sensor", "tip"),
+        snapshots: Sequence[float] = (),
+        progress: Callable[[float], None] | None = None,
+    ) -> Run:
+        """Continue for ``duration`` towards new targets of feed speed and air supply.
+
+        Args:
+            feed_speed: target [m/s], 0 to 2; approached within the ramp limit. None: as before.
+            air_supply_rate: target [m3/s], 0 to 0.2; approached with the air's lag. None: as before.
+            duration: [s], a whole number of time steps; must be given.
+            sample_period: [s], a whole number of time steps.
+            points: "sensor", "tip", "root" or distances from the tip [m] (the nearest node is taken).
+            snapshots: times of whole-probe snapshots [s], ascending, within this run, on a time step;
+                constant length only.
+            progress: called now and then with the simulated time [s].
+
+        Raises:
+            ValueError: an argument is not valid.
+            SimulationError: the state diverged, now or in an earlier call.
+        """
+        steps = whole_steps("duration", duration, self.time_step)
+        every = whole_steps("sample_period", sample_period, self.time_step)
+        nodes = np.array([self._node(point) for point in points], dtype=np.int64)
+        stops = self._snapshot_steps(snapshots, steps)
+        self.check_targets(feed_speed, air_supply_rate)
+        if self._error is not None:
+            raise self._error
+        self.check_fits()
+        self.set_targets(feed_speed, air_supply_rate)
+        samples = np.zeros((steps // every + 1, len(nodes), 4))
+        tension_sum = np.zeros(self.chain.node_count)
+        ticm.record(self.state, self.root, nodes, samples, 0, np.zeros(self.chain.node_count))
+        start, start_root, done = self.steps_done, self.root, 0
+        shapes: list[tuple[float, FloatArray, FloatArray]] = []
+        while True:
+            if done in stops:
+                shapes.append((self.time, self.state.d.copy(), self.state.axial_force.copy()))
+            if done == steps:
+                break
+            stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
+            rows = samples[done // every + 1 :]
+            counts = np.zeros(2, dtype=np.int64)
+            self.advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum, counts))
+            done += stretch
+            if progress is not None:
+                progress(self.time)
+        h = self.chain.element_length
+        return Run(
+            time=(start + every * np.arange(len(samples))) * self.time_step,
+            axial=samples[:, :, 0].copy(),
+            radial=samples[:, :, 1].copy(),
+            rotation=samples[:, :, 2].copy(),
+            tension=samples[:, :, 3].copy(),
+            points=tuple(point_name(point) for point in points),
+            distance_from_tip=np.where(nodes < 0, start_root, nodes) * h,
+            mean_tension=tension_sum[start_root - 1 :: -1] / max(len(samples) - 1, 1),
+            position=(np.arange(start_root) + 0.5) * h,
+            shapes=shapes_of(shapes, h) if shapes else None,
+        )
+
+    def advance_steps(self, steps: int, sampling: Sampling) -> None:
+        """Steps in one go; raises if the state diverges."""
+        status, done, _, root = self._advance(self.inputs_of_steps(steps), self.root, self.state, sampling)
+        self.iterations += int(sampling.counts[0])
+        self.unconverged_steps += int(sampling.counts[1])
+        self.note_steps(done, root, diverged=status != ticm.OK)
+        if self._error is not None:
+            raise self._error
+
+    def inputs_of_steps(self, steps: int) -> FloatArray:
+        """Inputs (steps, 4) of the coming steps, see drive.py; the drive moves on to their end."""
+        room = self.chain.node_count - 1 - self.root
+        return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room)
+
+    def note_steps(self, steps: int, root: int, diverged: bool) -> None:
+        """Count steps that a kernel has done on this state, and keep the error if it diverged."""
+        self.steps_done += int(steps)
+        self.root = int(root)
+        # the lanes look at floats and the tip only: nothing that is not finite may go on from here
+        if diverged or not np.isfinite(self.state.d[: self.root]).all():
+            size = np.abs(self.state.d[: self.root]).max(axis=1)
+            worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
+            distance = worst * self.chain.element_length
+            self._error = SimulationError(
+                self.method, self.time_step, self.time, worst, distance, self.stable_time_step
+            )
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the state has diverged; it is not continued then."""
+        return self._error is not None
+
+    @property
+    def error(self) -> SimulationError | None:
+        """Why the state is not continued, if it has diverged."""
+        return self._error
+
+    def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
+        """Raise ValueError if a target is out of range."""
+        if feed_speed is not None:
+            within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
+        if air_supply_rate is not None:
+            within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
+
+    def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
+        """New targets [m/s], [m3/s]; None leaves one as it is."""
+        if feed_speed is not None:
+            self.drive.speed_target = float(feed_speed)
+        if air_supply_rate is not None:
+            self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
+
+    def check_fits(self) -> None:
+        """Raise ValueError if the state is not one of this chain any more: its arrays are open to the user."""
+        check_state(self.state, self.root, self.chain.node_count)
+
+    def lane_constants(self) -> tuple[FloatArray, FloatArray]:
+        """Parameters and factors with which this probe runs in a lane."""
+        return lane_constants(self.method, self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
+
+    def _node(self, point: str | float) -> int:
+        """Node of a point; -1 for the root, which moves as the probe grows."""
+        length = self.root * self.chain.element_length
+        if isinstance(point, str):
+            named = {"sensor": self.sensor, "tip": 0, "root": -1}
+            if point not in named:
+                raise ValueError(
+                    f"points: {point!r} is not sensor, tip, root or a distance from the tip of 0 to {length:g} m"
+                )
+            return named[point]
+        if not 0.0 <= point <= length + 1e-9:
+            raise ValueError(f"points: {point!r} m from the tip is outside the inserted length 0 to {length:g} m")
+        return round(point / self.chain.element_length)
+
+    def _snapshot_steps(self, snapshots: Sequence[float], steps: int) -> list[int]:
+        if self.growing and len(snapshots) > 0:
+            raise ValueError(f"snapshots = {list(snapshots)!r} s need a constant length, and this probe is growing")
+        ratios = [time / self.time_step - self.steps_done for time in snapshots]
+        for time, ratio in zip(snapshots, ratios, strict=True):
+            if not (-1e-6 <= ratio <= steps + 1e-6 and abs(ratio - round(ratio)) <= 1e-6):
+                raise ValueError(
+                    f"snapshots: {time!r} s is not on a time step of {self.time_step:g} s within this run,"
+                    f" {self.time:g} to {self.time + steps * self.time_step:g} s"
+                )
+        whole = [round(ratio) for ratio in ratios]
+        if any(later <= earlier for earlier, later in itertools.pairwise(whole)):
+            raise ValueError(f"snapshots = {list(snapshots)!r} s must ascend")
+        return whole
+
+
+_BUILT: Final = (
+    "method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag",
+)  # fmt: skip
+FIXED: Final = frozenset(_BUILT) | {
+    "scene", "perturbation", "seed", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
+}  # fmt: skip
+"""Attributes that nothing changes after the constructor; all others are in a snapshot."""
+_CHANGING_TYPES: Final[dict[str, type]] = {
+    "state": State, "drive": Drive, "steps_done": int, "root": int, "iterations": int, "unconverged_steps": int
+}  # fmt: skip

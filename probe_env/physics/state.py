@@ -1,0 +1,26 @@
+"""The state that every method advances."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+
+
+class State(NamedTuple):
+    """Displacement, velocity, acceleration (n + 1, 3) and the axial force of each element (n + 1,).
+
+    ``axial_force[i]`` is Vbar of (8) at node i, on its root side; the last entry is unused.
+    """
+
+    d: FloatArray
+    v: FloatArray
+    a: FloatArray
+    axial_force: FloatArray
+
+
+def at_rest(nodes: int) -> State:
+    """All zero, the study's start."""
+    return State(np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros(nodes))

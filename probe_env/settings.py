@@ -1,0 +1,111 @@
+"""What every model of settings has in common, and checks of arguments.
+
+A model is frozen, strict about types and knows no other keys; every error names the field, the value and what is
+accepted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic_core import PydanticCustomError
+
+from probe_env.files import FileError, read_toml
+
+ERRORS_TOLD = 8
+"""Errors of one file that are told, so that the line can be read."""
+
+
+def quantity(low: float, high: float, unit: str) -> AfterValidator:
+    """Validator of a physical quantity: finite and within [low, high] ``unit``."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:  # also catches NaN
+            raise PydanticCustomError(
+                "out_of_range",
+                "{value}{unit} is outside the accepted range {low} to {high}{unit}",
+                {"value": repr(value), "low": f"{low:g}", "high": f"{high:g}", "unit": unit and f" {unit}"},
+            )
+        return value
+
+    return AfterValidator(check)
+
+
+class Model(BaseModel):
+    """Base of all models that files describe: frozen, strict about types, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, validate_default=True)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a TOML file.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: not TOML, or not valid; names the file and every offending field.
+        """
+        data = read_toml(path)
+        try:
+            return cls.model_validate(tuples(data))
+        except ValidationError as error:
+            raise FileError(path, explain(error)) from error
+        except (ValueError, OverflowError) as error:
+            raise FileError(path, str(error)) from error
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Copy with changed fields, validated (pydantic's own copy is not); mappings update sub-models."""
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        for name, value in (update or {}).items():
+            inner = fields.get(name)
+            if isinstance(inner, Model) and isinstance(value, Mapping):
+                value = inner.model_copy(update=value)
+            fields[name] = value
+        return type(self).model_validate(fields)
+
+
+def explain(error: ValidationError, within: str = "") -> str:
+    """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
+    lines, found = [], error.errors(include_url=False, include_context=False)
+    for item in found[:ERRORS_TOLD]:
+        field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
+        value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
+        message = "there is no such field" if item["type"] == "extra_forbidden" else item["msg"]
+        lines.append(f"{field}: {message}{value}" if field else message)
+    more = [f"and {len(found) - ERRORS_TOLD} more"] if len(found) > ERRORS_TOLD else []
+    return "; ".join(lines + more)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:100]} ..."
+
+
+def tuples(value: Any) -> Any:
+    """TOML's lists as the tuples that frozen models hold."""
+    if isinstance(value, dict):
+        return {key: tuples(entry) for key, entry in value.items()}
+    return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value
+
+
+def within(name: str, value: float, low: float, high: float, unit: str, exclude_low: bool = False) -> None:
+    """Raise ValueError unless ``value`` is finite or infinite within [low, high] (or (low, high])."""
+    if not low <= value <= high or (exclude_low and value == low):  # also catches NaN
+        excluded = " (excluded)" if exclude_low else ""
+        unit = unit and f" {unit}"
+        raise ValueError(f"{name} = {value!r}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
+
+
+def whole_steps(name: str, value: float | None, time_step: float) -> int:
+    """Number of time steps in a time.
+
+    Raises:
+        ValueError: not a whole number within 1e-9, or less than one.
+    """
+    ratio = math.nan if value is None else value / time_step
+    if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
+        raise ValueError(f"{name} = {value!r} s is not a whole number (1 or more) of time steps of {time_step:g} s")
+    return round(ratio)

@@ -1,0 +1,247 @@
+"""What the step or the model cannot simulate is refused at reset, by name; all else stays finite and in the spaces."""
+
+import ast
+import math
+import re
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.vec_env import ProbeVecEnv
+from probe_env import Context, Design, Fidelity, Probe, Scene, SimulatorBatch, load_contexts
+from probe_env.envs.design_env import HARDEST, STUDY_FEED, DesignEnv
+from probe_env.envs.limits import check_simulable, softest_wall, steady_sliding
+from probe_env.envs.starts import Starts
+from probe_env.envs.task import LOAD_CELL, TaskConfig, observe
+from probe_env.envs.trials import section_scenes
+from probe_env.fidelity import PRESETS
+from probe_env.physics.stability import FULL, contact_time_step
+from probe_env.schedule import Schedule
+
+MOST_AIR = TaskConfig().air_supply_rates[1]
+STANDARD = PRESETS["standard"]
+IDS = ("probe_env/Insertion-v0", "probe_env/Snapshot-v0")
+REFUSED = {
+    "contact_stiffness = 1e+06 N/m: imex32 holds with a time step of at most 9.5e-05 s, and that of this fidelity is"
+    " 0.0002 s: give fidelity = {'method': 'imex32', 'time_step': 5e-05,": {"contact_stiffness": 1e6},
+    "contact_stiffness = 1e+08 N/m: imex32 holds with a time step of at most 9.5e-06 s, and that of this fidelity is"
+    " 0.0002 s: give fidelity = {'method': 'imex', 'time_step': 5e-06,": {"contact_stiffness": 1e8},
+    "contact_stiffness = 1000 N/m is below 1169 N/m (pi^4 EI / (4 p^3)): ": {"contact_stiffness": 1e3},
+    "helix_diameter = 0.5 m with contact_stiffness = 3000 N/m and a drag coefficient of 4.4: at 130 m3/h and": {
+        "contact_stiffness": 3e3, "drag_factor": 10.0, "friction": 0.1, "helix_diameter": 0.5
+    },
+}  # fmt: skip
+
+
+def environments():
+    """Name -> a function that resets it into a context."""
+
+    def vectors(env_id):
+        env = gym.make_vec(env_id, 2, vectorization_mode="vector_entry_point")
+        return lambda context: env.reset(seed=0, options=context)
+
+    def stable_baselines(env_id):
+        env = ProbeVecEnv(env_id, 2)
+
+        def reset(context):
+            env.set_options(context)
+            env.reset()
+
+        return reset
+
+    singles = {env_id: gym.make(env_id).unwrapped for env_id in (*IDS, "probe_env/Design-v0")}
+    return {
+        **{f"{name} single": (lambda c, env=env: env.reset(seed=0, options=c)) for name, env in singles.items()},
+        **{f"{env_id} vector": vectors(env_id) for env_id in IDS},
+        **{f"{env_id} SB3": stable_baselines(env_id) for env_id in IDS},
+    }
+
+
+@pytest.fixture(scope="module")
+def resets():
+    return environments()
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_every_environment_refuses_by_name(message, resets):
+    for name, reset in resets.items():
+        design = "Design" in name
+        stated = message.split(":")[0].split(" is below")[0].split(" and a drag")[0] if design else message
+        with pytest.raises(ValueError, match=re.escape(stated)) as error:
+            reset(dict(REFUSED[message]))
+        assert "\n" not in str(error.value)
+
+
+def test_a_probe_that_turns_too_far_is_refused():
+    context = {"contact_stiffness": 3e3, "drag_factor": 5.0, "helix_diameter": 0.45, "friction": 0.9}
+    with pytest.raises(ValueError, match=r"so that it turns by [0-9.]+ rad along the helix, .* up to 1 rad"):
+        gym.make("probe_env/Snapshot-v0").reset(options=context)
+
+
+def test_what_is_refused_changes_nothing():
+    env = gym.make_vec("probe_env/Snapshot-v0", 2, vectorization_mode="vector_entry_point")
+    runs = []
+    for refused in (False, True):
+        env.reset(seed=3)
+        if refused:
+            with pytest.raises(ValueError, match="environment 0: contact_stiffness"):
+                env.reset(options={"contact_stiffness": 1e7})
+        runs.append([env.step(np.zeros((2, 2), dtype=np.float32))[0], env.reset()[0]])
+    assert (np.array(runs[0]) == np.array(runs[1])).all()
+
+
+def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
+    """Twice over: the bounds are far from where the task is."""
+    rng = np.random.default_rng(0)
+    tubes = [context for split in ("train", "validation", "test") for context in load_contexts(split)]
+    starts = Starts(TaskConfig(), Scene(), "random", "random", 0.2, MOST_AIR)
+    hard = Schedule("inserted_length", "linear", (5.0,), (0.02,), (MOST_AIR,))
+    for context in tubes:
+        for design in (*HARDEST, Design(), Design.random(rng)):
+            scene = starts.build(context, {"probe": design.built.model_dump()})
+            check_simulable(scene, STANDARD, 60.0, MOST_AIR)
+            for section in section_scenes(design, context, hard, Scene())[::4]:
+                check_simulable(section, STANDARD, section.inserted_length, MOST_AIR)
+                start = steady_sliding(section, section.inserted_length, MOST_AIR, 0.0)
+                assert start.slide * 2.0 / context.helix_diameter < 0.5
+
+
+@pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e8])
+@pytest.mark.parametrize("preset", ["study", "reference", "standard"])
+def test_the_fidelity_that_a_refusal_names_is_accepted_and_holds(stiffness, preset):
+    fidelity, scene = PRESETS[preset], Scene(carrier_length=5.0, contact={"stiffness": stiffness})
+    limit = contact_time_step(scene, 4, fidelity.method)
+    assert limit == pytest.approx(FULL / math.sqrt(stiffness / (0.111 * 0.025)))
+    if fidelity.time_step > limit:
+        with pytest.raises(ValueError, match="give fidelity = ") as error:
+            check_simulable(scene, fidelity, 7.5, MOST_AIR)
+        fidelity = Fidelity.model_validate(ast.literal_eval(str(error.value).split("give fidelity = ")[1]))
+    check_simulable(scene, fidelity, 7.5, MOST_AIR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        batch = SimulatorBatch([scene], fidelity.method, fidelity.time_step, perturbation=1e-5, ramp=0.5, air_lag=1.0)
+    assert not batch.advance(0.4, MOST_AIR, 0.1).diverged.any()
+
+
+def test_auto_takes_a_step_that_holds_for_all_that_is_drawn():
+    for env_id, probes in ((i, p) for i in IDS for p in ("scene", "random")):
+        episodes = gym.make(env_id, fidelity="auto", probes=probes).unwrapped.episodes
+        stiffest = Context(contact_stiffness=1.4e5)
+        scene = episodes.starts.build(stiffest, {"probe": HARDEST[0].built.model_dump()} if probes == "random" else {})
+        assert episodes.fidelity.time_step <= contact_time_step(scene, 4, episodes.fidelity.method)
+    soft = gym.make("probe_env/Snapshot-v0", fidelity="auto", scene=Scene(contact={"stiffness": 1e4}))
+    soft.reset(seed=0)  # contexts set the stiffness: the scene's own 1e4 N/m would have allowed 5e-4 s
+    assert DesignEnv(fidelity="auto").fidelity.time_step <= contact_time_step(
+        Scene(probe=HARDEST[0].probe(), contact={"stiffness": 1.4e5}), 4, "imex"
+    )
+
+
+def test_steady_sliding_is_what_it_integrates():
+    """Against the sum over half a million pieces."""
+    scene = Scene(probe={"guide_float_diameter": 0.02, "carrier_float_diameter": 0.016, "guide_length": 10.0})
+    pieces = 500_000
+    ds, r = 60.0 / pieces, 0.6
+    wind = MOST_AIR / (math.pi / 4.0 * (0.0242**2 - 0.00835**2))
+    tension = slide = 0.0
+    for k in range(pieces):
+        d = 0.02 if k * ds < 10.0 else 0.016
+        drag = 0.5 * 0.44 * 1.023 * math.pi / 4.0 * (d**2 - 0.00835**2) / 0.1 * wind**2
+        slide += tension * (1.0 / 1.1e5 + 0.1 / (1e5 * r**2)) * ds
+        tension += (drag - 0.15 * (1.0 - d / 1.2) * tension / r) * ds
+    found = steady_sliding(scene, 60.0, MOST_AIR, 0.15)
+    # the sums are of first order in ds mu / r, and a piece may be on the wrong side of the guide's end
+    assert found.slide == pytest.approx(slide, rel=1e-4)
+    assert found.tension >= tension
+    plain = steady_sliding(scene.model_copy(update={"probe": Probe()}), 60.0, MOST_AIR, 0.0)
+    assert plain.tension == pytest.approx(
+        60.0 * 0.5 * 0.44 * 1.023 * math.pi / 4.0 * (0.019**2 - 0.00835**2) / 0.1 * wind**2, rel=1e-12
+    )
+    nearly = steady_sliding(scene, 60.0, MOST_AIR, 1e-8)
+    none = steady_sliding(scene, 60.0, MOST_AIR, 0.0)
+    assert nearly.slide == pytest.approx(none.slide, rel=1e-5)  # both forms meet
+
+
+def test_the_softest_wall_buckles_where_the_cable_between_floats_does():
+    probe = Probe()
+    foundation = softest_wall(probe) / probe.float_pitch
+    euler = math.pi**2 * probe.flexural_rigidity / probe.float_pitch**2
+    assert 2.0 * math.sqrt(probe.flexural_rigidity * foundation) == pytest.approx(euler, rel=1e-12)
+
+
+def test_an_overloaded_load_cell_shows_its_end():
+    names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "radial_rms_m", "tension_mean_n",
+             "feed_action", "air_action", "inserted_length", "remaining_length", "feed_speed", "air_supply_rate",
+             "helix_diameter")  # fmt: skip
+    measured = {name: np.array([1.0, 1.0, 1.0]) for name in names} | {"tension_mean_n": np.array([5e3, 2e4, -2e4])}
+    config = TaskConfig()
+    column = list(config.observations).index("root_tension")
+    shown = observe(config, measured, np.zeros((3, 2)))[:, column]
+    assert shown.tolist() == [250.0, LOAD_CELL / 20.0, -LOAD_CELL / 20.0]
+    assert config.observations["root_tension"][:2] == (-LOAD_CELL / 20.0, LOAD_CELL / 20.0)
+
+
+def test_every_accepted_feed_and_air_is_within_the_space():
+    config = TaskConfig(feed_speeds=(0.0, 2.0), air_supply_rates=(0.0, 0.2))
+    assert config.observations["feed_speed"][1] > 2.0 / 0.4
+    assert config.observations["air_supply_rate"][1] > 0.2 * 3600.0 / 130.0
+
+
+def hostile(rng):
+    """A valid context far from the tubes of the task, evenly over the orders of magnitude."""
+    return {
+        "friction": float(rng.uniform(0.0, 1.0)),
+        "contact_stiffness": float(10.0 ** rng.uniform(2.0, 8.0)),
+        "drag_factor": float(10.0 ** rng.uniform(-1.0, 1.0)),
+        "helix_diameter": float(10.0 ** rng.uniform(math.log10(0.3), 4.0)),
+    }
+
+
+@pytest.mark.parametrize(("env_id", "periods"), [(IDS[0], 4), (IDS[1], 12)])
+def test_hostile_contexts_are_refused_or_stay_finite_and_in_the_space(env_id, periods):
+    """A step that does not hold diverges within 0.2 s; what diverges otherwise was compressed, ended and said so."""
+    rng, count = np.random.default_rng(5), 8
+    env = gym.make_vec(env_id, count, vectorization_mode="vector_entry_point", config={"privileged": True})
+    episodes, space, accepted, refused = env.episodes, env.single_observation_space, [], 0
+    while len(accepted) < count:
+        context = hostile(rng)
+        try:
+            episodes.reset([0], {0: np.random.default_rng(0)}, {0: context})
+            accepted.append(context)
+        except ValueError as error:
+            assert re.match(r"environment 0: (contact_stiffness|helix_diameter) = ", str(error))  # noqa: PT017
+            refused += 1
+    assert refused > 0
+    observation, _ = episodes.reset(
+        range(count), {k: np.random.default_rng(k) for k in range(count)}, dict(enumerate(accepted))
+    )
+    for _ in range(periods):
+        compressed = [s.state.axial_force[: s.root].min() < 0.0 for s in episodes.batch.simulators]
+        active = episodes.running.copy()
+        step = episodes.step(rng.uniform(-1.0, 1.0, (count, 2)).astype(np.float32), active)
+        observation = step.observation
+        assert all(space.contains(row) for row in observation)
+        assert np.isfinite(step.reward).all()
+        for k in np.flatnonzero(active):
+            info = step.infos[k]
+            assert all(np.isfinite(value) for value in info.values() if isinstance(value, float))
+            assert not info["diverged"] or (step.terminated[k] and compressed[k])
+            assert info["diverged"] == episodes.batch.simulators[k].diverged
+
+
+def test_designs_in_hostile_contexts_are_refused_at_reset_or_judged():
+    rng, env, judged = np.random.default_rng(6), DesignEnv(config={"privileged": True}, feed=STUDY_FEED), 0
+    while judged < 2:
+        try:
+            observation, _ = env.reset(seed=judged, options=hostile(rng))
+        except ValueError:
+            continue
+        assert env.observation_space.contains(observation)
+        observation, reward, terminated, _, info = env.step(env.action_space.sample())
+        assert env.observation_space.contains(observation)
+        assert terminated
+        assert np.isfinite([reward, *info["kpis"].values()]).all()
+        judged += 1
+    for kind in ("observation_space", "action_space"):
+        assert np.isfinite([getattr(env, kind).low.min(), getattr(env, kind).high.max()]).all()

@@ -1,0 +1,230 @@
+"""What is rewarded and how episodes end, and that no short cut pays."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import probe_env
+from probe_env.design import RANGES
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.kpis import Percentiles
+from probe_env.envs.task import OBSERVATIONS, TERMS, TaskConfig, in_si_units, observe
+from probe_env.physics.batch import SimulatorBatch
+
+CONSTANT = (0.2, 63.0 / 3600.0)
+WORST = probe_env.Context(friction=0.25, contact_stiffness=0.7e5, drag_factor=1.1, helix_diameter=1.0)
+MILD = probe_env.Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)
+
+
+def run_batch(policies, contexts, fidelity="fast", config=None):
+    """Whole episodes side by side, one for each (feed, air) and context; total reward, KPIs and all observations."""
+    config = config or TaskConfig()
+    pairs = [(policy, context) for policy in policies for context in contexts]
+    episodes = Episodes(len(pairs), config, fidelity=fidelity)
+    rngs = {k: np.random.default_rng(k) for k in range(len(pairs))}
+    options = {k: {"context": context} for k, (_, context) in enumerate(pairs)}
+    observations = [episodes.reset(range(len(pairs)), rngs, options)[0]]
+    actions = np.array([config.action(*policy) for policy, _ in pairs])
+    kpis, terms = [None] * len(pairs), np.zeros((len(pairs), len(TERMS)))
+    while episodes.running.any():
+        active = episodes.running.copy()
+        step = episodes.step(actions, active)
+        observations.append(step.observation)
+        for k in np.flatnonzero(active):
+            parts = step.infos[k]["reward_terms"]
+            assert step.reward[k] == pytest.approx(sum(parts.values()), abs=1e-12)
+            assert tuple(parts) == TERMS
+            terms[k] += list(parts.values())
+            kpis[k] = step.infos[k].get("episode_kpis", kpis[k])
+    return kpis, terms, np.array(observations)
+
+
+@pytest.fixture(scope="module")
+def insertions():
+    """The study's constant feed, crawling, and racing with least air, in the worst and a mild context."""
+    policies = [CONSTANT, (0.02, 63.0 / 3600.0), (0.4, 130.0 / 3600.0), (0.4, 30.0 / 3600.0)]
+    return run_batch(policies, [WORST, MILD])
+
+
+def test_a_full_insertion_ends_at_the_helix_s_end(insertions):
+    kpis, terms, _ = insertions
+    for k in (0, 1):
+        assert kpis[k]["complete"] == 1.0
+        assert kpis[k]["inspected_m"] == pytest.approx(55.0, abs=1e-5)
+        assert kpis[k]["inspection_time_s"] == pytest.approx(275.0, abs=1.0)
+        assert kpis[k]["air_m3"] == pytest.approx(275.0 * 63.0 / 3600.0, rel=0.01)
+        assert terms[k][TERMS.index("progress")] == pytest.approx(55.0, abs=1e-4)
+        assert terms[k].sum() == pytest.approx(kpis[k]["reward"])
+    assert kpis[0]["radial_rms_m"] > 5.0 * kpis[1]["radial_rms_m"]
+    assert kpis[0]["share_within_limit"] < 0.7 < kpis[1]["share_within_limit"]
+
+
+def test_crawling_to_the_time_limit_does_not_pay(insertions):
+    kpis, terms, _ = insertions
+    for k, constant in ((2, 0), (3, 1)):
+        assert kpis[k]["inspection_time_s"] == 900.0
+        assert kpis[k]["complete"] == 0.0
+        assert terms[k].sum() < terms[constant].sum() - 100.0
+
+
+def test_contexts_leave_something_to_decide(insertions):
+    """Racing beats the study's feed in a mild context and loses in a hard one.
+
+    Of four starts that differ by 1e-15 m, 40.2 against 26.5 to the digit shown, and -394 +- 6 against -312 +- 12: the
+    margin of 20 is 4.6 standard deviations of the difference away.
+    """
+    _, terms, _ = insertions
+    (study_hard, study_mild), (race_hard, race_mild) = (terms[k : k + 2].sum(axis=1) for k in (0, 4))
+    assert race_mild > study_mild + 5.0
+    assert race_hard < study_hard - 20.0
+
+
+def test_no_context_makes_crawling_pay():
+    """The best that crawling can come to, silent all the way, is less than the study's feed ringing all the way."""
+    config, length = TaskConfig(), 55.0
+    crawled = config.feed_speeds[0] * config.time_limit
+    best_crawl = config.progress_weight * crawled - config.time_weight * config.time_limit
+    best_crawl -= config.uninspected_weight * (length - crawled)
+    seconds = length / CONSTANT[0] + config.period
+    worst_study = length * (config.progress_weight - config.vibration_weight * config.ratio_cap**2)
+    worst_study -= config.time_weight * seconds + config.air_weight * CONSTANT[1] * seconds
+    assert best_crawl < worst_study - 100.0
+
+
+def test_no_early_end_pays():
+    """Each metre left costs at least what a metre can cost at worst: ending anywhere loses against going on."""
+    config = TaskConfig()
+    slow, most_air = config.feed_speeds[0], config.air_supply_rates[1]
+    worst_metre = (
+        config.vibration_weight * config.ratio_cap**2
+        + config.time_weight / slow
+        + config.air_weight * most_air / slow
+        + config.jerk_weight * 8.0 / slow / config.period
+    )
+    assert config.uninspected_weight >= worst_metre
+
+
+def test_observations_stay_within_their_bounds(insertions):
+    _, _, observations = insertions
+    low, high = np.array([bounds[:2] for bounds in OBSERVATIONS.values()]).T
+    assert np.isfinite(observations).all()
+    assert (observations > low).all()
+    assert (observations < high - 0.1 * (high - low)).all()
+
+
+def test_observations_say_what_was_measured_in_si_units():
+    """Without noise `in_si_units` gives back what went in, in single precision and above the sensors' floors."""
+    config, rng = TaskConfig(privileged=True, observe_probe=True), np.random.default_rng(0)
+    felt = {
+        "radial_acceleration": "radial_acceleration_rms_m_per_s2",
+        "axial_acceleration": "axial_acceleration_rms_m_per_s2",
+        "rf_noise": "radial_rms_m",
+        "root_tension": "tension_mean_n",
+        "previous_feed_action": "feed_action",
+        "previous_air_action": "air_action",
+    }
+    ranges = {name: RANGES.get(name, (0.5, 1.0))[:2] for name in config.observations}
+    measured = {felt.get(name, name): rng.uniform(*ranges[name], 4) for name in config.observations}
+    physical = in_si_units(config, observe(config, measured, np.zeros((4, 2))))
+    assert list(physical) == list(config.observations)
+    for name, values in physical.items():
+        assert values == pytest.approx(measured[felt.get(name, name)], rel=3e-4), name
+    with pytest.raises(ValueError, match=r"observation of shape \(4, 3\) is not \(N, 21\)"):
+        in_si_units(config, np.zeros((4, 3)))
+
+
+def test_lost_drive_ends_an_episode():
+    """Hardly any air at full feed: the root tension falls below what the rising part needs."""
+    config = TaskConfig(required_tension=3.0, lost_drive_from=6.0)
+    (kpi,), terms, _ = run_batch([(0.4, 30.0 / 3600.0)], [MILD], config=config)
+    assert kpi["lost_drive"] == 1.0
+    assert kpi["lost_drive_events"] == 1.0
+    assert kpi["complete"] == 0.0
+    left = 55.0 - kpi["inspected_m"]
+    assert terms[0][TERMS.index("uninspected")] == pytest.approx(-config.uninspected_weight * left)
+
+
+def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch):
+    env = gym.make("probe_env/Snapshot-v0").unwrapped
+    before, _ = env.reset(seed=0)
+    advance = SimulatorBatch.advance
+
+    def broken(self, *arguments, **options):
+        self.simulators[0].state.d[3, 1] = np.nan
+        return advance(self, *arguments, **options)
+
+    monkeypatch.setattr(SimulatorBatch, "advance", broken)
+    observation, reward, terminated, truncated, info = env.step(np.zeros(2, dtype=np.float32))
+    assert terminated
+    assert not truncated
+    assert info["diverged"] is True
+    assert info["episode_kpis"]["diverged"] == 1.0
+    assert (observation == before).all()
+    assert np.isfinite(reward)
+    assert info["reward_terms"]["diverged"] == -10.0
+
+
+def test_what_diverges_while_settling_ends_in_its_first_step(monkeypatch):
+    """Not with an error: a vector environment would stop the training of all."""
+    advance = SimulatorBatch.advance
+
+    def broken(self, *arguments, **options):
+        self.simulators[0].state.d[3, 1] = np.nan
+        return advance(self, *arguments, **options)
+
+    episodes = Episodes(2, TaskConfig())
+    monkeypatch.setattr(SimulatorBatch, "advance", broken)
+    rngs = {k: np.random.default_rng(k) for k in range(2)}
+    observation, infos = episodes.reset([0, 1], rngs)
+    assert np.isfinite(observation).all()
+    assert [infos[k]["diverged"] for k in range(2)] == [True, False]
+    step = episodes.step(np.zeros((2, 2), dtype=np.float32))
+    assert step.terminated.tolist() == [True, False]
+    terms = step.infos[0]["reward_terms"]
+    assert terms["progress"] == 0.0
+    assert terms["uninspected"] == pytest.approx(-55.0 * TaskConfig().uninspected_weight)
+    assert step.infos[0]["episode_kpis"]["diverged"] == 1.0
+
+
+def test_truncated_by_time_only():
+    config = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
+    episodes = Episodes(1, config)
+    episodes.reset([0], {0: np.random.default_rng(0)})
+    flags = [episodes.step(np.zeros((1, 2), dtype=np.float32)) for _ in range(3)]
+    assert [bool(step.truncated[0]) for step in flags] == [False, False, True]
+    assert not any(step.terminated[0] for step in flags)
+
+
+def test_time_lapse_has_two_clocks():
+    """A period is one second of insertion, time and air, and a quarter of a second of dynamics."""
+    config = TaskConfig()
+    fast, true = Episodes(1, config, fidelity="fast"), Episodes(1, config)
+    for episodes in (fast, true):
+        episodes.reset([0], {0: np.random.default_rng(1)}, {0: {"context": MILD}})
+        action = config.action(*CONSTANT)[None]
+        for _ in range(4):
+            step = episodes.step(action)
+        assert step.infos[0]["time"] == 4.0
+        assert step.infos[0]["inserted_length"] == pytest.approx(5.8, abs=1e-6)
+    settle = round(config.settle_time / 2e-4)
+    assert fast.batch.simulators[0].steps_done == settle + 5000
+    assert true.batch.simulators[0].steps_done == settle + 20000
+
+
+def test_the_vibration_measure_can_be_chosen():
+    shown = {}
+    for measure in ("displacement", "velocity", "acceleration"):
+        config = TaskConfig(growing=False, period=0.1, time_limit=2.0, settle_time=0.1, vibration_measure=measure)
+        _, terms, _ = run_batch([CONSTANT], [WORST], "standard", config)
+        shown[measure] = terms[0][TERMS.index("vibration")]
+    assert len(set(shown.values())) == 3
+    assert all(value < 0.0 for value in shown.values())
+
+
+def test_percentiles_of_the_histogram():
+    samples = np.random.default_rng(0).normal(size=(100, 100)) * 1e-4
+    percentiles = Percentiles()
+    for part in samples:
+        percentiles.add(part)
+    assert percentiles.percentile(99.0) == pytest.approx(np.percentile(np.abs(samples), 99.0), rel=0.013)
+    assert Percentiles().percentile(99.0) == 0.0

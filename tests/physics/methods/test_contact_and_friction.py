@@ -1,0 +1,92 @@
+"""Contact pushes only on contact; friction is mu N against the sliding of the step before."""
+
+import numpy as np
+import pytest
+from chains import plain_chain
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from probe_env import Scene, Simulator
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.newmark import newmark, workspace
+from probe_env.physics.state import at_rest
+
+K, MU, GAP, LEVER, FEED = 1e5, 0.15, 5.2e-3, 9.5e-3, 0.2
+CHAIN = plain_chain(1, contact_stiffness=np.array([K, 0.0]), outer_gap=np.full(2, GAP), lever=np.full(2, LEVER))
+CHAIN = CHAIN._replace(friction=MU)
+INPUTS = np.array([FEED, 0.0, 0.0, 0.0])
+
+
+def contact_force(chain, y, v_x, v_t, y_new):
+    """(x, y, moment) that contact adds to the float's equation, for a new radial displacement."""
+    state = at_rest(2)
+    state.d[0, 1], state.v[0, 0], state.v[0, 2] = y, v_x, v_t
+    forces = []
+    for stiffness in (chain.contact_stiffness, np.zeros(2)):
+        work = workspace(2)
+        ticm.node_equations(chain._replace(contact_stiffness=stiffness), newmark(1e-4), INPUTS, 1, state, work)
+        P, q = work.P[0], work.q[0]
+        forces.append(np.array([q[0] - P[1] * y_new, q[1] - P[2] * y_new, q[2] - P[4] * y_new]))
+    return forces[0] - forces[1]
+
+
+velocity = st.floats(-1.0, 1.0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(y=st.floats(-0.02, 0.02), y_new=st.floats(-0.02, 0.02), v_x=velocity, v_t=st.floats(-50.0, 50.0))
+def test_contact_and_friction_of_one_float(y, y_new, v_x, v_t):
+    force_x, force_y, moment = contact_force(CHAIN, y, v_x, v_t, y_new)
+    if 0.0 <= y <= GAP:
+        assert (force_x, force_y, moment) == (0.0, 0.0, 0.0)
+        return
+    inner = y < 0.0
+    normal = -K * y_new if inner else K * (y_new - GAP)  # away from the wall; negative: adhesive
+    rounding = 1e-9 * K * (abs(y_new) + GAP)
+    assert abs(force_y - (normal if inner else -normal)) <= rounding
+    assert abs(force_x) <= MU * abs(normal) + rounding
+    sliding = FEED + v_x + (v_t * LEVER if inner else -v_t * LEVER)
+    direction = 1.0 if sliding >= 0.0 else -1.0
+    assert abs(force_x + direction * MU * normal) <= rounding
+    contact_point = -LEVER if inner else LEVER  # radial position of the contact point on the float
+    assert abs(moment + contact_point * force_x) <= rounding
+
+
+def test_both_walls_mirror_each_other():
+    inner = contact_force(CHAIN, -1e-3, 0.1, 0.0, -1e-3)
+    outer = contact_force(CHAIN, GAP + 1e-3, 0.1, 0.0, GAP + 1e-3)
+    assert np.allclose(outer, inner * [1.0, -1.0, -1.0], rtol=1e-12)
+
+
+def lagging_shares(time_step, duration=0.3):
+    """Shares of contact float-steps with an adhesive force and with friction along the sliding."""
+    simulator = Simulator(Scene(carrier_length=10.0), time_step=time_step)
+    state, chain = simulator.state, simulator.chain
+    floats = chain.contact_stiffness[:-1] > 0.0
+    work, scheme, root = workspace(chain.node_count), newmark(time_step), simulator.root
+    inputs = np.array([FEED, 0.0, simulator.drive.air, 0.0])
+    touching = adhesive = driving = 0
+
+    def slides(v):
+        return FEED + v[:-1, 0] + v[:-1, 2] * chain.lever[:-1] >= 0.0
+
+    for _ in range(round(duration / time_step)):
+        flag, forward = floats & (state.d[:-1, 1] < 0.0), slides(state.v)
+        ticm.ticm_step(chain, scheme, inputs, root, state, work)
+        pushed = flag & (state.d[:-1, 1] < 0.0)
+        touching += flag.sum()
+        adhesive += (flag & ~pushed).sum()
+        driving += (pushed & (forward != slides(state.v))).sum()
+    return adhesive / touching, driving / touching
+
+
+@pytest.mark.processor
+def test_what_lags_falls_with_the_time_step():
+    """Measured at l = 10 m: adhesive 0.59, 0.26, 0.12 %, friction along the slide 0.004, 0.003, 0.002 % of contacts.
+
+    Of eight starts that differ by 1e-15 m the former scatter by 3 %, the latter by 0.2 %: from one step to the next
+    it is 20 of these and more.
+    """
+    shares = np.array([lagging_shares(dt) for dt in (2e-4, 1e-4, 5e-5)])
+    assert (np.diff(shares, axis=0) < 0.0).all()
+    assert (shares[1] < 0.03).all()

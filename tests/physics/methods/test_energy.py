@@ -1,0 +1,49 @@
+"""Energy of passive chains: constant, falling, or, through the lagged couple, growing."""
+
+import numpy as np
+import pytest
+from chains import advance, bent, energy, matrices, plain_chain
+
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.newmark import newmark, workspace
+from probe_env.physics.state import at_rest
+
+N, STEPS, CHUNKS, TIME_STEP = 100, 20_000, 20, 1e-4
+PASSIVE = bent(plain_chain(N))
+WITH_COUPLE = PASSIVE._replace(
+    couple_length=PASSIVE.element_length, curvature=1.0 / 0.6, frame_inertia=PASSIVE.inertia / 0.6
+)
+
+
+def energies(chain):
+    """Energy of a chain shaken at the start, over 20,000 Newmark steps; infinite once it has diverged."""
+    M, K = matrices(PASSIVE)
+    state, work = at_rest(N + 1), workspace(N + 1)
+    state.v[:-1] = np.random.default_rng(0).normal(size=(N, 3)) * [0.1, 0.1, 1.0]
+    values = [energy(chain, M, K, state)]
+    for _ in range(CHUNKS):
+        status, _ = advance(chain, newmark(TIME_STEP), state, STEPS // CHUNKS, STEPS, work=work)
+        if status == ticm.DIVERGED:
+            return np.append(values, np.inf)
+        values.append(energy(chain, M, K, state))
+    return np.array(values)
+
+
+def test_newmark_keeps_the_energy_of_the_linear_chain():
+    values = energies(PASSIVE)
+    # every step rounds an acceleration B_a d with B_a d / a of up to about (omega dt / 2)^-2 ~ 1e3 for the
+    # bending modes: 20,000 steps * 1e3 eps
+    assert np.abs(values / values[0] - 1.0).max() <= STEPS * 1e3 * np.finfo(float).eps
+
+
+def test_damping_takes_energy_all_the_time():
+    values = energies(PASSIVE._replace(damping_time=5e-5))
+    assert (np.diff(values) < 0.0).all()
+    assert values[-1] < 0.05 * values[0]
+
+
+@pytest.mark.parametrize(("damping_time", "grows"), [(0.0, True), (1e-7, True), (1e-6, False), (5e-5, False)])
+def test_lagged_couple_feeds_an_undamped_chain(damping_time, grows):
+    """The couple V l theta lags one step; from a damping time of 1e-6 s on the cable eats what it feeds."""
+    values = energies(WITH_COUPLE._replace(damping_time=damping_time))
+    assert (values[-1] > values[0]) == grows

@@ -1,0 +1,96 @@
+"""No kernel reads or writes beyond an array: numba's own check, and guards about what the lanes load by address.
+
+``pytest tests/physics/test_bounds.py`` runs both; without its name the first, which compiles for minutes, is left out.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probe_env import Scene, SimulatorBatch
+from probe_env.physics.methods import lane_group
+
+ROOT = Path(__file__).parents[2]
+CANARY = """
+import numba, numpy
+beyond = numba.njit(lambda x: x[len(x)])
+try:
+    beyond(numpy.zeros(3))
+except IndexError:
+    print("checked")
+"""
+
+
+@pytest.mark.boundscheck
+def test_numba_finds_no_index_out_of_bounds(tmp_path):
+    """In a cache of its own: kernels compiled with and without the flag must not mix."""
+    environment = os.environ | {
+        "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)
+    }  # fmt: skip
+    for arguments, expected in ((["-c", CANARY], "checked"), ([str(ROOT / "tests" / "every_kernel.py")], "53")):
+        done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.strip() == expected
+    compiled = {path.name.split("-")[0].split(".")[0] for path in tmp_path.rglob("*.nbi")}
+    assert compiled >= {"ticm", "implicit", "imex", "transfer_matrix", "drive"}
+
+
+GUARD = 4096
+"""Entries before and behind each array; NaN, so that what is read there shows in the result."""
+
+
+def guarded(kernel, calls):
+    """A kernel whose arrays lie between guards."""
+
+    def call(*arguments):
+        given, buffers = list(arguments), {}
+        for k, array in enumerate(arguments):
+            if not isinstance(array, np.ndarray):
+                continue
+            sentinel = np.nan if array.dtype.kind == "f" else -(10**6)
+            buffers[k] = np.full(array.size + 2 * GUARD, sentinel, dtype=array.dtype)
+            given[k] = buffers[k][GUARD : GUARD + array.size].reshape(array.shape)
+            given[k][...] = array
+        result = kernel(*given)
+        for k, buffer in buffers.items():
+            edges = np.concatenate([buffer[:GUARD], buffer[-GUARD:]])
+            untouched = np.isnan(edges) if edges.dtype.kind == "f" else edges == -(10**6)
+            assert untouched.all(), f"argument {k} of {kernel.py_func.__name__}"
+            arguments[k][...] = given[k]
+        calls.append(len(buffers))
+        return result
+
+    return call
+
+
+@pytest.mark.parametrize("method", ["imex", "imex32", "explicit"])
+@pytest.mark.parametrize("count", range(1, 9))
+def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
+    """Lanes are loaded by address, which numba does not check: probes of all lengths, growing to the helix's end."""
+    step = 5e-6 if method == "explicit" else 2e-4
+    scenes = [
+        Scene(
+            tube={"helix_length": 0.75 + 0.1 * k}, probe={"guide_length": 0.1 * (k % 3)}, carrier_length=0.3 + 0.1 * k
+        )
+        for k in range(count)
+    ]  # fmt: skip
+    results, plain_kernel, calls = [], lane_group.KERNELS[method], []
+    for kernel in (guarded(plain_kernel, calls), plain_kernel):  # the guarded first: it names what it finds
+        monkeypatch.setitem(lane_group.KERNELS, method, kernel)
+        batch = SimulatorBatch(scenes, method, step, growing=True, time_lapse=1000.0, perturbation=1e-6, threads=1)
+        batch.advance(0.25, 0.03, 480 * step, 8 * step)
+        active = np.arange(count) % 3 != 1
+        results.append((batch, batch.advance(0.25, 0.03, 4 * step, step, active, keep_samples=True)))
+    assert calls
+    (fenced, second), (plain, first) = results
+    assert not first.diverged.any()
+    assert (first.radial == second.radial).all()
+    assert (first.tension == second.tension).all()
+    for one, other in zip(plain.simulators, fenced.simulators, strict=True):
+        assert one.root == other.root == one.chain.node_count - 1
+        for a, b in zip(one.state, other.state, strict=True):
+            assert (a == b).all()

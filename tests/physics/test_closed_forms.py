@@ -1,0 +1,163 @@
+"""The kernels against closed forms. Tolerances follow from the discretisation, as each comment derives."""
+
+import math
+
+import numpy as np
+import pytest
+from chains import integrate, plain_chain
+from scipy.signal import find_peaks
+
+from probe_env import Scene, Simulator
+from probe_env.physics.closed_forms import steady_root_tension
+from probe_env.physics.methods.newmark import newmark
+
+
+@pytest.mark.parametrize("mode", [1, 2, 7, 30])
+def test_discrete_axial_frequencies(mode):
+    """Newmark turns a mode by 2 atan(omega dt / 2) a step, exactly; what is left is rounding."""
+    N, dt, steps = 30, 2e-5, 2000
+    chain = plain_chain(N)
+    stiffness = 1.0 / chain.axial_compliance
+    omega = 2.0 * math.sqrt(stiffness / chain.mass) * math.sin((2 * mode - 1) * math.pi / (2 * (2 * N + 1)))
+    from_root = np.arange(N, -1, -1)
+    d = np.zeros((N + 1, 3))
+    d[:, 0] = 1e-3 * np.sin(from_root * (2 * mode - 1) * math.pi / (2 * N + 1))
+    samples, _ = integrate(chain, newmark(dt), d=d, a=-(omega**2) * d, steps=steps)
+    angle = 2.0 * math.atan(omega * dt / 2.0)
+    expected = d[0, 0] * np.cos(angle * np.arange(1, steps + 1))
+    # each step adds a few eps relative to B_a d, times at most (omega_max dt / 2)^2 + 1 < 2: a random walk
+    # of the phase over 2,000 steps stays below 2000 * 100 eps
+    assert np.abs(samples[:, 0, 0] - expected).max() <= 2000 * 100 * np.finfo(float).eps * 1e-3
+
+
+def test_axial_wave_speed():
+    """A Gaussian pulse runs at sqrt(EA / rho_c); width w = 20 h, distance s = 200 h."""
+    N = 500
+    chain = plain_chain(N)
+    h = chain.element_length
+    speed = math.sqrt(1.1e5 / 0.111)
+    assert speed == pytest.approx(995.0, abs=1.0)
+    position = h * np.arange(N, -1, -1)  # from the root
+    width, centre, distance = 20 * h, 150 * h, 200 * h
+    pulse = lambda x: 1e-4 * np.exp(-((x / width) ** 2))  # noqa: E731
+    slope = lambda x: -2.0 * x / width**2 * pulse(x)  # noqa: E731
+    d, v = np.zeros((N + 1, 3)), np.zeros((N + 1, 3))
+    d[:, 0] = pulse(position - centre)
+    v[:, 0] = -speed * slope(position - centre)  # towards the tip
+    d[-1] = v[-1] = 0.0
+    steps = 1000
+    dt = distance / speed / steps
+    _, state = integrate(chain, newmark(dt), d=d, v=v, steps=steps, every=steps)
+    error = np.abs(state.d[:, 0] - pulse(position - centre - distance)).max() / 1e-4
+    # dispersion: wave number k lags by k s (k h)^2 / 24, plus (omega dt)^2 / 12 of the time scheme; the pulse
+    # holds wave numbers up to about 2.5 / w
+    k = 2.5 / width
+    assert error <= k * distance * ((k * h) ** 2 / 24.0 + (k * speed * dt) ** 2 / 12.0)
+
+
+@pytest.mark.parametrize(("mode", "beta_L"), [(1, 1.8751), (2, 4.6941), (3, 7.8548)])
+def test_cantilever_frequencies(mode, beta_L):
+    """Euler-Bernoulli cantilever; the tip node carries a whole mass where the bar has half of one.
+
+    The extra half mass lowers every mode by h / L to first order (phi(L)^2 = 4 mean(phi^2)); the rest is
+    second order in beta h.
+    """
+    N = 60
+    chain = plain_chain(N)
+    h, EI, density = chain.element_length, 4.8e-2, 0.111
+    length = N * h
+    beta = beta_L / length
+    omega = beta**2 * math.sqrt(EI / density)
+    x = h * np.arange(N, -1, -1)
+    ratio = (math.cosh(beta_L) + math.cos(beta_L)) / (math.sinh(beta_L) + math.sin(beta_L))
+    d = np.zeros((N + 1, 3))
+    d[:, 1] = np.cosh(beta * x) - np.cos(beta * x) - ratio * (np.sinh(beta * x) - np.sin(beta * x))
+    d[:, 2] = beta * (np.sinh(beta * x) + np.sin(beta * x) - ratio * (np.cosh(beta * x) - np.cos(beta * x)))
+    d *= 1e-4
+    periods, per_period = 20, 200
+    dt = 2.0 * math.pi / omega / per_period
+    samples, _ = integrate(chain, newmark(dt), d=d, a=-(omega**2) * d, steps=periods * per_period + per_period)
+    y = np.concatenate([[d[0, 1]], samples[:, 0, 1]])
+    peaks, _ = find_peaks(y, height=0.5 * y.max(), distance=per_period // 2)
+    refine = [p + 0.5 * (y[p - 1] - y[p + 1]) / (y[p - 1] - 2 * y[p] + y[p + 1]) for p in peaks]
+    period = (refine[-1] - refine[0]) / (len(refine) - 1) * dt
+    measured = 2.0 * math.pi / period * (1.0 + (omega * dt) ** 2 / 12.0)  # Newmark lengthens the period
+    tolerance = (h / length) ** 2 + (beta * h) ** 2 / 2.0 + 2e-3 / periods
+    assert abs(measured / omega - 1.0 + h / length) <= tolerance
+
+
+def test_mean_root_tension_under_drag():
+    """Steady sliding: T = (q r / mu') (1 - exp(-mu' L / r)), within the 1 % that its ripple leaves."""
+    scene = Scene(carrier_length=20.0, contact={"friction": 0.1})
+    q = 0.5 * 0.44 * 1.023 * math.pi / 4 * (0.019**2 - 0.00835**2)
+    q *= (63 / 3600 / (math.pi / 4 * (0.0242**2 - 0.00835**2)) - 0.2) ** 2 / 0.1
+    mu = 0.1 * (1.0 - 0.019 / 1.2)
+    expected = q * 0.6 / mu * (1.0 - math.exp(-mu * 22.5 / 0.6))
+    assert steady_root_tension(scene) == pytest.approx(expected, rel=1e-2)  # floats are discrete: 1 in 225
+    run = Simulator(scene, time_step=2e-4).run(6.0, points=("root",))
+    assert run.tension[run.time > 2.0, 0].mean() == pytest.approx(expected, rel=1e-2)
+
+
+def test_bar_on_a_penalty_wall():
+    """F(t) = Z v0 (1 - exp(-k t / Z)) until the wave from the held root arrives at L / c."""
+    N, v0 = 600, 0.1
+    chain = plain_chain(N)
+    h, speed, impedance = chain.element_length, math.sqrt(1.1e5 / 0.111), math.sqrt(1.1e5 * 0.111)
+    cells = 40.0  # the force builds up while the wave crosses this many elements
+    k = impedance * speed / (cells * h)
+    support = np.zeros((N + 1, 3))
+    support[0, 0] = k
+    chain = chain._replace(support_stiffness=support)
+    v = np.zeros((N + 1, 3))
+    v[:-1, 0] = v0
+    steps = 2400
+    dt = 0.98 * N * h / speed / steps
+    samples, _ = integrate(chain, newmark(dt), v=v, steps=steps)
+    force = k * samples[:, 0, 0]
+    time = dt * np.arange(1, steps + 1)
+    exact = impedance * v0 * (1.0 - np.exp(-k * time / impedance))
+    # the tip's surplus half mass and the cut-off of the chain each act like half an element: h k / (Z c)
+    assert np.abs(force - exact).max() <= impedance * v0 / cells
+
+
+@pytest.mark.parametrize("wall", ["inner", "outer"])
+def test_point_mass_on_the_contact_spring(wall):
+    """Contact lasts pi sqrt(m / k), peak force v0 sqrt(k m); a late flag costs omega dt, halved with dt."""
+    k, gap, v0 = 1e5, 5e-3, 0.05
+    chain = plain_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.array([gap, np.inf]))
+    chain = chain._replace(axial_compliance=1e6, shear_compliance=1e6, bending_compliance=1e6, coupling_compliance=0.0)
+    omega = math.sqrt(k / chain.mass)
+    d, v = np.zeros((2, 3)), np.zeros((2, 3))
+    d[0, 1], v[0, 1] = (0.0, -v0) if wall == "inner" else (gap, v0)
+    errors = []
+    for dt in (2e-6, 1e-6):
+        samples, state = integrate(chain, newmark(dt), d=d, v=v, steps=round(1.2 * math.pi / omega / dt))
+        y = samples[:, 0, 1]
+        depth = -y if wall == "inner" else y - gap
+        peak, duration = k * depth.max(), (depth > 0).sum() * dt
+        assert peak == pytest.approx(v0 * math.sqrt(k * chain.mass), rel=omega * dt)
+        assert duration == pytest.approx(math.pi / omega, rel=omega * dt)
+        errors.append(abs(abs(state.v[0, 1]) / v0 - 1.0))
+        assert errors[-1] <= omega * dt
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_coulomb_oscillator_loses_a_fixed_amplitude_each_half_cycle():
+    """The amplitude falls by 2 mu N / k; the sign of friction lags one step, so by omega dt of that."""
+    k_x, normal, mu, start = 400.0, 2.0, 0.15, 8e-3
+    support = np.zeros((2, 3))
+    support[0, 0] = k_x
+    load = np.zeros((2, 3))
+    load[0, 1] = -normal
+    chain = plain_chain(
+        1, contact_stiffness=np.array([1e5, 0.0]), friction=mu, support_stiffness=support, load=load
+    )._replace(axial_compliance=1e9, shear_compliance=1e9, bending_compliance=1e9, coupling_compliance=0.0)
+    d = np.zeros((2, 3))
+    d[0] = start, -normal / 1e5, 0.0
+    omega, dt = math.sqrt(k_x / chain.mass), 1e-5
+    samples, _ = integrate(chain, newmark(dt), d=d, steps=round(2.6 * 2 * math.pi / omega / dt))
+    x = samples[:, 0, 0]
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(x)))) + 1
+    amplitudes = np.abs(np.concatenate([[start], x[turns]]))[:5]
+    drop = 2.0 * mu * normal / k_x
+    assert np.diff(amplitudes) == pytest.approx(-drop, rel=2.0 * omega * dt * start / drop)

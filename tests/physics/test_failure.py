@@ -1,0 +1,145 @@
+"""It tells when it fails: divergence, the stable step, arguments; and never a NaN in a result."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from probe_env import Scene, SimulationError, Simulator, StabilityWarning
+from probe_env.physics.stability import LEAST_STEP
+
+SHORT = Scene(carrier_length=10.0)
+
+
+@pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-3), ("wilson", 1e-3), ("newmark", 6.5e-4)])
+def test_divergence_is_an_error_that_says_where_and_what_would_hold(method, time_step):
+    with pytest.warns(StabilityWarning, match="beyond the known stable limit"):
+        simulator = Simulator(SHORT, method, time_step)
+    duration = round(2.0 / time_step) * time_step
+    with pytest.raises(
+        SimulationError, match=rf"{method}.*diverged at t = .*node \d+.*3e-04 s or less|0\.0003"
+    ) as caught:
+        simulator.run(duration, time_step)
+    error = caught.value
+    assert (error.method, error.time_step) == (method, time_step)
+    assert 0.0 < error.time < duration
+    assert 0 <= error.node < simulator.chain.node_count
+    assert error.stable_time_step == simulator.stable_time_step < time_step
+    with pytest.raises(SimulationError):
+        simulator.advance(duration=time_step, sample_period=time_step)  # a diverged state is not continued
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error)
+    assert copy.node == error.node
+
+
+@pytest.mark.parametrize("method", ["newmark", "wilson"])
+@pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6])
+def test_the_stable_step_holds(method, stiffness):
+    scene = SHORT.model_copy(update={"contact": {"stiffness": stiffness}})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        limit = Simulator(scene, method, 1e-6).stable_time_step
+        run = Simulator(scene, method, limit).run(round(0.6 / limit) * limit, limit)
+    assert np.isfinite(run.radial).all()
+    assert np.abs(run.radial).max() < 0.05
+
+
+def test_without_damping_no_step_is_known_to_hold():
+    scene = SHORT.model_copy(update={"probe": {"damping_time": 0.0}})
+    with pytest.warns(StabilityWarning):
+        simulator = Simulator(scene)
+    assert simulator.stable_time_step == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "euler"}, "method = 'euler'"),
+        ({"solver": "lu"}, "solver = 'lu'"),
+        ({"time_step": 0.0}, "time_step = 0.0"),
+        ({"time_step": float("nan")}, "time_step = nan"),
+        ({"time_step": -1e-4}, "time_step = -0.0001"),
+        ({"nodes_per_pitch": 0}, "nodes_per_pitch = 0"),
+        ({"nodes_per_pitch": 2.5}, "nodes_per_pitch = 2.5"),
+        ({"perturbation": -1.0}, "perturbation = -1.0"),
+    ],
+)
+def test_bad_constructor_arguments(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Simulator(SHORT, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"duration": 0.00015}, "duration = 0.00015"),
+        ({"duration": 0.0}, "duration = 0.0"),
+        ({"duration": float("nan")}, "duration = nan"),
+        ({"duration": 0.1, "sample_period": 2.5e-4}, "sample_period = 0.00025"),
+        ({"duration": 0.1, "points": ("nose",)}, "'nose'"),
+        ({"duration": 0.1, "points": (99.0,)}, "99.0 m"),
+        ({"duration": 0.1, "snapshots": (0.2,)}, "snapshots: 0.2"),
+        ({"duration": 0.1, "snapshots": (0.05, 0.02)}, "must ascend"),
+    ],
+)
+def test_bad_run_arguments_are_refused_before_any_work(arguments, message):
+    simulator = Simulator(SHORT)
+    with pytest.raises(ValueError, match=message):
+        simulator.run(**arguments)
+    assert simulator.steps_done == 0
+
+
+def scenes():
+    """Valid scenes far from table 2, 1 to 3 m long."""
+    tube = st.fixed_dictionaries({"helix_diameter": st.floats(0.4, 20.0)})
+    probe = st.fixed_dictionaries(
+        {
+            "line_density": st.floats(0.02, 1.0),
+            "tensile_rigidity": st.floats(1e3, 1e6),
+            "flexural_rigidity": st.floats(1e-3, 1.0),
+            "damping_time": st.floats(0.0, 1e-2),
+            "carrier_float_diameter": st.floats(10e-3, 22e-3),
+            "guide_length": st.integers(0, 5).map(lambda k: k / 10),
+        }
+    )
+    contact = st.fixed_dictionaries(
+        {
+            "stiffness": st.floats(2.0, 8.0).map(lambda e: min(10.0**e, 1e8)),
+            "friction": st.floats(0.0, 1.0),
+            "walls": st.sampled_from(["both", "inner"]),
+        }
+    )
+    return st.fixed_dictionaries(
+        {
+            "tube": tube,
+            "probe": probe,
+            "contact": contact,
+            "feed_speed": st.floats(0.0, 2.0),
+            "air_supply_rate": st.floats(0.0, 0.2),
+            "carrier_length": st.integers(10, 30).map(lambda k: k / 10),
+        }
+    ).map(Scene.model_validate)
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    scene=scenes(),
+    method=st.sampled_from(["newmark", "wilson", "imex", "imex32", "explicit", "implicit"]),
+    time_step=st.sampled_from([1e-5, 1e-4, 1e-3]),
+)
+def test_no_valid_scene_gives_nan_without_an_error(scene, method, time_step):
+    time_step = max(time_step, LEAST_STEP.get(method, 0.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StabilityWarning)
+        simulator = Simulator(scene, method, time_step)
+    try:
+        run = simulator.run(0.05, 1e-3, points=("sensor", "tip", "root"))
+    except SimulationError:
+        return
+    for signal in (run.axial, run.radial, run.rotation, run.tension, run.mean_tension):
+        assert np.isfinite(signal).all()
+    for array in simulator.state:
+        assert np.isfinite(array).all()

@@ -1,0 +1,161 @@
+"""Feeding: ramped speed with the frame's inertia, lagging air, and a length that grows node by node."""
+
+import math
+
+import numpy as np
+import pytest
+from chains import plain_chain
+from scipy.signal import detrend
+
+from probe_env import Scene, Simulator
+from probe_env.physics.chain import build_chain
+from probe_env.physics.drive import Drive
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.newmark import newmark, workspace
+from probe_env.physics.state import at_rest
+
+QUIET = Scene(carrier_length=5.0, contact={"friction": 0.05})
+METHODS = pytest.mark.parametrize(
+    ("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("imex32", 2e-4), ("implicit", 1e-4)]
+)
+
+
+def test_the_drive_ramps_lags_and_appends():
+    drive = Drive(0.2, 60.0, ramp=0.5, air_lag=1.0, growth=1.0)
+    drive.speed_target, drive.air_target = 0.4, 90.0
+    dt, h = 1e-3, 0.025
+    inputs = drive.inputs_of_steps(1000, dt, h, room=100)
+    time = np.arange(1000) * dt
+    assert inputs[:, 0] == pytest.approx(np.minimum(0.2 + 0.5 * time, 0.4))
+    assert inputs[:, 1] == pytest.approx(np.where(time < 0.4 - 1e-9, 0.5, 0.0))
+    assert inputs[:, 2] == pytest.approx(90.0 - 30.0 * np.exp(-time))
+    assert drive.speed == 0.4
+    fed = 0.2 * 0.4 + 0.25 * 0.4**2 + 0.4 * 0.6
+    assert inputs[:, 3].sum() == math.floor(fed / h)
+    assert drive.travel == pytest.approx(fed - inputs[:, 3].sum() * h, abs=0.4 * dt)
+    pieces = Drive(0.2, 60.0, ramp=0.5, air_lag=1.0, growth=1.0)
+    pieces.speed_target, pieces.air_target = 0.4, 90.0
+    parts = [pieces.inputs_of_steps(steps, dt, h, room=100) for steps in (1, 499, 500)]
+    assert (np.concatenate(parts) == inputs).all()
+    assert drive == pieces
+
+
+def test_the_length_stops_at_the_end_of_the_helix():
+    inputs = Drive(0.4, 60.0, growth=1.0).inputs_of_steps(1000, 1e-3, 0.025, room=3)
+    assert inputs[:, 3].sum() == 3
+
+
+@pytest.mark.parametrize("method", ["newmark", "imex", "imex32"])
+@pytest.mark.parametrize("slope", [0.5, -0.5])
+def test_the_frame_s_inertia_moves_a_free_probe_like_a_rigid_body(method, slope):
+    """In a straight tube nothing but a soft root spring holds the nodes: x = -slope t^2 / 2, exactly for Newmark.
+
+    The cable is soft (EA 1e2 N) and the time short, so that the wave from the root has not come to the tip.
+    """
+    scene = Scene.model_validate(
+        {"tube": {"helix_diameter": 1e4}, "probe": {"tensile_rigidity": 100.0}, "carrier_length": 5.0}
+    ).model_copy(update={"air_supply_rate": 0.0, "feed_speed": 1.0, "air": {"drag_coefficient": 0.0}})
+    simulator = Simulator(scene, method, 1e-4, ramp=abs(slope))
+    run = simulator.advance(1.0 + slope, None, 0.1, points=("tip",))
+    assert simulator.feed_speed == pytest.approx(1.0 + 0.1 * slope)
+    expected = -0.5 * slope * run.time**2
+    # Newmark starts with a = 0 as printed: it lags a quarter step of velocity; imex kicks first: half a step
+    assert run.axial[:, 0] == pytest.approx(expected, abs=0.6 * abs(slope) * 1e-4 * 0.1 + 1e-12)
+    assert np.abs(run.axial[-1, 0]) > 0.0024
+
+
+@METHODS
+def test_a_ramp_and_its_mirror(method, time_step):
+    """Without air, contact and curvature the motion is linear in du/dt: opposite ramps, opposite motion."""
+    scene = Scene.model_validate({"tube": {"helix_diameter": 1e4}, "carrier_length": 5.0, "feed_speed": 1.0})
+    scene = scene.model_copy(update={"air": {"drag_coefficient": 0.0}, "contact": {"friction": 0.0}})
+    up, down = (
+        Simulator(scene, method, time_step, ramp=0.5).advance(target, None, 0.4, points=("tip",)).axial[:, 0]
+        for target in (1.1, 0.9)
+    )
+    assert np.abs(up).max() > 1e-6
+    assert np.abs(up + down).max() < 0.02 * np.abs(up).max()  # the centrifugal force is quadratic in u
+
+
+@METHODS
+def test_mass_length_and_root_tension_are_right_at_every_append(method, time_step):
+    """Slow growth in a quiet tube: the root tension follows the closed form of the length that is in."""
+    simulator = Simulator(QUIET, method, time_step, growing=True)
+    simulator.advance(None, None, 2.0)
+    assert simulator.inserted_length == pytest.approx(7.5 + 0.4, abs=1e-4)
+    assert 0.0 <= simulator.inserted_length - simulator.root * 0.025 < 0.025 * (1.0 + 1e-9)
+    chain = build_chain(QUIET, 4, simulator.root * 0.025)
+    assert chain.mass * simulator.root == pytest.approx(0.111 * simulator.root * 0.025)
+    for name in ("contact_stiffness", "drag", "lever"):
+        grown = getattr(simulator.chain, name)[: simulator.root]
+        assert (grown == getattr(chain, name)[: simulator.root]).all()
+    from probe_env.physics.closed_forms import steady_root_tension
+
+    run = simulator.advance(None, None, 1.0, points=("root",))
+    length = round(simulator.inserted_length, 1)
+    expected = steady_root_tension(QUIET.model_copy(update={"carrier_length": round(length - 2.5, 1)}))
+    assert run.tension[:, 0].mean() == pytest.approx(expected, rel=0.03)  # 0.1 m of drag is 1.3 %
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.10])
+@pytest.mark.parametrize("feed_speed", [0.2, 0.4])
+@pytest.mark.parametrize("method", ["imex", "imex32"])
+def test_appending_nodes_does_not_shake_a_quiet_probe(friction, feed_speed, method):
+    """8 or 16 nodes a second come in: radial rms below 0.5 um, 1 kHz acceleration below 0.2 m/s2, a line of nm."""
+    scene = Scene(carrier_length=5.0, feed_speed=feed_speed, contact={"friction": friction})
+    simulator = Simulator(scene, method, 2e-4, growing=True)
+    simulator.advance(None, None, 4.0)
+    run = simulator.advance(None, None, 4.0)
+    radial = run.radial[1:, 0]
+    assert radial.std() < 0.5e-6
+    assert (np.diff(radial, n=2) / 1e-3**2).std() < 0.2
+    line = round(feed_speed / simulator.chain.element_length * 4.0)  # u / h in steps of 0.25 Hz
+    assert 2.0 * np.abs(np.fft.rfft(detrend(radial))[line]) / len(radial) < 30e-9
+
+
+def test_time_lapse_feeds_faster_and_keeps_the_true_speed():
+    fast = Simulator(QUIET, "imex", 2e-4, growing=True, time_lapse=4.0)
+    fast.advance(None, None, 1.0)
+    assert fast.inserted_length == pytest.approx(7.5 + 0.8, abs=1e-3)
+    assert fast.feed_speed == 0.2
+
+
+def test_air_follows_with_its_lag():
+    simulator = Simulator(QUIET, "imex", 2e-4, air_lag=1.0)
+    simulator.advance(None, 0.03, 1.0)
+    assert simulator.air_supply_rate == pytest.approx(0.03 - (0.03 - 0.0175) * math.exp(-1.0), rel=1e-6)
+
+
+def test_snapshot_and_restore_in_every_method():
+    for method, time_step in (
+        ("newmark", 1e-4),
+        ("wilson", 1e-4),
+        ("imex", 2e-4),
+        ("imex32", 2e-4),
+        ("explicit", 5e-6),
+        ("implicit", 1e-4),
+    ):
+        simulator = Simulator(QUIET, method, time_step, growing=True, ramp=0.5)
+        simulator.advance(0.4, None, 0.02)
+        saved = simulator.snapshot()
+        first = simulator.advance(None, 0.03, 0.02)
+        simulator.restore(saved)
+        second = simulator.advance(None, 0.03, 0.02)
+        assert (first.radial == second.radial).all()
+        assert (first.tension == second.tension).all()
+        assert first.time[0] == pytest.approx(0.02)
+
+
+def test_growing_takes_no_snapshots_of_shapes():
+    with pytest.raises(ValueError, match="growing"):
+        Simulator(QUIET, growing=True).advance(duration=0.1, snapshots=(0.05,))
+
+
+def test_a_plain_chain_is_at_rest_without_loads():
+    state = at_rest(11)
+    chain = plain_chain(10)
+    inputs = Drive(0.0, 0.0).inputs_of_steps(10, 1e-4, chain.element_length, 0)
+    samples = np.zeros((1, 1, 4))
+    arguments = (10, 10, np.zeros(1, dtype=np.int64), samples, np.zeros(11))
+    ticm.advance(chain, newmark(1e-4), inputs, 10, state, workspace(11), *arguments)
+    assert (state.d == 0.0).all()

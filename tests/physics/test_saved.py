@@ -1,0 +1,193 @@
+"""A snapshot or a pickle goes back where it fits, and is refused by name everywhere else."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from probe_env import Scene, SimulationError, Simulator, SimulatorBatch
+from probe_env.physics.drive import Drive
+from probe_env.physics.saved import FORMAT
+from probe_env.physics.simulator import FIXED
+from probe_env.physics.state import State, at_rest
+
+SCENE = Scene(carrier_length=2.0, probe={"guide_length": 0.5})
+OTHER = {
+    "scene.contact.friction = 0.2; here it is 0.15": lambda: Simulator(
+        SCENE.model_copy(update={"contact": {"friction": 0.2}})
+    ),
+    "scene.carrier_length = 3.0; here it is 2.0": lambda: Simulator(SCENE.model_copy(update={"carrier_length": 3.0})),
+    "method = 'wilson'; here it is 'newmark'": lambda: Simulator(SCENE, "wilson"),
+    "solver = 'banded'; here it is 'ticm'": lambda: Simulator(SCENE, solver="banded"),
+    "time_step = 5e-05; here it is 0.0001": lambda: Simulator(SCENE, time_step=5e-5),
+    "nodes_per_pitch = 8; here it is 4": lambda: Simulator(SCENE, nodes_per_pitch=8),
+    "growing = True; here it is False": lambda: Simulator(SCENE, growing=True),
+    "time_lapse = 2.0; here it is 1.0": lambda: Simulator(SCENE, time_lapse=2.0),
+    "ramp = 0.5; here it is inf": lambda: Simulator(SCENE, ramp=0.5),
+    "air_lag = 1.0; here it is 0.0": lambda: Simulator(SCENE, air_lag=1.0),
+}
+
+
+def moved(simulator: Simulator) -> Simulator:
+    simulator.advance(0.3, None, 0.01)
+    return simulator
+
+
+def everything(simulator: Simulator) -> bytes:
+    return pickle.dumps(simulator)
+
+
+@pytest.mark.parametrize("difference", OTHER)
+def test_a_snapshot_of_another_simulator_is_refused_by_the_field(difference):
+    here = moved(Simulator(SCENE))
+    before, other = everything(here), OTHER[difference]().snapshot()
+    with pytest.raises(ValueError, match=f"^snapshot: {difference}$"):
+        here.restore(other)
+    assert everything(here) == before
+
+
+def changed(path, value):
+    """A snapshot with one entry put otherwise, or taken out."""
+    snapshot = moved(Simulator(SCENE)).snapshot()
+    inner = snapshot
+    for name in path[:-1]:
+        inner = inner[name]
+    if value is None:
+        del inner[path[-1]]
+    else:
+        inner[path[-1]] = value
+    return snapshot
+
+
+LONG = at_rest(500)
+NODES = 101
+
+
+@pytest.mark.parametrize(
+    ("snapshot", "message"),
+    [
+        ({"foo": 1}, "format = None cannot be read; this version reads format"),
+        ([], "a list without a format cannot be read"),
+        ({"state": LONG, "root": 100}, "format = None"),
+        (changed(["format"], FORMAT - 1), rf"format = {FORMAT - 1} cannot be read; this version reads format {FORMAT}"),
+        (changed(["foo"], 1), "'foo' is not known"),
+        (changed(["built"], {}), "built: 'air_lag' is missing"),
+        (changed(["built", "scene", "tube", "turns"], 3), "scene.tube: 'turns' is not known"),
+        (changed(["changing", "drive"], None), "changing: 'drive' is missing"),
+        (changed(["changing", "drive"], 0.2), "drive = 0.2 is not Drive"),
+        (changed(["changing", "root"], NODES), f"root = {NODES} is outside the accepted range 1 to {NODES - 1}"),
+        (changed(["changing", "root"], -1), "root = -1 is not int of 0 or more"),
+        (changed(["changing", "steps_done"], 1.0), "steps_done = 1.0 is not int"),
+        (changed(["changing", "state"], LONG), rf"state.d has shape \(500, 3\); \({NODES}, 3\) is accepted"),
+        (
+            changed(["changing", "state"], at_rest(NODES)._replace(a=np.zeros((NODES, 3), np.float32))),
+            "state.a has type",
+        ),
+        (changed(["changing", "state"], tuple(at_rest(NODES))), r"state \(tuple\) is not State"),
+        (changed(["changing", "_error"], "oh"), "_error = 'oh' is not a SimulationError"),
+    ],
+)
+def test_what_is_no_snapshot_is_refused_and_changes_nothing(snapshot, message):
+    here = moved(Simulator(SCENE))
+    before = everything(here)
+    with pytest.raises(ValueError, match=message):
+        here.restore(snapshot)
+    assert everything(here) == before
+
+
+def test_seed_and_perturbation_may_differ_because_only_reset_looks_at_them():
+    one, other = Simulator(SCENE, perturbation=1e-5, seed=1), Simulator(SCENE)
+    moved(one)
+    other.restore(one.snapshot())
+    assert (other.advance(duration=0.01).radial == one.advance(duration=0.01).radial).all()
+
+
+@pytest.mark.parametrize("method", ["newmark", "implicit", "imex"])
+def test_what_is_declared_as_fixed_stays_and_all_else_is_in_a_snapshot(method):
+    """A new attribute that changes is saved unless it is declared as fixed, and then this finds it."""
+    simulator = Simulator(SCENE, method, growing=True, ramp=0.5, air_lag=0.1)
+    assert set(vars(simulator)) >= FIXED
+    fixed = {name: pickle.dumps(vars(simulator)[name]) for name in FIXED if name != "_advance"}
+    simulator.advance(0.4, 0.03, 0.2)
+    simulator.unconverged_steps += 1
+    saved = simulator.snapshot()
+    assert set(saved["changing"]) == set(vars(simulator)) - FIXED
+    simulator._error = SimulationError(method, 1e-4, 0.0, 0, 0.0, 0.0)
+    simulator.restore(saved)
+    simulator.reset()
+    assert fixed == {name: pickle.dumps(vars(simulator)[name]) for name in fixed}
+
+
+def test_an_attribute_that_nobody_thought_of_is_restored():
+    simulator = Simulator(SCENE)
+    simulator.count = 1
+    saved = simulator.snapshot()
+    simulator.count = 2
+    simulator.restore(saved)
+    assert simulator.count == 1
+
+
+def test_the_format_goes_up_when_the_layout_changes():
+    """If this fails, raise ``saved.FORMAT`` and write the new layout down here."""
+    simulator = Simulator(SCENE)
+    batch = SimulatorBatch([SCENE])
+    layout = [sorted(vars(simulator)), sorted(vars(simulator.drive)), list(State._fields), sorted(vars(batch))]
+    assert FORMAT == 2
+    assert layout == [
+        ["_advance", "_error", "_start_root", "air_lag", "chain", "drive", "growing", "iterations", "method",
+         "nodes_per_pitch", "perturbation", "ramp", "root", "scene", "seed", "sensor", "solver", "stable_time_step",
+         "state", "steps_done", "time_lapse", "time_step", "unconverged_steps"],
+        ["air", "air_lag", "air_target", "growth", "ramp", "speed", "speed_target", "travel"],
+        ["d", "v", "a", "axial_force"],
+        ["_before", "method", "nodes_per_pitch", "simulators", "threads", "time_step"],
+    ]  # fmt: skip
+    assert isinstance(simulator.drive, Drive)
+
+
+@pytest.mark.parametrize("build", [lambda: Simulator(SCENE), lambda: SimulatorBatch([SCENE])])
+def test_pickles_of_other_versions_are_refused(build):
+    saved = build()
+    _, (kind, *_), state = saved.__reduce_ex__(2)[:3]
+    assert state["format"] == FORMAT
+    for old in ({name: value for name, value in state.items() if name != "format"}, state | {"format": FORMAT - 1}):
+        with pytest.raises(
+            ValueError, match=f"pickled {kind.__name__}: format = .* cannot be read; this version reads"
+        ):
+            kind.__new__(kind).__setstate__(old)
+    assert type(pickle.loads(pickle.dumps(saved))) is kind
+
+
+SCENES = [SCENE, SCENE.model_copy(update={"contact": {"friction": 0.2}}), SCENE]
+
+
+def test_a_batch_takes_its_own_snapshots_only():
+    batch = SimulatorBatch(SCENES)
+    batch.advance(duration=0.01)
+    saved, before = batch.snapshot(), pickle.dumps(batch)
+    one_less = copy.deepcopy(saved)
+    del one_less["probes"][-1]
+    wrong_window = copy.deepcopy(saved)
+    wrong_window["before"][1] = np.zeros((3, 3))
+    for snapshot, message in (
+        (SimulatorBatch(SCENES[:2]).snapshot(), "snapshot: 2 probes; here are 3"),
+        (
+            SimulatorBatch(SCENES[::-1][1:] + SCENES[:1]).snapshot(),
+            "probe 0: scene.contact.friction = 0.2; here it is 0.15",
+        ),
+        (SimulatorBatch(SCENES, time_step=1e-4).snapshot(), "probe 0: time_step = 0.0001; here it is 0.0002"),
+        (one_less, "snapshot: 2 probes; here are 3"),
+        (wrong_window, r"before\[1\] has shape \(3, 3\); \(2, 3\) is accepted"),
+        ([], "a list without a format"),
+        (batch.simulators[0].snapshot(), "'before' is missing"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            batch.restore(snapshot)
+        assert pickle.dumps(batch) == before
+    expected = batch.advance(duration=0.01, keep_samples=True)
+    batch.restore(saved)
+    again = batch.advance(duration=0.01, keep_samples=True)
+    assert (again.radial == expected.radial).all()
+    assert again.statistics["radial_acceleration_rms_m_per_s2"] == pytest.approx(
+        expected.statistics["radial_acceleration_rms_m_per_s2"], rel=0.0
+    )

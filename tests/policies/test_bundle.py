@@ -1,0 +1,192 @@
+"""Bundles: an agent survives its file bit for bit, and no file can do anything but be refused."""
+
+import io
+import json
+import pickle
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+
+from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, save_bundle
+from agents.policies.catalogue import make_policy
+from agents.policies.view import View
+from agents.vec_env import ProbeVecEnv
+from probe_env.envs.task import OBSERVATIONS, TaskConfig
+
+TASK = TaskConfig()
+
+
+def described(algorithm="ppo", task=TASK, **view):
+    seen = View(observations=tuple(task.observations), **view)
+    network = Network(net_arch=(8,), lstm_hidden_size=4)
+    return Description(algorithm=algorithm, network=network, view=seen, task=task, trained={"seed": 0})
+
+
+def saved(path, algorithm="ppo", **arguments):
+    torch.manual_seed(1)
+    description = described(algorithm, **arguments)
+    policy = build_policy(description)
+    save_bundle(path, description, policy)
+    return Agent(description, policy, description.task)
+
+
+def observations(count=3, seed=0, config=TASK):
+    return np.random.default_rng(seed).normal(size=(count, len(config.observations))).astype(np.float32)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "recurrent-ppo"])
+def test_an_agent_survives_its_file(algorithm, tmp_path):
+    agent = saved(tmp_path / "agent.npz", algorithm)
+    again, states = load_bundle(tmp_path / "agent.npz"), [None, None]
+    for step in range(4):
+        rows, start = observations(seed=step), np.array([step == 0, False, step == 2])
+        actions = []
+        for k, policy in enumerate((agent, again)):
+            action, states[k] = policy.predict(rows, states[k], start, deterministic=True)
+            actions.append(action)
+        assert (actions[0] == actions[1]).all()
+        assert (np.abs(actions[0]) <= 1.0).all()
+    assert make_policy(str(tmp_path / "agent.npz"), TASK).describe() == again.describe()
+    assert again.describe()["bundle"]
+
+
+def test_an_agent_remembers_by_its_state_and_a_new_episode_forgets(tmp_path):
+    agent = saved(tmp_path / "agent.npz")
+    _, state = agent.predict(observations(seed=1), deterministic=True)
+    remembering, _ = agent.predict(observations(seed=2), state, np.array([False, True, False]), deterministic=True)
+    fresh, _ = agent.predict(observations(seed=2), deterministic=True)
+    assert (remembering[1] == fresh[1]).all()
+    assert (remembering[0] != fresh[0]).any()
+    alone, _ = agent.predict(observations(seed=2)[0], deterministic=True)
+    assert alone == pytest.approx(fresh[0], abs=1e-6)
+
+
+def test_an_agent_picks_what_it_looks_at_from_a_task_that_shows_more(tmp_path):
+    blind = TaskConfig(observe_root_tension=False)
+    agent = saved(tmp_path / "agent.npz", task=blind)
+    wide = TaskConfig(privileged=True)
+    rows = observations(config=wide)
+    chosen = rows[:, [list(wide.observations).index(name) for name in blind.observations]]
+    shown = load_bundle(tmp_path / "agent.npz", wide)
+    assert (shown.predict(rows, deterministic=True)[0] == agent.predict(chosen, deterministic=True)[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"observe_root_tension": False}, "observations = root_tension are not shown"),
+        ({"period": 2.0}, "period = 2.0 differs from 1.0"),
+        ({"feed_speeds": (0.02, 0.3)}, "feed_speeds = "),
+        ({"growing": False, "period": 0.1}, "growing = False"),
+    ],
+)
+def test_another_task_is_refused(config, message, tmp_path):
+    saved(tmp_path / "agent.npz")
+    with pytest.raises(ValueError, match=f"agent.npz: {message}"):
+        load_bundle(tmp_path / "agent.npz", TaskConfig(**config))
+
+
+class Poison:
+    """Unpickled, it would write a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def test_poisoned_files_are_refused_and_not_executed(tmp_path):
+    victim, arrays = tmp_path / "victim", tmp_path / "poisoned.npz"
+    np.savez(arrays, description=np.array([Poison(victim)], dtype=object), hash=np.array("x"))
+    with pytest.raises(ValueError, match="not a bundle of plain arrays"):
+        load_bundle(arrays)
+    bare = tmp_path / "bare.npz"
+    bare.write_bytes(pickle.dumps(Poison(victim)))
+    with pytest.raises(ValueError, match="not a bundle"):
+        load_bundle(bare)
+    array = tmp_path / "array.npz"
+    with array.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(ValueError, match="not a bundle"):
+        load_bundle(array)
+    assert not victim.exists()
+    pickle.loads(bare.read_bytes()).close()
+    assert victim.exists()  # so the poison would have worked
+
+
+def test_sb3_s_own_zip_files_are_refused_and_not_executed(tmp_path):
+    victim = tmp_path / "victim"
+    env = ProbeVecEnv("probe_env/Snapshot-v0", 1)
+    PPO("MlpPolicy", env, n_steps=2, batch_size=2, policy_kwargs={"net_arch": [4]}, device="cpu").save(tmp_path / "sb3")
+    poisoned = tmp_path / "sb3.npz"
+    with zipfile.ZipFile(tmp_path / "sb3.zip") as old, zipfile.ZipFile(poisoned, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, pickle.dumps(Poison(victim)) if name == "data" else old.read(name))
+    with pytest.raises(ValueError, match="not a bundle"):
+        load_bundle(poisoned)
+    with pytest.raises(ValueError, match="is not one of"):
+        make_policy(str(tmp_path / "sb3.zip"), TASK)
+    assert not victim.exists()
+
+
+def rewritten(path, **changes):
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    arrays |= changes
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    path.write_bytes(buffer.getvalue())
+
+
+def test_changed_cut_off_and_missing_files_are_named(tmp_path):
+    path = tmp_path / "agent.npz"
+    agent = saved(path)
+    whole = path.read_bytes()
+    text = json.dumps(json.loads(agent.description.model_dump_json()) | {"trained": {"seed": 1}})
+    rewritten(path, description=np.array(text))
+    with pytest.raises(ValueError, match=r"agent.npz: changed or cut off"):
+        load_bundle(path)
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"agent.npz: not a bundle"):
+        load_bundle(path)
+    with pytest.raises(FileNotFoundError):
+        load_bundle(tmp_path / "nowhere.npz")
+
+
+def test_view_averages_and_logarithmic_feed():
+    """After n periods of a step from 0 to 1 an average is 1 - exp(-n T / tau); equal actions are equal ratios."""
+    view = View(observations=("rf_noise", "root_tension"), averages=(5.0, 20.0))
+    rows = np.zeros((1, len(OBSERVATIONS)), dtype=np.float32)
+    _, averages = view.features(TASK, rows, None, np.ones(1, dtype=bool))
+    for _ in range(7):
+        features, averages = view.features(TASK, rows + 1.0, averages, np.zeros(1, dtype=bool))
+    expected = [1.0, 1.0, *[1.0 - np.exp(-7.0 / 5.0)] * 2, *[1.0 - np.exp(-7.0 / 20.0)] * 2]
+    assert features[0] == pytest.approx(expected, rel=1e-5)
+    feeds = TASK.targets(view.env_actions(TASK, np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.3]])))
+    assert feeds[:, 0] == pytest.approx([0.02, np.sqrt(0.02 * 0.4), 0.4], rel=1e-5)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
+
+
+def test_an_agent_never_blows_less_than_its_least_air():
+    """Its air action spans from there to the task's most; a teacher's lower air becomes the least."""
+    least = 45.0 / 3600.0
+    view = View(least_air_supply_rate=least)
+    spread = np.column_stack([np.zeros(3), [-1.0, 0.0, 1.0]])
+    most = TASK.air_supply_rates[1]
+    blown = TASK.targets(view.env_actions(TASK, spread))[:, 1]
+    assert blown == pytest.approx([least, 0.5 * (least + most), most], rel=1e-6)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
+    assert view.agent_actions(TASK, np.array([[0.0, -1.0]]))[0, 1] == -1.0
+    with pytest.raises(ValueError, match=r"least_air_supply_rate = 0.1 m3/s must be below"):
+        View(least_air_supply_rate=0.1).columns(TASK)
+
+
+def test_a_view_of_what_is_not_shown_is_named():
+    with pytest.raises(ValueError, match="observations = moon are not shown"):
+        View(observations=("moon",)).columns(TASK)

@@ -1,0 +1,85 @@
+"""The searched schedules: what a point means, the search finds a known optimum, what is stored is its best trial."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.policies import search as optimise
+from agents.policies.catalogue import BY_DIAMETER, make_policy
+from agents.policies.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
+from agents.policies.vibration_map import stored_map
+from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.task import TaskConfig
+from probe_env.schedule import Schedule
+
+CONFIG = TaskConfig(privileged=True)
+DATA = Path(optimise.__file__).parent / "data"
+
+
+def test_a_point_of_the_search_is_a_schedule():
+    low = FAMILIES["best-constant"].schedule([0.0, 0.0], CONFIG)
+    assert (low.feed_speed[0], low.air_supply_rate[0]) == pytest.approx((0.04, 45.0 / 3600.0))
+    high = FAMILIES["best-schedule"].schedule([1.0] * len(KNOTS) + [0.0] * (len(AIR_KNOTS) - 1) + [1.0], CONFIG)
+    assert high.feed_speed == pytest.approx([0.4] * len(high.position))
+    assert set(high.position) == {*KNOTS, *AIR_KNOTS}
+    assert high.air_supply_rate[0] == pytest.approx(45.0 / 3600.0)
+    assert high.air_supply_rate[-1] == pytest.approx(130.0 / 3600.0)
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+def test_stored_schedules_are_the_best_of_their_trials(name):
+    trials, made = pd.read_csv(DATA / f"{name}-trials.csv"), json.loads((DATA / f"{name}.json").read_text())
+    assert len(trials) == made["trials"]
+    best = trials.loc[trials["reward"].idxmax()]
+    assert best["reward"] == pytest.approx(made["reward_by_map"], rel=1e-3)
+    point = [best[f"x{k}"] for k in range(len(FAMILIES[name].start))]
+    expected, stored = FAMILIES[name].schedule(point, CONFIG), Schedule.read(DATA / f"{name}.csv")
+    assert stored.feed_speed == pytest.approx(expected.feed_speed, rel=3e-3)
+    assert stored.air_supply_rate == pytest.approx(expected.air_supply_rate, rel=3e-3)
+
+
+def test_the_schedule_of_the_nearest_diameter_is_taken():
+    policy = make_policy(BY_DIAMETER, CONFIG)
+    observation = np.zeros((len(HELIX_DIAMETERS), len(CONFIG.observations)), dtype=np.float32)
+    names = list(CONFIG.observations)
+    observation[:, names.index("helix_diameter")] = (np.array(HELIX_DIAMETERS) + 0.04) / 2.5
+    observation[:, names.index("inserted_length")] = 40.0 / 60.0
+    feed = CONFIG.targets(policy.predict(observation)[0])[:, 0]
+    expected = [float(Schedule.read(DATA / f"best-schedule-d{d:g}.csv").at(40.0)[0]) for d in HELIX_DIAMETERS]
+    assert feed == pytest.approx(expected, rel=1e-4)
+
+
+def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkeypatch):
+    """Reward -(u - 0.1)^2 - (3600 Q - 80)^2 of the constant: the best is 0.1 m/s and 80 m3/h."""
+
+    def reward(_, schedule):
+        return -((schedule.feed_speed[0] - 0.1) ** 2) * 100.0 - (schedule.air_supply_rate[0] * 3600.0 - 80.0) ** 2 / 1e3
+
+    monkeypatch.setattr(MapCost, "reward", reward)
+    monkeypatch.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0]}))
+    folders = [tmp_path / name for name in ("once", "again")]
+    for folder in folders:
+        best = run_search("best-constant", 250, folder, tmp_path / "work", stored_map())
+    trials = [pd.read_csv(folder / "best-constant-trials.csv") for folder in folders]
+    pd.testing.assert_frame_equal(*trials, check_exact=True)
+    assert len(trials[0]) == 256  # whole generations of 16
+    assert best.feed_speed[0] == pytest.approx(0.1, rel=0.02)
+    assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
+
+
+def test_a_shorter_search_begins_as_a_longer_one():
+    """What an interrupt left undone is all that differs: nothing of an earlier search is needed to go on."""
+    both = [optimise.search(lambda x: -((x[0] - 0.3) ** 2) - x[1] ** 2, (0.5, 0.5), n, "test")[0] for n in (48, 96)]
+    assert (both[0] == both[1][:48]).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), [(("best", 8), "family = 'best'"), (("best-constant", 0), "trials = 0")]
+)
+def test_bad_budgets_are_named(arguments, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        run_search(*arguments, tmp_path / "out", tmp_path / "work", stored_map())
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,91 @@
+"""Fixed policies: SB3's protocol, and each does what its name says."""
+
+import numpy as np
+import pytest
+
+from agents.policies.catalogue import NAMES, make_policy
+from agents.policies.fixed import PI, Constant, OnOff, SlowDown
+from probe_env.envs.task import TaskConfig
+
+CONFIG = TaskConfig(privileged=True)
+SHOWN = list(CONFIG.observations)
+
+
+def observation(length=20.0, rms=1e-5):
+    values = np.zeros(len(SHOWN), dtype=np.float32)
+    values[SHOWN.index("inserted_length")] = length / 60.0
+    values[SHOWN.index("rf_noise")] = np.log10(rms / 1e-4)
+    values[SHOWN.index("helix_diameter")] = 1.2 / 2.5
+    values[SHOWN.index("root_tension")] = 4.0 / 20.0
+    values[SHOWN.index("feed_speed")], values[SHOWN.index("air_supply_rate")] = 0.5, 63.0 / 130.0
+    for name in ("friction", "contact_stiffness", "drag_factor"):
+        values[SHOWN.index(name)] = {"friction": 0.6}.get(name, 1.0)
+    return values
+
+
+def feed_of(action):
+    return CONFIG.targets(np.atleast_2d(action))[:, 0]
+
+
+@pytest.mark.parametrize("name", [*NAMES, "configs/schedules/example.csv", "configs/schedules/shift.toml"])
+def test_predict_follows_sb3_s_protocol(name, monkeypatch):
+    monkeypatch.chdir(__file__.rsplit("/", 3)[0])
+    policy = make_policy(name, CONFIG)
+    one, _ = policy.predict(observation(), deterministic=True)
+    assert one.shape == (2,)
+    assert one.dtype == np.float32
+    many, states = policy.predict(np.array([observation(), observation(50.0, 2e-4)]))
+    assert many.shape == (2, 2)
+    assert (many[0] == one).all()
+    assert (np.abs(many) <= 1.0).all()
+    second, _ = policy.predict(np.array([observation(), observation(50.0, 2e-4)]), states, np.array([False, True]))
+    fresh, _ = policy.predict(observation(50.0, 2e-4))
+    assert (second[1] == fresh).all()  # a new episode starts without memory
+    assert policy.describe() == make_policy(name, CONFIG).describe()
+
+
+def test_constant_is_the_study_s():
+    action, _ = Constant(CONFIG).predict(observation())
+    assert CONFIG.targets(action[None])[0] == pytest.approx([0.2, 63.0 / 3600.0])
+
+
+def test_slow_down_over_length():
+    policy = SlowDown(CONFIG, fast=0.4, slow=0.1, begin=10.0, end=40.0)
+    speeds = [feed_of(policy.predict(observation(length))[0])[0] for length in (5.0, 10.0, 25.0, 40.0, 60.0)]
+    assert speeds == pytest.approx([0.4, 0.4, 0.25, 0.1, 0.1], rel=1e-5)
+
+
+def test_on_off_has_hysteresis():
+    policy, state, speeds = OnOff(CONFIG, fast=0.3, slow=0.1, level=1e-4), None, []
+    for rms in (1e-5, 2e-4, 0.8e-4, 0.4e-4, 0.8e-4):
+        action, state = policy.predict(observation(rms=rms)[None], state)
+        speeds.append(feed_of(action)[0])
+    assert speeds == pytest.approx([0.3, 0.1, 0.1, 0.3, 0.3], rel=1e-5)
+
+
+def test_pi_slows_down_while_loud_and_does_not_wind_up():
+    policy, state, speeds = PI(CONFIG), None, []
+    for _ in range(200):
+        action, state = policy.predict(observation(rms=1e-3)[None], state)
+        speeds.append(feed_of(action)[0])
+    assert (np.diff(speeds) <= 1e-6).all()
+    assert speeds[-1] == pytest.approx(0.02, rel=1e-4)
+    for _ in range(60):
+        action, state = policy.predict(observation(rms=1e-6)[None], state)
+    assert feed_of(action)[0] > 0.2
+
+
+def test_a_schedule_beyond_the_device_is_told(tmp_path):
+    path = tmp_path / "fast.csv"
+    path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
+    with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s goes beyond .* 0.02 to 0.4 m/s"):
+        policy = make_policy(str(path), CONFIG)
+    observation = np.zeros((1, len(CONFIG.observations)), dtype=np.float32)
+    assert CONFIG.targets(policy.predict(observation)[0])[0, 0] == pytest.approx(0.4)
+
+
+def test_bad_specs_and_observations_are_named():
+    with pytest.raises(ValueError, match="policy = 'fastest' is not one of constant"):
+        make_policy("fastest", CONFIG)
+    with pytest.raises(ValueError, match=r"observation of shape \(1, 5\) is not \(N, 14\)"):
+        Constant(CONFIG).predict(np.zeros(5, dtype=np.float32))

@@ -1,0 +1,89 @@
+"""On a real Ray cluster of several nodes, with gymnasium 1.2.2: equal results, a lost node costs time alone."""
+
+import re
+import threading
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+import ray
+from gymnasium.utils.env_checker import check_env
+from ray.cluster_utils import Cluster
+
+import probe_env
+from agents.design.problem import DesignProblem
+from agents.learning.config import Training
+from agents.learning.train import BEST, train_all
+from agents.policies.fixed import Constant
+from agents.processes.workers import Workers
+from agents.rollouts.plan import Plan, run_plan
+from probe_env import Context, Design, Fidelity, load_contexts
+from probe_env.envs.task import TaskConfig
+
+ROOT = Path(__file__).parents[1]
+CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
+COARSE = Fidelity(time_lapse=20.0)
+
+
+@pytest.fixture
+def cluster():
+    """A head that takes no work and two nodes of one CPU each."""
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    made.nodes = [made.add_node(num_cpus=1) for _ in range(2)]
+    made.wait_for_nodes()
+    yield made
+    ray.shutdown()
+    made.shutdown()
+
+
+def test_gymnasium_is_the_one_that_rllib_pins():
+    assert gym.__version__ == "1.2.2"
+    assert probe_env.__all__
+    for name in ("Insertion", "Snapshot", "Design"):
+        check_env(gym.make(f"probe_env/{name}-v0").unwrapped, skip_render_check=True)
+
+
+def test_an_evaluation_on_the_cluster_equals_the_local_one(cluster, tmp_path):
+    made = {f"{u}": Constant(CONFIG, feed_speed=u) for u in (0.1, 0.2)}
+    plan = Plan(made, load_contexts("validation")[:4], (0,), CONFIG)
+    here = run_plan(plan, tmp_path / "here", progress=False)
+    there = run_plan(plan, tmp_path / "there", workers=Workers(2, "ray", cluster.address))
+    assert there.equals(here)
+
+
+def test_designs_on_the_cluster_equal_the_local_ones(cluster):
+    problem = DesignProblem((Context(), Context(friction=0.2)), "constant")
+    point = Design().model_dump()
+    assert problem.value(point, Workers(2, "ray", cluster.address)) == problem.value(point)
+
+
+def test_training_on_the_cluster_equals_the_local_one(cluster, tmp_path):
+    training = Training(
+        seeds=(0, 1), phases=1, phase_steps=32, learning={"n_steps": 8, "batch_size": 16}, network={"net_arch": (8,)},
+        environment={"num_envs": 2, "fidelity": COARSE, "task": {"settle_time": 0.1, "time_limit": 20.0}},
+        validation={"limit": 1, "fidelity": COARSE},
+    )  # fmt: skip
+    there = train_all(training, tmp_path / "there", False, Workers(2, "ray", cluster.address))
+    here = train_all(training, tmp_path / "here", False)
+    columns = ["seed", "phase", "steps", "reward", "inspection_time_s"]
+    assert (there[columns] == here[columns]).all(axis=None)
+    assert (tmp_path / "there" / "seed-1" / BEST).exists()
+
+
+@pytest.mark.filterwarnings("ignore:a worker was lost")
+def test_a_node_that_dies_in_the_middle_costs_time_alone(cluster):
+    def slowly(task):  # inside, so that it travels by value: workers do not have this file
+        time.sleep(0.5)
+        return 10 * task
+
+    threading.Timer(6.0, lambda: cluster.remove_node(cluster.nodes[0], allow_graceful=False)).start()
+    found = sorted(Workers(2, "ray", cluster.address).map(slowly, range(40)))
+    assert found == [(k, 10 * k) for k in range(40)]
+
+
+def test_the_rllib_example_trains():
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "cluster.md").read_text(), re.DOTALL)
+    space = {}
+    exec(compile(example, "docs/cluster.md", "exec"), space)
+    assert space["result"]["env_runners"]["num_env_steps_sampled_lifetime"] > 0

@@ -1,0 +1,156 @@
+"""Fidelities by name, "auto" with its reasons, and stated errors confirmed on scenes that nothing was chosen on."""
+
+import csv
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scatter import apart, reach
+
+from probe_env import Fidelity, Scene, SimulatorBatch
+from probe_env.fidelity import MOST_TIME_LAPSE, PRESETS, choose_fidelity, measured, outputs, resolve_fidelity
+from probe_env.physics.stability import stable_time_step
+
+
+def stated(fidelity, length):
+    """The stated error of the radial rms on table 2's stiffness."""
+    (row,) = [
+        r for r in measured()
+        if (r.fidelity, r.length, r.stiffness, r.output) == (fidelity, length, 1e5, "radial_rms_m")
+    ]  # fmt: skip
+    return row.error
+
+
+def test_the_cheapest_within_the_tolerance_is_taken_and_the_reason_told():
+    scene = Scene(carrier_length=50.0)
+    loose, tight = choose_fidelity(scene, 0.3), choose_fidelity(scene, 0.15)
+    assert loose.error <= 0.3
+    assert tight.error <= 0.15
+    assert loose.cost < tight.cost
+    assert loose.fidelity.time_step > tight.fidelity.time_step
+    for choice in (loose, tight):
+        assert f"{choice.fidelity.time_step:g} s" in choice.reason
+        assert "radial_rms_m within" in choice.reason
+        assert choice.fidelity.time_step <= stable_time_step(scene, 4, choice.fidelity.method)
+    cheaper = [r for r in measured() if r.length == 50.0 and r.stiffness == 1e5 and r.output == "radial_rms_m"]
+    assert all(r.error > 0.15 for r in cheaper if r.cost < 0.99 * tight.cost)
+
+
+def test_length_stiffness_and_outputs_count():
+    short = choose_fidelity(Scene(carrier_length=10.0), 0.15)
+    assert short.cost <= choose_fidelity(Scene(carrier_length=50.0), 0.15).cost
+    between = choose_fidelity(Scene(carrier_length=40.0), 0.3)
+    assert between.error >= max(stated(between.fidelity, 30.0), stated(between.fidelity, 50.0)) - 1e-12
+    soft = Scene.model_validate({"carrier_length": 30.0, "contact": {"stiffness": 1e4}})
+    assert (
+        choose_fidelity(soft, 0.2).fidelity.time_step
+        > choose_fidelity(Scene(carrier_length=30.0), 0.2).fidelity.time_step
+    )
+    more = choose_fidelity(Scene(carrier_length=50.0), 0.3, ("radial_rms_m", "lift_off_share"))
+    assert more.error >= choose_fidelity(Scene(carrier_length=50.0), 0.3).error - 1e-12
+
+
+def test_time_lapse_is_for_growing_probes():
+    assert choose_fidelity(Scene(), 0.5).fidelity.time_lapse == 1.0
+    assert choose_fidelity(Scene(), 0.5, growing=True).fidelity.time_lapse == MOST_TIME_LAPSE
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"tolerance": 1e-6}, "tolerance = 1e-06 is not kept by any setting for this scene: the least measured is"),
+        ({"tolerance": -1.0}, "tolerance = -1.0 is outside the accepted range above 0"),
+        ({"needed": ("colour",)}, "must be some of axial_peak_hz, axial_rms_m"),
+        ({"needed": ()}, "must be some of axial_peak_hz, axial_rms_m"),
+        (
+            {"scene": Scene.model_validate({"contact": {"stiffness": 1e7}})},
+            "contact.stiffness = 1e\\+07 is outside what was measured, 10000 to 1e\\+06",
+        ),
+    ],
+)
+def test_what_cannot_be_chosen_is_said(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        choose_fidelity(**({"scene": Scene()} | arguments))
+
+
+def test_names():
+    assert resolve_fidelity("reference") == PRESETS["reference"]
+    assert resolve_fidelity({"time_step": 1e-4}) == Fidelity(time_step=1e-4)
+    assert resolve_fidelity("auto:0.3", Scene(), growing=False) == choose_fidelity(Scene(), 0.3).fidelity
+    for wrong, message in (("best", "not one of study, reference"), ("auto:much", "'much' is not a number")):
+        with pytest.raises(ValueError, match=message):
+            resolve_fidelity(wrong)
+    assert set(outputs()) >= {"radial_rms_m", "radial_p99_m", "lift_off_share", "axial_peak_hz"}
+
+
+def test_a_step_below_rounding_is_refused_before_anything_runs():
+    with pytest.raises(ValueError, match=r"time_step = 2e-05 s is below 5e-05 s, where the rounding of imex32 shows"):
+        gym.make("probe_env/Snapshot-v0", fidelity={"time_step": 2e-5})
+    assert resolve_fidelity({"method": "imex", "time_step": 2e-5}).time_step == 2e-5
+
+
+def test_environments_take_auto():
+    env = gym.make("probe_env/Insertion-v0", fidelity="auto:0.5", config={"settle_time": 0.5})
+    assert env.unwrapped.episodes.fidelity.time_lapse > 1.0
+    env.reset(seed=0)
+    assert np.isfinite(env.step(env.action_space.sample())[1])
+    with pytest.raises(ValueError, match=r"tolerance = 0\.001 is not kept"):
+        gym.make("probe_env/Snapshot-v0", fidelity="auto:0.001")
+
+
+def test_the_table_is_whole():
+    rows = list(
+        csv.DictReader(
+            (Path(__file__).parents[2] / "probe_env" / "data" / "measured_errors.csv").read_text().splitlines()
+        )
+    )
+    assert len(rows) == len(measured()) > 200
+    assert all(row.error >= 0.0 and row.cost > 0.0 for row in measured())
+
+
+# scenes that are in no ensemble of the chart
+UNSEEN = Scene.model_validate(
+    {"carrier_length": 40.0, "tube": {"helix_diameter": 1.4}, "contact": {"friction": 0.18, "stiffness": 1.3e5}}
+)
+
+
+def rms_at_constant_length(fidelity, seeds):
+    scenes = [UNSEEN] * len(seeds)
+    batch = SimulatorBatch(scenes, fidelity.method, fidelity.time_step, perturbation=1e-7, seeds=seeds)
+    batch.advance(None, None, 2.0)
+    return batch.advance(None, None, 5.0).statistics["radial_rms_m"]
+
+
+@pytest.mark.processor
+def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
+    """l = 40 m between the chart's lengths, another tube, friction and stiffness.
+
+    14 % are stated, of 32 fresh members each it was 9 % (a member +- 12 and 13 %). With 16 against 12 chance is another
+    21 %: an error of a third is noticed.
+    """
+    error = max(stated(PRESETS["standard"], 30.0), stated(PRESETS["standard"], 50.0))
+    assert error < 0.15
+    found = apart(*(rms_at_constant_length(PRESETS[n], seeds(k)) for n, k in (("standard", 16), ("reference", 12))))
+    assert abs(found) <= -np.log(1.0 - error) + reach((0.12, 16), (0.133, 12))
+
+
+def rms_of_insertion(fidelity, seeds):
+    """From 33 to 36 m in an unseen tube."""
+    scene = UNSEEN.model_copy(update={"carrier_length": 30.5})
+    options = {"growing": True, "time_lapse": fidelity.time_lapse, "perturbation": 1e-7, "seeds": seeds}
+    batch = SimulatorBatch([scene] * len(seeds), fidelity.method, fidelity.time_step, **options)
+    batch.advance(None, None, 2.0 / fidelity.time_lapse)
+    return batch.advance(None, None, 15.0 / fidelity.time_lapse).statistics["radial_rms_m"]
+
+
+@pytest.mark.processor
+def test_the_stated_error_of_fast_holds_on_an_unseen_insertion(seeds):
+    """12 % are stated, of 32 fresh members each it was 15 +- 3 % (a member +- 21 and 6 %).
+
+    With 32 against 8 chance is another 19 %: an error of 30 % is noticed.
+    """
+    (error,) = {r.error for r in measured() if r.fidelity == PRESETS["fast"] and r.output == "radial_rms_m"}
+    assert error < 0.15
+    found = apart(*(rms_of_insertion(PRESETS[n], seeds(k)) for n, k in (("fast", 32), ("reference", 8))))
+    assert abs(found) <= -np.log(1.0 - error) + reach((0.21, 32), (0.062, 8))

@@ -1,0 +1,102 @@
+"""Without a home and in an installation that is read-only, kernels are compiled and kept in a folder of one's own."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+import probe_env
+from probe_env import machine
+
+USE = """
+from probe_env.physics.drive import Drive, _inputs
+Drive(0.2, 10.0).inputs_of_steps(3, 1e-4, 0.025, 0)
+import numba, probe_env
+print(probe_env.__file__)
+print(numba.config.CACHE_DIR)
+print(sum(_inputs.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def installation(tmp_path):
+    """A copy of the package beside which nothing can be kept, also not by root: __pycache__ is a file."""
+    package = tmp_path / "site" / "probe_env"
+    shutil.copytree(Path(probe_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in (package, *(path for path in package.rglob("*") if path.is_dir())):
+        (folder / "__pycache__").touch()
+    (tmp_path / "temporary").mkdir()
+    return tmp_path
+
+
+def use(installation, home="/dev/null/home", **environment):
+    """Outcome of a new interpreter that imports the copy and compiles its smallest kernel; /dev/null has no folders."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTHON", "COV"))}
+    environment = kept | {
+        "HOME": home, "LOCALAPPDATA": home, "TMPDIR": str(installation / "temporary"),
+        "PYTHONPATH": str(installation / "site"), "PYTHONWARNINGS": "default",
+    } | environment  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", USE], env=environment, capture_output=True, text=True, cwd="/")
+    assert done.returncode == 0, done.stderr
+    file, folder, hits = done.stdout.split("\n")[:3]
+    assert Path(file).parent == installation / "site" / "probe_env"
+    return folder, int(hits), done.stderr
+
+
+def test_a_temporary_folder_serves_and_is_named_once(installation):
+    folder, hits, told = use(installation)
+    assert Path(folder).parent == installation / "temporary"
+    assert Path(folder).stat().st_mode & 0o077 == 0
+    assert list(Path(folder).rglob("*.nbc"))
+    assert told.count("set NUMBA_CACHE_DIR to choose another") == 1
+    assert folder in told
+    assert hits == 0
+    assert use(installation)[:2] == (folder, 1)  # what was compiled serves the next interpreter
+
+
+def test_with_a_home_numba_keeps_them_there(installation):
+    home = installation / "home"
+    home.mkdir()
+    folder, _, told = use(installation, home=str(home))
+    assert folder == ""
+    assert "NUMBA_CACHE_DIR" not in told
+    assert list(home.rglob("*.nbc"))
+
+
+def test_a_folder_that_cannot_be_written_is_named(installation):
+    folder, told = use(installation, NUMBA_CACHE_DIR="/dev/null/chosen")[::2]
+    assert Path(folder).parent == installation / "temporary"
+    assert "neither NUMBA_CACHE_DIR = /dev/null/chosen nor the package's folder" in told
+
+
+@pytest.mark.parametrize("kind", ["open", "link", "file"])
+def test_a_folder_that_others_may_write_is_not_trusted(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    planted = machine._folder()
+    assert machine._folder() == planted  # one's own is taken again
+    planted.rmdir()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    if kind == "open":
+        planted.mkdir()
+        planted.chmod(0o777)
+    elif kind == "link":
+        planted.symlink_to(elsewhere)
+    else:
+        planted.touch()
+    found = machine._folder()
+    assert found != planted
+    assert found.is_dir()
+    assert found.stat().st_mode & 0o077 == 0
+
+
+def test_no_folder_at_all_is_an_error_that_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(machine, "_numba_has_one", lambda: False)
+    monkeypatch.setattr(tempfile, "tempdir", "/dev/null/temporary")
+    with pytest.raises(RuntimeError, match="set NUMBA_CACHE_DIR to one that can"):
+        machine.ensure_kernel_cache()

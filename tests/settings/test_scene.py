@@ -1,0 +1,126 @@
+"""Scenes: defaults of table 2, TOML in and out, and errors that name field, value and range."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from probe_env import Scene
+from probe_env.physics.chain import build_chain
+
+SCENES = sorted((Path(__file__).parents[2] / "configs" / "scenes").glob("*.toml"))
+
+
+def test_defaults_are_table_2():
+    scene = Scene()
+    assert scene.inserted_length == 52.5
+    chain = build_chain(scene)
+    assert chain.node_count == 2101
+    assert chain.mass == pytest.approx(0.111 * 0.025)
+    assert chain.inertia == pytest.approx(chain.mass * (0.025**2 / 12 + 0.00835**2 / 16))
+    assert math.asin(chain.sin_phi) == pytest.approx(math.asin(0.1 / (4 * 1.2)))
+    assert (chain.contact_stiffness > 0).sum() == 526  # every fourth node from the tip, tip and root included
+    assert chain.contact_stiffness[0] == chain.contact_stiffness[100] == 1e5
+    assert chain.contact_stiffness[1] == 0.0
+
+
+def test_guide_floats_reach_up_to_the_sensor():
+    chain = build_chain(Scene(probe={"guide_float_diameter": 0.02, "carrier_float_diameter": 0.016}))
+    assert chain.lever[0] == chain.lever[100] == 0.01
+    assert chain.lever[104] == 0.008
+    assert chain.outer_gap[100] == pytest.approx(4.2e-3)
+    assert chain.outer_gap[104] == pytest.approx(8.2e-3)
+    assert np.isinf(build_chain(Scene(contact={"walls": "inner"})).outer_gap).all()
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_every_shipped_scene_is_valid_and_survives_toml(path, tmp_path):
+    scene = Scene.from_toml(path)
+    scene.to_toml(tmp_path / "copy.toml")
+    assert Scene.from_toml(tmp_path / "copy.toml") == scene
+
+
+def test_all_figures_of_the_study_are_there():
+    figures = {path.stem.split("_")[0] for path in SCENES}
+    assert figures == {"fig11", "fig12", "fig15", "fig16", "fig17", "fig18", "fig20"}
+    assert len(SCENES) == 12
+
+
+BROKEN = [
+    ({"feed_sped": 0.2}, "feed_sped", "there is no such field"),
+    ({"contact": {"frictoin": 0.2}}, "contact.frictoin", "there is no such field"),
+    ({"contact": {"friction": 1.5}}, "contact.friction", "1.5 is outside the accepted range 0 to 1"),
+    ({"contact": {"friction": float("nan")}}, "contact.friction", "nan"),
+    ({"contact": {"stiffness": 1e9}}, "contact.stiffness", "100 to 1e+08 N/m"),
+    ({"contact": {"walls": "outer"}}, "contact.walls", "'both' or 'inner'"),
+    ({"feed_speed": -0.1}, "feed_speed", "return process"),
+    ({"feed_speed": 200.0}, "feed_speed", "0 to 2 m/s"),
+    ({"feed_speed": "0.2"}, "feed_speed", "valid number"),
+    ({"air_supply_rate": 63.0}, "air_supply_rate", "0 to 0.2 m3/s"),
+    ({"tube": {"helix_diameter": 0.1}}, "tube.helix_diameter", "0.3 to 10000 m"),
+    ({"tube": {"inner_diameter": 24.2}}, "tube.inner_diameter", "0.005 to 0.1 m"),
+    ({"probe": {"line_density": 111.0}}, "probe.line_density", "0.01 to 10 kg/m"),
+    ({"probe": {"damping_time": 0.05}}, "probe.damping_time", "0 to 0.01 s"),
+    ({"probe": {"tensile_rigidity": math.inf}}, "probe.tensile_rigidity", "inf"),
+    (
+        {"probe": {"guide_float_diameter": 0.0242}},
+        "probe.guide_float_diameter = 0.0242",
+        "tube.inner_diameter = 0.0242",
+    ),
+    (
+        {"probe": {"carrier_float_diameter": 0.008}},
+        "probe.carrier_float_diameter = 0.008",
+        "probe.cable_diameter = 0.00835",
+    ),
+    ({"probe": {"guide_length": 70.0}}, "carrier_length + probe.guide_length = 50 + 70", "tube.helix_length = 60"),
+    ({"probe": {"guide_length": 2.55}}, "probe.guide_length = 2.55", "multiple of probe.float_pitch = 0.1"),
+    ({"carrier_length": 50.05}, "carrier_length = 50.05", "multiple of probe.float_pitch"),
+    ({"carrier_length": 0.0}, "carrier_length = 0", "at least one probe.float_pitch"),
+    ({"carrier_length": 57.6}, "57.6 + 2.5", "tube.helix_length = 60"),
+    (
+        {"tube": {"helix_diameter": 0.3}, "probe": {"float_pitch": 0.5}},
+        "probe.float_pitch = 0.5",
+        "tube.helix_diameter",
+    ),
+]
+
+
+@pytest.mark.parametrize(("data", "field", "reason"), BROKEN)
+def test_broken_scenes_name_field_value_and_range(data, field, reason, tmp_path):
+    import tomli_w
+
+    from probe_env.settings import explain
+
+    with pytest.raises(ValidationError) as caught:
+        Scene.model_validate(data)
+    assert field in explain(caught.value)
+    assert reason in explain(caught.value)
+    path = tmp_path / "broken.toml"
+    path.write_text(tomli_w.dumps(data))
+    with pytest.raises(ValueError, match=r"broken\.toml"):
+        Scene.from_toml(path)
+
+
+def test_not_toml(tmp_path):
+    (tmp_path / "scene.toml").write_text("feed_speed: 0.2")
+    with pytest.raises(ValueError, match=r"scene\.toml: not a TOML file"):
+        Scene.from_toml(tmp_path / "scene.toml")
+
+
+def test_copies_are_validated_and_keep_the_other_fields():
+    scene = Scene(contact={"stiffness": 2e5})
+    changed = scene.model_copy(update={"contact": {"friction": 0.2}, "feed_speed": 0.1})
+    assert (changed.contact.stiffness, changed.contact.friction, changed.feed_speed) == (2e5, 0.2, 0.1)
+    with pytest.raises(ValidationError):
+        scene.model_copy(update={"feed_speed": -1.0})
+    with pytest.raises(ValidationError):
+        scene.model_copy(update={"carrier_length": 59.0})
+    with pytest.raises(ValidationError):
+        scene.feed_speed = 0.1  # frozen
+
+
+def test_helix_may_be_filled_to_the_end():
+    assert Scene(carrier_length=57.5).inserted_length == 60.0
+    assert Scene(tube={"helix_length": 1000.0}, carrier_length=997.5).inserted_length == 1000.0

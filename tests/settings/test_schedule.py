@@ -1,0 +1,115 @@
+"""Schedules are read as written, and every broken file gets an error that says where."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probe_env.schedule import Schedule
+
+FOLDER = Path(__file__).parents[2] / "configs" / "schedules"
+HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)
+def test_shipped_schedules_are_valid_and_written_back_alike(path, tmp_path):
+    schedule = Schedule.read(path)
+    copy = tmp_path / "copy.csv"
+    copy.write_text(schedule.to_csv())
+    again = Schedule.read(copy)
+    assert (again.over, again.interpolation, again.position) == (
+        schedule.over,
+        schedule.interpolation,
+        schedule.position,
+    )
+    assert again.feed_speed == pytest.approx(schedule.feed_speed, rel=1e-5)
+    assert again.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-5)
+
+
+def test_linear_and_steps(tmp_path):
+    path = tmp_path / "s.csv"
+    path.write_text(HEAD + "10,0.4,72\n20,0.2,36\n")
+    feed, air = Schedule.read(path).at([0.0, 10.0, 15.0, 20.0, 99.0])
+    assert feed == pytest.approx([0.4, 0.4, 0.3, 0.2, 0.2])
+    assert air == pytest.approx([0.02, 0.02, 0.015, 0.01, 0.01])
+    path.write_text("# interpolation: steps\n" + HEAD + "10,0.4,72\n20,0.2,36\n")
+    feed, _ = Schedule.read(path).at(np.array([0.0, 10.0, 19.9, 20.0, 99.0]))
+    assert feed == pytest.approx([0.4, 0.4, 0.4, 0.2, 0.2])
+
+
+def test_a_measured_log_is_replayed_whatever_else_it_holds(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "\ufefftime_s,temperature_c, feed_speed_m_per_s ,air_supply_m3_per_h\n0,20,0.2,63\n\n1.5,21,0.1,63\n"
+    )
+    schedule = Schedule.read(path)
+    assert schedule.over == "time"
+    assert schedule.at(0.75)[0] == pytest.approx(0.15)
+
+
+BROKEN = {
+    "empty": ("", "empty: a header"),
+    "no rows": (HEAD, "no rows"),
+    "no position": ("feed_speed_m_per_s,air_supply_m3_per_h\n0.2,63\n", "exactly one of the columns time_s"),
+    "two positions": ("time_s," + HEAD + "0,5,0.2,63\n", "exactly one of the columns time_s"),
+    "no feed": ("time_s,air_supply_m3_per_h\n0,63\n", "column feed_speed_m_per_s is missing"),
+    "no air": ("time_s,feed_speed_m_per_s\n0,0.2\n", "column air_supply_m3_per_h is missing"),
+    "wrong unit": ("time_s,feed_speed_mm_per_s,air_supply_m3_per_h\n0,200,63\n", "feed_speed_m_per_s is missing"),
+    "column twice": ("time_s,time_s,feed_speed_m_per_s,air_supply_m3_per_h\n0,0,1,63\n", "'time_s' appears 2 times"),
+    "short row": (HEAD + "5,0.2\n", "line 2 has 2 values for 3 columns"),
+    "long row": (HEAD + "5,0.2,63\n6,0.2,63,1\n", "line 3 has 4 values for 3 columns"),
+    "text": (HEAD + "5,fast,63\n", "line 2, feed_speed_m_per_s = 'fast' is not a number"),
+    "hole": (HEAD + "5,,63\n", "line 2, feed_speed_m_per_s = '' is not a number"),
+    "nan": (HEAD + "5,nan,63\n", "line 2, feed_speed_m_per_s = 'nan' is not finite"),
+    "infinite": (HEAD + "5,0.2,inf\n", "line 2, air_supply_m3_per_h = 'inf' is not finite"),
+    "negative feed": (
+        HEAD + "5,-0.1,63\n",
+        "line 2, feed_speed_m_per_s = -0.1 is outside the accepted range",
+    ),
+    "air in m3/s by a thousand": (HEAD + "5,0.2,63000\n", "air_supply_m3_per_h = 63000.0 is outside"),
+    "negative position": (HEAD + "-5,0.2,63\n", "inserted_length_m = -5.0 is outside"),
+    "not ascending": (HEAD + "5,0.2,63\n4,0.2,63\n", "line 3, inserted_length_m = 4.0 must be greater than 5.0"),
+    "same place twice": (HEAD + "5,0.2,63\n5,0.1,63\n", "line 3, inserted_length_m = 5.0 must be greater than 5.0"),
+    "decimal comma": (HEAD + '5,"0,2",63\n', "line 2, feed_speed_m_per_s = '0,2' is not a number"),
+    "bad quote": (HEAD + '5,"0.2"x,63\n', "not CSV"),
+    "unknown interpolation": (
+        "# interpolation: cubic\n" + HEAD + "5,0.2,63\n",
+        "interpolation = 'cubic'",
+    ),
+    "other comment": ("# by hand\n" + HEAD + "5,0.2,63\n", "line 1: a comment must be"),
+}
+BROKEN_TOML = {
+    "not toml": ("points = [", "not a TOML file"),
+    "no points": ("interpolation = 'linear'", "points must be a list of tables"),
+    "empty points": ("points = []", "points must be a list of tables"),
+    "unknown key": ("pionts = []", "unknown key 'pionts'"),
+    "missing value": (
+        "points=[{time_s=0,feed_speed_m_per_s=0.2,air_supply_m3_per_h=63},{time_s=1,feed_speed_m_per_s=0.2}]",
+        "point 2, air_supply_m3_per_h = None is not a number",
+    ),
+    "a truth": (
+        "points=[{time_s=0,feed_speed_m_per_s=true,air_supply_m3_per_h=63}]",
+        "point 1, feed_speed_m_per_s = True is not a number",
+    ),
+}
+CASES = [(".csv", *case) for case in BROKEN.values()] + [(".toml", *case) for case in BROKEN_TOML.values()]
+
+
+@pytest.mark.parametrize(("suffix", "text", "message"), CASES, ids=[*BROKEN, *BROKEN_TOML])
+def test_broken_files_are_named(suffix, text, message, tmp_path):
+    path = tmp_path / f"broken{suffix}"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        Schedule.read(path)
+    assert str(path) in str(error.value)
+
+
+def test_what_is_not_a_text_file(tmp_path):
+    path = tmp_path / "binary.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="not a text file in UTF-8"):
+        Schedule.read(path)
+    with pytest.raises(ValueError, match=r"must be a \.csv or a \.toml"):
+        Schedule.read(tmp_path / "s.xlsx")
+    with pytest.raises(FileNotFoundError):
+        Schedule.read(tmp_path / "nowhere.csv")
