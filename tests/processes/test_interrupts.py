@@ -156,7 +156,8 @@ def test_the_entry_point_loads_no_packages_before_it_hears_signals():
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT).stdout.split()
     ours = [name for name in loaded if name.partition(".")[0] in ("agents", "probe_env")]
     assert sorted(ours) == [
-        "agents", "agents.cli", "agents.processes", "agents.processes.interrupts", "agents.records", "agents.records.work"
+        "agents", "agents.cli", "agents.processes", "agents.processes.interrupts", "agents.records",
+        "agents.records.work",
     ]  # fmt: skip
     assert not {"numpy", "tyro", "pydantic", "typing_extensions"} & set(loaded)
 
