@@ -63,6 +63,11 @@ class ProbeVecEnv(VecEnv):
         self._rngs: dict[int, np.random.Generator] = {}
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
 
+    @property
+    def kernel_seconds(self) -> float:
+        """Time spent in the kernels so far [s], over all threads."""
+        return self.episodes.batch.kernel_seconds
+
     def reset(self) -> VecEnvObs:
         """Start all episodes, with the seeds of ``seed`` and the options of ``set_options`` if these were called."""
         every = range(self.num_envs)

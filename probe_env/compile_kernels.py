@@ -6,20 +6,17 @@ Without it the first run of a method takes some ten seconds longer; numba keeps 
 from __future__ import annotations
 
 import sys
-from typing import Final
 
+from probe_env.physics.methods import METHODS
 from probe_env.physics.simulator import Simulator
 from probe_env.scene import Scene
-
-TIME_STEPS: Final = {"imex": 2e-4, "imex32": 2e-4, "newmark": 1e-4, "explicit": 5e-6, "implicit": 1e-4}
-"""Method -> a step [s] that holds; ``wilson`` runs through the kernel of ``newmark``."""
 
 
 def compile_kernels() -> None:
     """Run a short scene with every method."""
-    for number, (method, time_step) in enumerate(TIME_STEPS.items(), start=1):
-        print(f"kernels of {method} ({number} of {len(TIME_STEPS)})", file=sys.stderr)
-        Simulator(Scene(carrier_length=1.0), method, time_step).run(1e-3)
+    for number, method in enumerate(METHODS.values(), start=1):
+        print(f"kernels of {method.name} ({number} of {len(METHODS)})", file=sys.stderr)
+        Simulator(Scene(carrier_length=1.0), method.name, method.usual_step).run(1e-3)
 
 
 if __name__ == "__main__":

@@ -16,12 +16,12 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import files
-from typing import Annotated, Any, Final, Literal, NamedTuple, Self
+from typing import Annotated, Any, Final, NamedTuple, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_env.physics.stability import check_rounding, stable_time_step
+from probe_env.physics.methods import METHODS, method_named
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
@@ -34,10 +34,17 @@ AUTO: Final = re.compile(r"auto(?::(?P<tolerance>[^:]+))?")
 LOGGER: Final = logging.getLogger(__name__)
 
 
+def _known(method: str) -> str:
+    try:
+        return method_named(method).name
+    except ValueError as error:
+        raise PydanticCustomError("method", "{text}", {"text": f"not one of {', '.join(METHODS)}"}) from error
+
+
 class Fidelity(Model):
     """Settings of the simulator behind an environment; ``time_lapse`` needs a growing probe."""
 
-    method: Literal["newmark", "wilson", "imex", "imex32", "implicit", "explicit"] = "imex32"
+    method: Annotated[str, AfterValidator(_known)] = "imex32"
     time_step: Annotated[float, quantity(1e-7, 1e-2, "s")] = 2e-4
     nodes_per_pitch: Annotated[int, Field(ge=1, le=64)] = 4
     time_lapse: Annotated[float, quantity(1.0, 1000.0, "")] = 1.0
@@ -45,7 +52,7 @@ class Fidelity(Model):
     @model_validator(mode="after")
     def _step_is_above_rounding(self) -> Self:
         try:
-            check_rounding(self.method, self.time_step)
+            METHODS[self.method].check_step(self.time_step)
         except ValueError as error:
             raise PydanticCustomError("rounding", "{text}", {"text": str(error)}) from error
         return self
@@ -116,7 +123,7 @@ def measured() -> tuple[Measured, ...]:
     return tuple(
         Measured(
             Fidelity(
-                method=row["method"],  # type: ignore[arg-type]
+                method=row["method"],
                 time_step=float(row["time_step"]),
                 time_lapse=float(row["time_lapse"]),
             ),
@@ -166,7 +173,7 @@ def choose_fidelity(
     rated = []
     for fidelity in candidates:
         own = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]
-        if fidelity.time_step <= stable_time_step(scene, fidelity.nodes_per_pitch, fidelity.method) and _complete(
+        if fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch) and _complete(
             own, relevant, fidelity
         ):
             rated.append((max(row.error for row in own), max(row.cost for row in own) / fidelity.time_lapse, fidelity))

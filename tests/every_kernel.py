@@ -8,9 +8,10 @@ import itertools
 import numpy as np
 
 from probe_env import Scene, Simulator, SimulatorBatch
+from probe_env.physics.methods import METHODS, SOLVERS
 
-STEPS = {"newmark": 1e-4, "wilson": 1e-4, "implicit": 1e-4, "imex": 2e-4, "imex32": 2e-4, "explicit": 5e-6}
-LANES = ("imex", "imex32", "explicit")
+STEPS = {name: method.usual_step for name, method in METHODS.items()}
+LANES = [name for name, method in METHODS.items() if method.lanes]
 
 
 def scene(walls, guide=0.3, carrier=0.5):
@@ -37,7 +38,7 @@ def run_all():
         simulator.advance(0.25, 0.03, 90 * step, 9 * step, ("sensor", "tip", "root", 0.2))
         assert simulator.root == simulator.chain.node_count - 1  # to the helix's end
         runs += 1
-    for solver in ("banded", "transfer-matrix"):
+    for solver in list(SOLVERS)[1:]:
         simulator = Simulator(scene("both", 0.0, 0.2), solver=solver)
         thrown(simulator)
         simulator.advance(duration=2e-3)

@@ -17,8 +17,6 @@ from agents.vec_env import ProbeVecEnv
 from probe_env import Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import Fidelity
-from probe_env.physics.methods import lane_group
 
 ENV_ID, LENGTH = "probe_env/Snapshot-v0", 27.5  # carrier length [m]: half of an insertion
 WORKERS, BATCHES = 8, (1, 8, 16, 64)
@@ -76,26 +74,12 @@ def _share_outside_kernel() -> float:
     batch.reset()
     action = np.zeros((16, 2), dtype=np.float32)
     batch.step(action)
-    inside = 0.0
-    method = Fidelity().method
-    kernel = lane_group.KERNELS[method]
-
-    def timed(*arguments: Any) -> Any:
-        nonlocal inside
-        start = time.perf_counter()
-        result = kernel(*arguments)
-        inside += time.perf_counter() - start
-        return result
-
-    lane_group.KERNELS[method] = timed
-    try:
-        start = time.perf_counter()
-        for _ in range(3):
-            batch.step(action)
-        total = time.perf_counter() - start
-    finally:
-        lane_group.KERNELS[method] = kernel
-    return 1.0 - inside / total
+    inside = batch.kernel_seconds
+    start = time.perf_counter()
+    for _ in range(3):
+        batch.step(action)
+    total = time.perf_counter() - start
+    return 1.0 - (batch.kernel_seconds - inside) / total
 
 
 def _episode(fidelity: str) -> float:

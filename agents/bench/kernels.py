@@ -23,8 +23,7 @@ from agents.terminal.tables import print_table
 from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.physics.chain import build_chain
 from probe_env.physics.drive import Drive
-from probe_env.physics.methods import ticm
-from probe_env.physics.methods.lane_group import LANES
+from probe_env.physics.methods import METHODS, ticm
 from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.state import at_rest
 
@@ -90,9 +89,10 @@ def _fast(repeats: int) -> dict[str, dict[str, float]]:
     """Cost of the fast scheme at l = 50 m, one thread, against the study's scheme at its step of 1e-4 s."""
     simulated = 0.4
     newmark, single = Simulator(Scene(), time_step=NEWMARK_STEP), Simulator(Scene(), "imex", IMEX_STEP)
-    lanes = {f"{method}, {LANES[method]} lanes": method for method in ("imex", "imex32")}
+    lanes = {f"{method}, {METHODS[method].width} lanes": method for method in ("imex", "imex32")}
     batches = {
-        name: SimulatorBatch([Scene()] * LANES[method], method, IMEX_STEP, threads=1) for name, method in lanes.items()
+        name: SimulatorBatch([Scene()] * METHODS[method].width, method, IMEX_STEP, threads=1)
+        for name, method in lanes.items()
     }
     jobs: dict[str, Callable[[], object]] = {
         "newmark": lambda: newmark.advance(duration=simulated, sample_period=simulated),

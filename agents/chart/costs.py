@@ -10,13 +10,13 @@ from tqdm import tqdm
 
 from agents.chart.ensembles import Setting
 from agents.records.provenance import provenance, write_atomically, write_json
-from probe_env.physics.methods.lane_group import LANES
+from probe_env.physics.methods import METHODS
 
-METHODS = ("newmark", "wilson", "imex", "imex32", "implicit", "explicit")
 NODES = {"imex": (1, 2, 4, 8, 16)}
 LENGTHS = (10.0, 30.0, 50.0)  # [m]
-TIMED = {"newmark": 500, "wilson": 500, "implicit": 500, "imex": 4000, "imex32": 4000, "explicit": 4000}
-TIME_STEP = {"explicit": 5e-6}  # [s], else 1e-4
+TIMED, TIMED_IN_LANES = 500, 4000
+"""Steps of a method, and of one with lanes."""
+LONGEST_STEP = 1e-4  # [s]
 REPEATS = 5
 
 
@@ -28,10 +28,11 @@ def run_costs(output: Path) -> pd.DataFrame:
     cells = [(m, nodes, length) for m in METHODS for nodes in NODES.get(m, (4,)) for length in LENGTHS]
     rows = []
     for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
-        setting = Setting(method, TIME_STEP.get(method, 1e-4), nodes, length)
-        probes = LANES.get(method, 1)
+        kind = METHODS[method]
+        setting = Setting(method, min(kind.usual_step, LONGEST_STEP), nodes, length)
+        probes = kind.width
         batch = setting.batch(probes, threads=1)
-        steps = TIMED[method]
+        steps = TIMED_IN_LANES if kind.lanes else TIMED
         batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)  # warm, and in contact
         spent = []
         for _ in range(REPEATS):

@@ -21,10 +21,9 @@ from agents.records.store import Store
 from agents.records.work import Work, announce
 from probe_env import Scene
 from probe_env.arrays import FloatArray
-from probe_env.physics import closed_forms
+from probe_env.physics import closed_forms, methods
 from probe_env.physics.bare_chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
 from probe_env.physics.chain import Chain, air_speed, build_chain, sensor_node
-from probe_env.physics.methods.method import SCHEMES
 from probe_env.physics.state import State, at_rest
 
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
@@ -33,7 +32,7 @@ REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
 LAPACK_STEPS = 3
 """LAPACK's solver is five times as slow: the longest steps are enough."""
 LEAST_TIMED = 0.2  # [s] of processor time, repeats included
-METHODS = ("newmark", "wilson", "imex", "imex32", "implicit", "explicit", LAPACK)
+METHODS = (*methods.METHODS, LAPACK)
 CODE = ("agents.chart.smooth:cases", "agents.chart.smooth:integrate")
 BASES = {LAPACK: "banded", "references": REFERENCES[0][0]}
 """Methods whose code those rows depend on."""
@@ -62,13 +61,13 @@ class Case:
     def start(self, method: str, time_step: float) -> State:
         """State at t = 0; the velocities of ``explicit`` live half a step earlier."""
         state = at_rest(self.chain.node_count)
-        for target, values in zip((state.d, state.v, state.a), (self.d, self.v, self.a), strict=True):
+        for target, values in zip((state.d, state.v, state.memory), (self.d, self.v, self.a), strict=True):
             if values is not None:
                 target[:-1] = values
         if method == "explicit":
-            state.v[:] -= 0.5 * time_step * state.a
-        if method not in SCHEMES and method != LAPACK:
-            state.a[:] = 0.0  # not an acceleration there
+            state.v[:] -= 0.5 * time_step * state.memory
+        if method != LAPACK and methods.METHODS[method].solved_by is None:
+            state.memory[:] = 0.0  # not an acceleration there
         return state
 
 

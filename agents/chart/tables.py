@@ -16,7 +16,7 @@ from agents.chart.figures import resolved
 from agents.chart.smooth import METHODS, REFERENCES, cases
 from probe_env.fidelity import PRESETS
 from probe_env.physics.bare_chains import LAPACK
-from probe_env.physics.methods.lane_group import PRECISIONS
+from probe_env.physics.methods import METHODS as KNOWN
 
 Row = Mapping[Any, Any]
 
@@ -35,7 +35,9 @@ def smooth(table: pd.DataFrame) -> str:
 
 def _slope(rows: pd.DataFrame, method: str) -> str:
     part = rows[(rows["method"] == method) & rows["error"].notna()].sort_values("time_step_s")
-    if PRECISIONS.get(method) is np.float32:  # rounding grows as the step shrinks: there is a best step, no order
+    if (
+        method in KNOWN and KNOWN[method].least_step > 0.0
+    ):  # rounding grows as the step shrinks: there is a best step, no order
         least = part.nsmallest(1, "error").iloc[0]
         return f"least error {least['error']:.1e} at {least['time_step_s']:g} s"
     part = part[part["error"] > 1e-8].head(4)  # the finest steps that rounding does not reach

@@ -16,8 +16,16 @@ class Results:
     plan: bool = False
     """Only say what is stale, why, and how long it takes."""
 
+    confirm: bool = False
+    """Where code was rewritten: run a sample with the commit that made the results and with this one, and keep the
+    results if all numbers are the same."""
+
     def run(self) -> None:
         """Say what is stale, run it, publish it."""
+        from agents.records.confirm import confirm_results
         from agents.records.stages import run_results
 
-        run_results(self.stages, self.plan)
+        if self.confirm:
+            confirm_results(self.stages)
+        else:
+            run_results(self.stages, self.plan)

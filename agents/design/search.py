@@ -32,7 +32,7 @@ from agents.terminal.masking import masked
 from agents.terminal.tables import print_table
 from probe_env import Design
 from probe_env.design import RANGES
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, metre_cost
 from probe_env.envs.trials import SPAN
 
 
@@ -195,10 +195,10 @@ def run_design_search(
 def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
     """The design of the front with the best reward by the task's weights, among those that keep some drive."""
 
-    def cost(row: dict[str, float]) -> float:  # the reward's terms; air of a given schedule is the same for all
-        vibration = config.vibration_weight * SPAN * row["mean_square_ratio"]
-        seconds = config.time_weight + config.air_weight * row.get("air_supply_rate", 0.0)
-        return vibration + seconds * row["inspection_time_s"] + config.progress_weight * row["guide_length"]
+    def cost(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
+        feed, air = SPAN / row["inspection_time_s"], row.get("air_supply_rate", 0.0)
+        metre = metre_cost(config, *map(np.asarray, (row["mean_square_ratio"], feed, air)))
+        return float(SPAN * metre) + config.progress_weight * row["guide_length"]
 
     rows: list[Any] = front.to_dict("records")
     best = min([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=cost)

@@ -39,7 +39,6 @@ from agents.terminal.tables import print_table
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.contexts import spread_contexts
 from probe_env.fidelity import resolve_fidelity
-from probe_env.physics.methods import lane_group
 
 CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
 
@@ -173,17 +172,19 @@ def train(
             set_random_seed(_seed_of(seed, phase))
             env.seed(_seed_of(seed, phase))
             model._last_obs = None  # new episodes
-            with _Stopwatch() as watch:
-                if phase == 0:
-                    assert training.imitation is not None
-                    imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, bar.update)  # type: ignore[arg-type]
-                else:
-                    model.set_logger(_logger(folder, phase))
-                    model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
-                    model.logger.close()
+            batch = env.venv
+            assert isinstance(batch, ProbeVecEnv)
+            kernels = batch.kernel_seconds
+            if phase == 0:
+                assert training.imitation is not None
+                imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, bar.update)  # type: ignore[arg-type]
+            else:
+                model.set_logger(_logger(folder, phase))
+                model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
+                model.logger.close()
             wall = time.perf_counter() - begin
             rows.append(_validated(training, model, seed, phase, made, folder, rows, threads))
-            rows[-1] |= {"wall_s": wall, "kernel_s": watch.seconds}
+            rows[-1] |= {"wall_s": wall, "kernel_s": batch.kernel_seconds - kernels}
             _save(model, rows, folder / CHECKPOINT)
             _write_curve(rows, folder)
     return pd.DataFrame(rows)
@@ -290,25 +291,3 @@ class _Bar(BaseCallback):
     def _on_step(self) -> bool:
         self.update(self.training_env.num_envs)
         return True
-
-
-class _Stopwatch:
-    """Time spent in the lanes' kernel [s], summed over threads, while it is entered."""
-
-    def __enter__(self) -> _Stopwatch:
-        self.seconds, self._kernels = 0.0, dict(lane_group.KERNELS)
-        for name, kernel in self._kernels.items():
-            lane_group.KERNELS[name] = self._timed(kernel)
-        return self
-
-    def _timed(self, kernel: Any) -> Any:
-        def timed(*arguments: Any) -> Any:
-            start = time.perf_counter()
-            result = kernel(*arguments)
-            self.seconds += time.perf_counter() - start
-            return result
-
-        return timed
-
-    def __exit__(self, *_: object) -> None:
-        lane_group.KERNELS.update(self._kernels)

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig, in_si_units
+from probe_env.envs.observations import in_si_units
+from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 State = tuple[np.ndarray, ...]
@@ -61,10 +62,7 @@ class FixedPolicy(ABC):
         memory[new] = fresh
         feed, air = self.targets({"time": memory[:, 0], **in_si_units(self.config, rows)}, memory[:, 1:])
         memory[:, 0] += self.config.period
-        actions = []
-        for values, (low, high) in ((feed, self.config.feed_speeds), (air, self.config.air_supply_rates)):
-            actions.append(2.0 * (np.clip(values, low, high) - low) / (high - low) - 1.0)
-        action = np.column_stack(actions).astype(np.float32)
+        action = self.config.actions(feed, air).astype(np.float32)
         return (action[0] if np.ndim(observation) == 1 else action), (memory,)
 
     def describe(self) -> dict[str, Any]:

@@ -12,11 +12,12 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.vibration_map import CONTEXT, FEEDS, STORED, features_of, metre_cost, stored_map
+from agents.policies.vibration_map import CONTEXT, FEEDS, STORED, expected_cost, features_of, stored_map
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.task import RF_FLOOR, TaskConfig
+from probe_env.envs.observations import RF_FLOOR
+from probe_env.envs.task import TaskConfig
 from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 from probe_env.schedule import Schedule
@@ -40,7 +41,7 @@ def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     return feed.ravel(), blown.ravel()
 
 
-def metre_costs(contexts: FloatArray, config: TaskConfig, shift: float = 0.0) -> FloatArray:
+def expected_costs(contexts: FloatArray, config: TaskConfig, shift: float = 0.0) -> FloatArray:
     """(contexts, knots, g) expected cost of a metre at every knot, for every feed and air of the grid.
 
     ``shift`` [decades] is by how much more the probe vibrates than the map says.
@@ -49,7 +50,7 @@ def metre_costs(contexts: FloatArray, config: TaskConfig, shift: float = 0.0) ->
     costs = []
     for context in contexts:
         mean, deviation = _grid_vibration(tuple(map(float, context)), config)
-        costs.append(metre_cost(mean + shift, deviation, feed, air, config).reshape(len(KNOTS), -1))
+        costs.append(expected_cost(mean + shift, deviation, feed, air, config).reshape(len(KNOTS), -1))
     return np.array(costs)
 
 
@@ -69,7 +70,7 @@ def best_schedule_for(context: Context, config: TaskConfig, shift: float = 0.0) 
     ``shift`` [decades] is by how much more the probe vibrates than the map says.
     """
     values = np.array([[getattr(context, name) for name in CONTEXT]])
-    best = metre_costs(values, config, shift)[0].argmin(axis=1)
+    best = expected_costs(values, config, shift)[0].argmin(axis=1)
     feed, air = (column[best] for column in grid(config))
     return Schedule("inserted_length", "linear", tuple(KNOTS), tuple(map(float, feed)), tuple(map(float, air)))
 

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from agents.policies.fixed import Scheduled
 from agents.policies.on_map import LEAST_AIR
-from agents.policies.vibration_map import CONTEXT, FEEDS, VibrationMap, features_of, metre_cost, stored_map
+from agents.policies.vibration_map import CONTEXT, FEEDS, VibrationMap, expected_cost, features_of, stored_map
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, load_contexts
@@ -93,7 +93,9 @@ class MapCost:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         lengths, tubes = self._tiled
         feed, air = schedule.at(lengths)
-        cost = metre_cost(*self.vibration.distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config)
+        cost = expected_cost(
+            *self.vibration.distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config
+        )
         return float(len(METRES) * (self.config.progress_weight - cost.mean()))
 
 

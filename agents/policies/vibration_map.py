@@ -27,7 +27,7 @@ from agents.records.tables import PROFILE
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, load_contexts
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, capped_square, metre_cost
 from probe_env.fidelity import PRESETS
 
 SEGMENT: Final = 3.0  # [m] of constant feed and air
@@ -131,7 +131,7 @@ def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: 
     )
 
 
-def metre_cost(
+def expected_cost(
     mean: FloatArray, deviation: FloatArray, feed: FloatArray, air: FloatArray, config: TaskConfig
 ) -> FloatArray:
     """Expected cost (n,) of a metre (progress left out): vibration, time and air, by the task's weights.
@@ -147,9 +147,8 @@ def metre_cost(
         raise ValueError(f"vibration_measure = {config.vibration_measure!r}: the map knows displacement only")
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
     logarithms = mean[:, None] + deviation[:, None] * nodes
-    ratio = np.minimum(10.0**logarithms * 1e-4 / config.limit, config.ratio_cap)
-    squares = (ratio**2) @ (weights / weights.sum())
-    return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
+    squares = capped_square(config, 10.0**logarithms * 1e-4 / config.limit) @ (weights / weights.sum())
+    return metre_cost(config, squares, feed, air)
 
 
 def fit_map(profile: pd.DataFrame, seed: int = 0) -> tuple[VibrationMap, dict[str, float]]:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_env.envs.task import OBSERVATIONS, TaskConfig, in_si_units
+from probe_env.envs.observations import OBSERVATIONS, in_si_units
+from probe_env.envs.task import TaskConfig, action_of, share_between, share_of
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity
 
@@ -98,21 +99,22 @@ class View(Model):
     def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) actions of the environment for the agent's: its feed action is of the logarithm."""
         low, high = config.feed_speeds
-        share = 0.5 * (np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0) + 1.0)
-        feed = low * (high / low) ** share[:, 0]
-        linear = 2.0 * (feed - low) / (high - low) - 1.0
+        share = share_of(np.asarray(actions, dtype=np.float64))
+        linear = action_of(share_between(low * (high / low) ** share[:, 0], config.feed_speeds))
         floor = self._air_floor(config)
         blown = floor + (1.0 - floor) * share[:, 1]
-        return np.clip(np.column_stack([linear, 2.0 * blown - 1.0]), -1.0, 1.0).astype(np.float32)
+        acted: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
+        return np.clip(acted, -1.0, 1.0)
 
     def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
         low, high = config.feed_speeds
-        feed = low + 0.5 * (np.asarray(actions[:, 0], dtype=np.float64) + 1.0) * (high - low)
-        logarithmic = 2.0 * np.log(feed / low) / np.log(high / low) - 1.0
+        share = share_of(np.asarray(actions, dtype=np.float64))
+        feed = low + share[:, 0] * (high - low)
+        logarithmic = action_of(np.log(feed / low) / np.log(high / low))
         floor = self._air_floor(config)
-        blown = (0.5 * (np.asarray(actions[:, 1], dtype=np.float64) + 1.0) - floor) / (1.0 - floor)
-        acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, 2.0 * blown - 1.0]).astype(np.float32)
+        blown = (share[:, 1] - floor) / (1.0 - floor)
+        acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
         return np.clip(acted, -1.0, 1.0)
 
     def _air_floor(self, config: TaskConfig) -> float:

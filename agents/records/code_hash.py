@@ -3,14 +3,16 @@
 It is blind to where a definition stands, to comments, docstrings, annotations, imports, checks, the wording of errors
 and warnings, to what reads and writes files, and to Python's version, so files can be moved and typed without making
 stored results old. What counts is the body of every function, class and constant that can be reached: a class
-(annotations name classes too) with its fields and those of its methods whose names occur in what is reached. A
-method's results do not depend on the modules of other methods.
+(annotations name classes too) with its fields and those of its methods whose names occur in what is reached. Results
+of one method do not depend on the others.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
+import itertools
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from importlib.util import find_spec
@@ -18,19 +20,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 PACKAGES: Final = ("probe_env", "agents")
-TICM: Final = ("ticm",)
-LANES: Final = ("imex", "lane_group", "lanes", "factors")
-METHOD_MODULES: Final[dict[str, tuple[str, ...]]] = {
-    "newmark": TICM,
-    "wilson": TICM,
-    "implicit": (*TICM, "implicit", "factors"),
-    "imex": LANES,
-    "imex32": LANES,
-    "explicit": LANES,
-    "banded": (*TICM, "banded"),
-}
-"""The modules of ``probe_env.physics.methods`` in which a method is written."""
-ALL_METHODS: Final = frozenset({*TICM, *LANES, "implicit", "banded", "transfer_matrix"})
+REGISTRY: Final = "probe_env.physics.methods"
+"""Lists all methods: a result depends on its own, which is added to the roots."""
+ALL: Final = "all"
 ASIDE: Final = (
     "agents.design.database", "agents.learning.checkpoints", "agents.records.arrays", "agents.records.atomic",
     "agents.records.code_hash", "agents.records.models", "agents.records.provenance",
@@ -55,15 +47,30 @@ def code_hash(roots: tuple[str, ...], method: str | None = None) -> str:
 
     Args:
         roots: where the work starts, "module:function" or "module:Class.method".
-        method: of the simulation; the modules of other methods are left out. None: all methods count.
+        method: of the simulation, or another solver of its linear system; ``ALL``: all of them count.
 
     Call it from one thread only: CPython 3.11 cannot parse in two.
     """
-    others = ALL_METHODS - set(METHOD_MODULES[method]) if method else frozenset()
     digest = hashlib.sha256()
-    for text in sorted(_texts(roots, frozenset(f"probe_env.physics.methods.{name}" for name in others))):
+    for text in sorted(_texts((*roots, *(method_roots(method) if method else ())))):
         digest.update(text.encode() + b"\n")
     return digest.hexdigest()[:16]
+
+
+def method_roots(name: str) -> tuple[str, ...]:
+    """Where the code of a method or solver begins, or of ``ALL``.
+
+    Raises:
+        KeyError: there is no such method or solver.
+    """
+    from probe_env.physics import methods
+
+    known: dict[str, tuple[object, ...]] = {method: (value,) for method, value in methods.METHODS.items()}
+    known |= {s: (methods.METHODS["newmark"], value) for s, value in methods.SOLVERS.items() if value is not None}
+    wanted = dict.fromkeys(itertools.chain(*(known.values() if name == ALL else [known[name]])))
+    modules = [module for key, module in sorted(sys.modules.items()) if key.startswith(f"{REGISTRY}.")]
+    places = {id(value): f"{module.__name__}:{key}" for module in modules for key, value in vars(module).items()}
+    return tuple(places[id(value)] for value in wanted)
 
 
 def class_hash(kind: type, *methods: str) -> str:
@@ -73,7 +80,7 @@ def class_hash(kind: type, *methods: str) -> str:
     return code_hash(tuple(f"{kind.__module__}:{kind.__qualname__}.{name}" for name in methods))
 
 
-def _texts(roots: tuple[str, ...], without: frozenset[str]) -> Iterator[str]:
+def _texts(roots: tuple[str, ...]) -> Iterator[str]:
     """Every reachable definition in its canonical form, its name first."""
     todo: list[Definition | None] = []
     names_used: set[str] = set()
@@ -88,7 +95,7 @@ def _texts(roots: tuple[str, ...], without: frozenset[str]) -> Iterator[str]:
     seen: set[tuple[str, str]] = set()
     while todo:
         found = todo.pop()
-        if found is None or found.module in without or _is_aside(found.module) or (found.module, found.name) in seen:
+        if found is None or _is_aside(found.module) or (found.module, found.name) in seen:
             continue
         seen.add((found.module, found.name))
         parts: list[ast.AST] = [found.node]
@@ -111,7 +118,7 @@ def _texts(roots: tuple[str, ...], without: frozenset[str]) -> Iterator[str]:
 
 
 def _is_aside(module: str) -> bool:
-    return any(module == name or module.startswith(f"{name}.") for name in ASIDE)
+    return module == REGISTRY or any(module == name or module.startswith(f"{name}.") for name in ASIDE)
 
 
 def _uses(node: ast.AST, module: str) -> tuple[set[str], list[Definition | None]]:

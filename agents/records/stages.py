@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field
 
-from agents.records.code_hash import code_hash
+from agents.records.code_hash import ALL, code_hash
 from agents.records.models import Made
 from agents.records.provenance import (
     CHECKOUT,
@@ -50,9 +50,10 @@ class Stage(Model):
         command: of ``probe-env``; ``{work}`` is the folder that it works in.
         publish: published folder -> patterns of the files in the work folder that go there.
         code: where the code that the results depend on begins, see ``code_hash``.
-        method: of the simulation; None: all methods count.
+        method: of the simulation; "all": all methods count.
         reads: patterns of files that the results depend on.
         after: stages whose results it reads.
+        sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``.
         minutes: that it takes on two cores, before it has been measured here.
     """
 
@@ -60,9 +61,10 @@ class Stage(Model):
     command: str
     publish: dict[str, tuple[str, ...]]
     code: tuple[str, ...]
-    method: str | None = None
+    method: str = ALL
     reads: tuple[str, ...] = ()
     after: tuple[str, ...] = ()
+    sample: dict[str, str] = Field(default_factory=dict)
     minutes: Annotated[float, Field(gt=0.0)]
 
     def state(self) -> dict[str, str]:
@@ -104,6 +106,8 @@ class MadeStage(Made):
     inputs: str
     seconds: float
     files: tuple[str, ...]
+    confirmed: tuple[dict[str, Any], ...] = ()
+    """Changes of the code that a sample showed to change nothing."""
 
 
 class Stages(Model):

@@ -79,7 +79,7 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
             seed=member,
         )
     simulator.root += case.root_offset  # a chain that could grow has the nodes; it keeps its length
-    simulator.drive.growth = 0.0
+    simulator.hold_length()
     row: dict[str, object] = {
         "case": case.name,
         "member": member,

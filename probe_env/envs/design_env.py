@@ -13,8 +13,9 @@ from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.env import Observation, task_config
 from probe_env.envs.limits import check_simulable
+from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED
 from probe_env.envs.starts import SETTLING, Contexts, Starts, drawn_context
-from probe_env.envs.task import OBSERVATIONS, PRIVILEGED, TaskConfig
+from probe_env.envs.task import TaskConfig, action_of, share_of
 from probe_env.envs.trials import Controller, judge, section_scenes, try_insertions, try_sections
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.scene import Scene
@@ -115,7 +116,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
     @staticmethod
     def action_of(design: Design) -> Observation:
         """(7,) the action that builds a design."""
-        return (2.0 * design.to_unit() - 1.0).astype(np.float32)
+        action: Observation = action_of(design.to_unit()).astype(np.float32)
+        return action
 
     @staticmethod
     def design_of(action: Observation) -> Design:
@@ -127,7 +129,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         values = np.asarray(action, dtype=float)
         if values.shape != (len(RANGES),) or not (np.abs(values) <= 1.0 + 1e-6).all():
             raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
-        return Design.from_unit(0.5 * (np.clip(values, -1.0, 1.0) + 1.0))
+        return Design.from_unit(share_of(values))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -18,8 +18,19 @@ from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.kpis import Tally
 from probe_env.envs.limits import check_simulable
+from probe_env.envs.observations import observe
 from probe_env.envs.starts import SETTLING, Contexts, Probes, Starts
-from probe_env.envs.task import MEASURES, TaskConfig, observe, reward_terms
+from probe_env.envs.task import (
+    MEASURES,
+    Ending,
+    TaskConfig,
+    air_used,
+    capped_square,
+    ending,
+    reward_terms,
+    slack,
+    travel,
+)
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.physics.batch import SimulatorBatch, Window
 from probe_env.physics.simulator import Simulator
@@ -28,7 +39,6 @@ from probe_env.settings import whole_steps
 
 SAMPLE_PERIOD: Final = 1e-3  # [s]
 START_PERTURBATION: Final = 1e-7  # [m]
-END_TOLERANCE: Final = 1e-6  # [m]; actions are float32
 
 
 @dataclass(frozen=True)
@@ -131,20 +141,17 @@ class Episodes:
             self.start[k] = simulator.inserted_length
             self.tally[k] = Tally()
             self.actions[k] = self.start_action
-            simulator.drive.growth = 0.0  # settling is not inspection
+            simulator.hold_length()  # settling is not inspection
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
         window = self.batch.advance(None, None, self.config.settle_time, SAMPLE_PERIOD, active, keep_samples=True)
         assert window.radial is not None
-        noise = np.zeros((len(self), 2))
         infos = {}
         for k in which:
-            simulator = self.batch.simulators[k]
-            simulator.drive.growth = self.fidelity.time_lapse if self.config.growing else 0.0
+            self.batch.simulators[k].feed_length()
             self.tally[k].last_radial = window.radial[-2:, k].copy()
-            noise[k] = self.rng[k].normal(size=2)
             self.running[k] = True  # one that diverged while settling ends in its first step
-        observation = observe(self.config, self._measured(window), noise)
+        observation = self._observe(window, active)
         for k in which:
             self.observation[k] = observation[k]
             infos[k] = self._info(k, window) | {
@@ -161,64 +168,72 @@ class Episodes:
             ValueError: an action is not valid; nothing has been advanced then.
             RuntimeError: an active episode has ended and was not reset.
         """
-        count, config = len(self), self.config
-        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        actions = np.asarray(actions, dtype=np.float32)
-        if actions.shape != (count, 2):
-            raise ValueError(f"actions have shape {actions.shape}; accepted is ({count}, 2): feed speed, air supply")
-        actions = np.where(chosen[:, None], actions, self.actions)
-        targets = config.targets(actions)
+        chosen, actions = self._decided(actions, active)
+        targets = self.config.targets(actions)
         ended = np.flatnonzero(chosen & ~self.running)
         if len(ended):
             raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")
         change = np.where(chosen[:, None], actions.astype(float) - self.actions, 0.0)
-        self.actions = np.where(chosen[:, None], actions, self.actions).astype(np.float32)
-        before, air_before = self._inserted(), np.array([s.air_supply_rate for s in self.batch.simulators])
+        self.actions = actions
+        before, air_before = self._inserted(), self._air_supply()
         window = self.batch.advance(
             targets[:, 0], targets[:, 1], self._dynamic_period, SAMPLE_PERIOD, chosen, keep_samples=True
         )
-        diverged = window.diverged & chosen
-        good = chosen & ~diverged
-        after = self._inserted()
-        length = np.array([s.scene.tube.helix_length for s in self.batch.simulators])
-        travel = np.where(good, after - before, 0.0)
-        if not config.growing:
-            travel = np.where(good, window.feed_speed * config.period, 0.0)
-        air = np.where(good, 0.5 * (air_before + window.air_supply_rate) * config.period, 0.0)
-        ratio = window.statistics[MEASURES[config.vibration_measure][0]] / config.limit
-        self._count(chosen, good, window, travel, ratio, air)
-        complete = good & (after >= length - END_TOLERANCE) & config.growing
-        lost = np.array([t.lost_drive_run >= config.lost_drive_periods for t in self.tally]) & good & ~complete
-        terminated = complete | lost | diverged
-        out_of_time = np.array([t.time >= config.time_limit - 1e-9 for t in self.tally])
-        truncated = chosen & out_of_time & ~terminated
+        good = chosen & ~window.diverged
+        after, length = self._inserted(), self._helix_length()
+        inspected = np.where(good, travel(self.config, before, after, window.feed_speed), 0.0)
+        air = np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0)
+        ratio = window.statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
+        self._count(chosen, good, window, inspected, ratio, air)
+        slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
+        end = ending(self.config, after, length, slack_periods, time, chosen, window.diverged)
+        over = end.terminated | end.truncated
         reached = np.where(good, after, before)  # what passed in a period that diverged was not inspected
-        left = np.where(terminated | truncated, length - reached, 0.0) if config.growing else np.zeros(count)
-        terms = reward_terms(config, travel, ratio, air, change, left, diverged)
+        left = np.where(over & self.config.growing, length - reached, 0.0)
+        squares, seconds = inspected * capped_square(self.config, ratio), np.full(len(self), self.config.period)
+        terms = reward_terms(self.config, inspected, squares, seconds, air, left, end.diverged, change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
-        noise = np.zeros((count, 2))
-        for k in np.flatnonzero(good):
-            noise[k] = self.rng[k].normal(size=2)
-        observation = observe(config, self._measured(window), noise)
+        observation = self._observe(window, good)
         self.observation[good] = observation[good]  # a diverged probe keeps its last one
-        infos: list[dict[str, Any]] = [{} for _ in range(count)]
-        self.running &= ~(terminated | truncated)
+        self.running &= ~over
+        self.window = window
         for k in np.flatnonzero(chosen):
             self.tally[k].reward += float(reward[k])
-            infos[k] = self._info(k, window) | {
-                "reward_terms": {name: float(values[k]) for name, values in terms.items()},
-                "target_feed_speed": float(targets[k, 0]),
-                "target_air_supply_rate": float(targets[k, 1]),
-                "diverged": bool(diverged[k]),
-                "lost_drive": bool(lost[k]),
-            }
-            if terminated[k] or truncated[k]:
-                total = float(length[k] - self.start[k]) if config.growing else self.tally[k].inspected
-                infos[k]["episode_kpis"] = self.tally[k].kpis(
-                    total, bool(diverged[k]), bool(lost[k]), bool(complete[k])
-                )
-        self.window = window
-        return Step(self.observation.copy(), reward, terminated, truncated, infos)
+        infos = [self._step_info(k, window, terms, targets, end) if chosen[k] else {} for k in range(len(self))]
+        return Step(self.observation.copy(), reward, end.terminated, end.truncated, infos)
+
+    def _decided(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
+        """Which probes are stepped, and the actions (N, 2); of those that are not, the last ones."""
+        count = len(self)
+        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        given = np.asarray(actions, dtype=np.float32)
+        if given.shape != (count, 2):
+            raise ValueError(f"actions have shape {given.shape}; accepted is ({count}, 2): feed speed, air supply")
+        return chosen, np.where(chosen[:, None], given, self.actions).astype(np.float32)
+
+    def _observe(self, window: Window, which: BoolArray) -> npt.NDArray[np.float32]:
+        """Observation (N, d), with new sensor noise for some probes; of the others the rows mean nothing."""
+        noise = np.zeros((len(self), 2))
+        for k in np.flatnonzero(which):
+            noise[k] = self.rng[k].normal(size=2)
+        return observe(self.config, self._measured(window), noise)
+
+    def _step_info(
+        self, k: int, window: Window, terms: Mapping[str, FloatArray], targets: FloatArray, end: Ending
+    ) -> dict[str, Any]:
+        info = self._info(k, window) | {
+            "reward_terms": {name: float(values[k]) for name, values in terms.items()},
+            "target_feed_speed": float(targets[k, 0]),
+            "target_air_supply_rate": float(targets[k, 1]),
+            "diverged": bool(end.diverged[k]),
+            "lost_drive": bool(end.lost_drive[k]),
+        }
+        if not self.running[k]:
+            tally = self.tally[k]
+            length = self._helix_length()[k] - self.start[k] if self.config.growing else tally.inspected
+            how = (bool(end.diverged[k]), bool(end.lost_drive[k]), bool(end.complete[k]))
+            info["episode_kpis"] = tally.kpis(float(length), *how)
+        return info
 
     def _check_simulable(self, k: int, scene: Scene) -> None:
         longest = scene.tube.helix_length if self.config.growing else scene.inserted_length
@@ -228,27 +243,32 @@ class Episodes:
             raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
 
     def _count(
-        self, chosen: BoolArray, good: BoolArray, window: Window, travel: FloatArray, ratio: FloatArray, air: FloatArray
+        self,
+        chosen: BoolArray,
+        good: BoolArray,
+        window: Window,
+        inspected: FloatArray,
+        ratio: FloatArray,
+        air: FloatArray,
     ) -> None:
         """Add a period to the tallies."""
         assert window.radial is not None
-        tension, inserted = window.statistics["tension_mean_n"], self._inserted()
+        hanging = slack(self.config, window.statistics["tension_mean_n"], self._inserted())
         for k in np.flatnonzero(chosen):
             tally = self.tally[k]
             tally.time += self.config.period
             if not good[k]:
                 continue
-            tally.inspected += float(travel[k])
-            tally.within_limit += float(travel[k]) if ratio[k] <= 1.0 else 0.0
+            tally.inspected += float(inspected[k])
+            tally.within_limit += float(inspected[k]) if ratio[k] <= 1.0 else 0.0
             tally.air += float(air[k])
-            slack = tension[k] < self.config.required_tension and inserted[k] >= self.config.lost_drive_from
-            tally.lost_drive_run = tally.lost_drive_run + 1 if slack else 0
-            tally.lost_drive_events += tally.lost_drive_run == self.config.lost_drive_periods
+            tally.slack_periods = tally.slack_periods + 1 if hanging[k] else 0
+            tally.lost_drive_events += tally.slack_periods == self.config.lost_drive_periods
             rms = {
                 "radial": float(window.statistics["radial_rms_m"][k]),
                 "radial_acceleration": float(window.statistics["radial_acceleration_rms_m_per_s2"][k]),
             }
-            tally.add_signals(float(travel[k]), rms, window.radial[:, k], SAMPLE_PERIOD)
+            tally.add_signals(float(inspected[k]), rms, window.radial[:, k], SAMPLE_PERIOD)
 
     def _options(self) -> dict[str, Any]:
         return {
@@ -263,9 +283,16 @@ class Episodes:
         """(N,) cable in the helix, not more than it is long [m]."""
         return np.array([min(s.inserted_length, s.scene.tube.helix_length) for s in self.batch.simulators])
 
+    def _helix_length(self) -> FloatArray:
+        """(N,) [m]."""
+        return np.array([s.scene.tube.helix_length for s in self.batch.simulators])
+
+    def _air_supply(self) -> FloatArray:
+        """(N,) [m3/s]."""
+        return np.array([s.air_supply_rate for s in self.batch.simulators])
+
     def _measured(self, window: Window) -> dict[str, FloatArray]:
         inserted = self._inserted()
-        length = np.array([s.scene.tube.helix_length for s in self.batch.simulators])
         fields = {name: np.array([getattr(c, name) for c in self.context]) for name in Context.model_fields}
         probes = [s.scene.probe for s in self.batch.simulators]
         return {
@@ -273,7 +300,7 @@ class Episodes:
             **fields,
             **{name: np.array([getattr(probe, name) for probe in probes]) for name in RANGES},
             "inserted_length": inserted,
-            "remaining_length": length - inserted,
+            "remaining_length": self._helix_length() - inserted,
             "feed_speed": window.feed_speed,
             "air_supply_rate": window.air_supply_rate,
             "feed_action": self.actions[:, 0].astype(float),

@@ -45,7 +45,7 @@ class Tally:
     air: float = 0.0
     reward: float = 0.0
     lost_drive_events: int = 0
-    lost_drive_run: int = 0
+    slack_periods: int = 0
     squares: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})

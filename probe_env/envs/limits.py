@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 from probe_env.fidelity import Fidelity
 from probe_env.physics.chain import air_speed
-from probe_env.physics.stability import LEAST_STEP, contact_time_step
+from probe_env.physics.methods import METHODS
 from probe_env.scene import Probe, Scene
 
 MOST_TURN: Final = 1.0  # [rad]
@@ -44,7 +44,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         most_air: the greatest air supply [m3/s].
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
-    limit = contact_time_step(scene, fidelity.nodes_per_pitch, fidelity.method)
+    limit = METHODS[fidelity.method].contact_step(scene, fidelity.nodes_per_pitch)
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
@@ -113,6 +113,6 @@ def _that_holds(fidelity: Fidelity, limit: float) -> str:
     """Settings that hold, the step a round one."""
     steps = (float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1))
     step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
-    method = fidelity.method if step >= LEAST_STEP.get(fidelity.method, 0.0) else "imex"
+    method = fidelity.method if step >= METHODS[fidelity.method].least_step else "imex"
     changes = {"method": method, "time_step": step} if step else {"method": "implicit"}
     return repr(fidelity.model_dump() | changes)

@@ -1,11 +1,11 @@
-"""The control task: what is acted, observed, rewarded, and when it ends. Knows no simulator and no environment.
+"""The control task: what is acted, rewarded, and when it ends; what is observed is in ``observations``.
 
-Everything is for N probes at once, one row or entry a probe.
+Knows no simulator and no environment. Everything is for N probes at once, one row or entry a probe.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.design import RANGES
+from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED, PROBE
 from probe_env.settings import Model, quantity
 
 Measure = Literal["displacement", "velocity", "acceleration"]
@@ -23,47 +23,11 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
     "acceleration": ("radial_acceleration_rms_m_per_s2", 20.0),
 }
 """Statistic of a window and default limit of each vibration measure."""
+END_TOLERANCE: Final = 1e-6
+"""[m] of the helix's end at which an insertion is complete; actions are float32."""
 TERMS: Final = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
-ACCELEROMETER_FLOOR: Final = 1e-2  # [m/s2] rms, its own noise
-RF_FLOOR: Final = 1e-6  # [m] of radial rms: noise of the eddy-current signal at rest
-LOAD_CELL: Final = 1e4  # [N], the range that it is built for: overloaded it shows its end
 SHOWN: Final = ("observe_root_tension", "privileged", "observe_probe")
 """Fields of the task that say what is observed, and change nothing else."""
-
-OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
-    "inserted_length": (0.0, 20.0, "cable in the helix / 60 m"),
-    "remaining_length": (-1.0, 20.0, "length still to feed / 60 m"),
-    "feed_speed": (0.0, 6.0, "applied feed speed / (0.4 m/s)"),
-    "air_supply_rate": (0.0, 6.0, "applied air supply / (130 m3/h)"),
-    "radial_acceleration": (-3.0, 8.0, "log10 of the radial accelerometer's rms / (1 m/s2)"),
-    "axial_acceleration": (-3.0, 8.0, "log10 of the axial accelerometer's rms / (1 m/s2)"),
-    "rf_noise": (-4.0, 5.0, "log10 of the eddy-current noise, as radial rms / 0.1 mm; 5 % sensor noise"),
-    "root_tension": (-500.0, 500.0, "mean root tension / 20 N; 2 % sensor noise; the load cell ends at 10 kN"),
-    "previous_feed_action": (-1.5, 1.5, "action before, feed speed"),
-    "previous_air_action": (-1.5, 1.5, "action before, air supply"),
-    "helix_diameter": (0.0, 4000.0, "helix diameter / 2.5 m"),
-}
-"""Name -> (low, high, meaning) of what a rig can measure; no valid run reaches a bound but that of the load cell.
-
-Inserted length, feed, air and helix end at what scenes and tasks accept; radial signals at a displacement of 1 m,
-where a probe counts as diverged. Ten times table 2's drag pulls with 2.4 kN in a straight tube."""
-PRIVILEGED: Final[dict[str, tuple[float, float, str]]] = {
-    "friction": (0.0, 4.0, "friction coefficient / 0.25"),
-    "contact_stiffness": (0.0, 1000.0, "contact stiffness / (1e5 N/m)"),
-    "drag_factor": (0.0, 10.0, "drag over that of table 2"),
-}
-PROBE: Final[dict[str, tuple[float, float, str]]] = {
-    name: (-2000.0, 2000.0, f"{name.replace('_', ' ')}: 0 to 1 in the design space, {low:g} to {high:g} {unit}")
-    for name, (low, high, unit) in RANGES.items()
-}
-"""The probe that was built, for controllers of many probes."""
-UNITS: Final = {
-    "inserted_length": 60.0, "remaining_length": 60.0, "feed_speed": 0.4, "air_supply_rate": 130.0 / 3600.0,
-    "rf_noise": 1e-4, "radial_acceleration": 1.0, "axial_acceleration": 1.0, "root_tension": 20.0,
-    "helix_diameter": 2.5, "friction": 0.25, "contact_stiffness": 1e5, "drag_factor": 1.0,
-}  # fmt: skip
-"""What an observation is a multiple, or the logarithm of a multiple, of [SI unit]."""
-LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
 
 
 class TaskConfig(Model):
@@ -149,7 +113,12 @@ class TaskConfig(Model):
             row, column = np.argwhere(bad)[0]
             raise ValueError(f"action[{column}] = {values[row, column]!r} is outside the accepted range -1 to 1")
         low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        return np.asarray(low + 0.5 * (np.clip(values, -1.0, 1.0) + 1.0) * (high - low))
+        return np.asarray(low + share_of(values) * (high - low))
+
+    def actions(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
+        """(N, 2) actions that ask for feed speeds [m/s] and air supplies [m3/s], or the nearest in the task's range."""
+        wanted = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
+        return np.column_stack([action_of(share_between(np.clip(value, *range_), range_)) for value, range_ in wanted])
 
     def action(self, feed_speed: float, air_supply_rate: float) -> npt.NDArray[np.float32]:
         """(2,) the action that asks for a feed speed [m/s] and an air supply [m3/s].
@@ -157,88 +126,140 @@ class TaskConfig(Model):
         Raises:
             ValueError: out of the task's range.
         """
-        parts = []
         for name, value, (low, high) in (
             ("feed_speed", feed_speed, self.feed_speeds),
             ("air_supply_rate", air_supply_rate, self.air_supply_rates),
         ):
-            part = 2.0 * (value - low) / (high - low) - 1.0
-            if not abs(part) <= 1.0 + 1e-6:
+            if not abs(action_of(share_between(value, (low, high)))) <= 1.0 + 1e-6:
                 raise ValueError(f"{name} = {value!r} is outside the task's range {low:g} to {high:g}")
-            parts.append(min(max(part, -1.0), 1.0))
-        return np.array(parts, dtype=np.float32)
+        action: npt.NDArray[np.float32] = self.actions(feed_speed, air_supply_rate)[0].astype(np.float32)
+        return action
 
 
-def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArray) -> npt.NDArray[np.float32]:
-    """(N, d) observation of what was measured, with standard normal ``noise`` (N, 2) for RF noise and tension."""
-    felt: dict[str, FloatArray] = measured | {
-        "radial_acceleration": np.hypot(measured["radial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
-        "axial_acceleration": np.hypot(measured["axial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
-        "rf_noise": np.hypot(measured["radial_rms_m"], RF_FLOOR) * np.exp(0.05 * noise[:, 0]),
-        "root_tension": np.clip(measured["tension_mean_n"] * (1.0 + 0.02 * noise[:, 1]), -LOAD_CELL, LOAD_CELL),
-        "previous_feed_action": measured["feed_action"],
-        "previous_air_action": measured["air_action"],
-    }
-
-    def column(name: str) -> FloatArray:
-        if name in RANGES:
-            low, high, _ = RANGES[name]
-            return (felt[name] - low) / (high - low)
-        value = felt[name] / UNITS.get(name, 1.0)
-        return np.asarray(np.log10(value) if name in LOGARITHMIC else value)
-
-    return np.column_stack([column(name) for name in config.observations]).astype(np.float32)
+def share_of(action: FloatArray) -> FloatArray:
+    """The share of a range, 0 to 1, that an action in [-1, 1] stands for; beyond it the end."""
+    return np.asarray(0.5 * (np.clip(action, -1.0, 1.0) + 1.0))
 
 
-def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) -> dict[str, FloatArray]:
-    """What observations (N, d) say, by name and in SI units (N,): the inverse of ``observe``.
+def action_of(share: FloatArray) -> FloatArray:
+    """The inverse of ``share_of``."""
+    return 2.0 * share - 1.0
 
-    ``rf_noise`` is the radial rms [m] that would make it, accelerations are rms [m/s2], actions stay as they are.
 
-    Raises:
-        ValueError: the observations are not this task's.
+def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
+    """Where in a range a value is: 0 at its low end, 1 at its high one."""
+    low, high = range_
+    return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
+
+
+class Ending(NamedTuple):
+    """Which of N episodes end with a period and how, (N,) each."""
+
+    complete: BoolArray
+    lost_drive: BoolArray
+    diverged: BoolArray
+    out_of_time: BoolArray
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Ended by what happened."""
+        return self.complete | self.lost_drive | self.diverged
+
+    @property
+    def truncated(self) -> BoolArray:
+        """Ended by the time limit alone."""
+        return self.out_of_time & ~self.terminated
+
+
+def ending(
+    config: TaskConfig,
+    inserted: FloatArray,
+    helix_length: FloatArray,
+    slack_periods: npt.NDArray[np.integer[Any]],
+    time: FloatArray,
+    stepped: BoolArray,
+    diverged: BoolArray,
+) -> Ending:
+    """When an episode ends: the helix's end is reached, drive is lost, the simulation diverged, or time is up.
+
+    Args:
+        config: the task.
+        inserted: cable in the helix [m].
+        helix_length: [m].
+        slack_periods: periods in a row that were ``slack``.
+        time: since the episode began [s].
+        stepped: whether the episode was stepped in this period; others end in nothing.
+        diverged: whether the simulation diverged in it.
     """
-    if observation.ndim != 2 or observation.shape[1] != len(config.observations):
-        raise ValueError(
-            f"observation of shape {observation.shape} is not (N, {len(config.observations)}), as this task's are"
-        )
+    good = stepped & ~diverged
+    complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
+    lost = (slack_periods >= config.lost_drive_periods) & good & ~complete
+    return Ending(complete, lost, diverged & stepped, stepped & (time >= config.time_limit - 1e-9))
 
-    def value(name: str, column: FloatArray) -> FloatArray:
-        if name in RANGES:
-            low, high, _ = RANGES[name]
-            return low + column * (high - low)
-        return UNITS.get(name, 1.0) * (10.0**column if name in LOGARITHMIC else column)
 
-    columns = zip(config.observations, observation.astype(float).T, strict=True)
-    return {name: value(name, column) for name, column in columns}
+def slack(config: TaskConfig, tension: FloatArray, inserted: FloatArray) -> BoolArray:
+    """Whether the root tension [N] is too little to drive the probe; at first, near the entrance, it may be."""
+    return np.asarray((tension < config.required_tension) & (inserted >= config.lost_drive_from))
+
+
+def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed: FloatArray) -> FloatArray:
+    """Metres inspected in a period, by the inserted lengths [m] around it, or the feed speed at constant length."""
+    return after - before if config.growing else feed_speed * config.period
+
+
+def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Air [m3] used in a period, by the supply rates [m3/s] around it."""
+    return 0.5 * (before + after) * config.period
+
+
+def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
+    """What vibration costs a metre, for a ratio of vibration to its limit; beyond ``ratio_cap`` no more."""
+    return np.asarray(np.minimum(ratio, config.ratio_cap) ** 2)
+
+
+def metre_cost(config: TaskConfig, squares: FloatArray, feed: FloatArray, air: FloatArray) -> FloatArray:
+    """Cost (N,) of a metre (progress left out): vibration, time and air.
+
+    Args:
+        config: weights.
+        squares: ``capped_square`` of the vibration, or its mean.
+        feed: feed speed [m/s].
+        air: air supply [m3/s].
+    """
+    return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
 
 
 def reward_terms(
     config: TaskConfig,
-    travel: FloatArray,
-    ratio: FloatArray,
+    inspected: FloatArray,
+    squares: FloatArray,
+    seconds: FloatArray,
     air: FloatArray,
-    action_change: FloatArray,
     uninspected: FloatArray,
     diverged: BoolArray,
+    action_change: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
-    """Named terms (N,) of one period's reward; their sum is the reward.
+    """Named terms (N,) of the reward of a period or of a whole insertion; their sum is the reward.
 
     Args:
         config: weights.
-        travel: of the sensor in the period [m].
-        ratio: vibration over its limit.
-        air: used in the period [m3].
-        action_change: (N, 2) action minus the one before.
+        inspected: by the sensor [m].
+        squares: metres times ``capped_square`` of their vibration.
+        seconds: that it took.
+        air: used [m3].
         uninspected: length left [m] where the episode ends, else 0.
-        diverged: whether the simulation diverged in this period.
+        diverged: whether the simulation diverged.
+        action_change: (N, 2) action minus the one before; None where no actions were taken.
     """
-    return {
-        "progress": config.progress_weight * travel,
-        "vibration": -config.vibration_weight * travel * np.minimum(ratio, config.ratio_cap) ** 2,
-        "time": np.full_like(travel, -config.time_weight * config.period),
+    terms = {
+        "progress": config.progress_weight * inspected,
+        "vibration": -config.vibration_weight * squares,
+        "time": -config.time_weight * seconds,
         "air": -config.air_weight * air,
-        "jerk": -config.jerk_weight * (action_change**2).sum(axis=1),
+    }
+    if action_change is not None:
+        terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
+    return terms | {
         "uninspected": -config.uninspected_weight * uninspected,
         "diverged": -config.diverged_weight * diverged,
     }

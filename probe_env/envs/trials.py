@@ -16,7 +16,7 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, capped_square, reward_terms
 from probe_env.fidelity import Fidelity
 from probe_env.physics.batch import SimulatorBatch
 from probe_env.scene import Scene
@@ -236,19 +236,12 @@ def judge(
     missed = np.maximum(SPAN - covered, 0.0)
     ratio = trial.radial_rms / config.limit
     seconds = trial.widths / np.maximum(trial.feed_speed, 1e-9)
-    squares = (trial.widths * np.minimum(ratio, config.ratio_cap) ** 2).sum(axis=1)
+    squares = (trial.widths * capped_square(config, ratio)).sum(axis=1)
     time, air = seconds.sum(axis=1), (seconds * trial.air_supply_rate).sum(axis=1)
     inspected = trial.inspected
     if inspected is None:
         inspected = np.maximum(helix_length - guides - SENSOR_START - missed, 0.0)
-    terms = {
-        "progress": config.progress_weight * inspected,
-        "vibration": -config.vibration_weight * squares,
-        "time": -config.time_weight * time,
-        "air": -config.air_weight * air,
-        "uninspected": -config.uninspected_weight * missed,
-        "diverged": -config.diverged_weight * trial.diverged,
-    }
+    terms = reward_terms(config, inspected, squares, time, air, missed, trial.diverged)
     length = np.maximum(covered, 1e-9)
     margin = np.where(trial.deep, trial.root_tension, np.inf).min(axis=1) - config.required_tension
     kpis = {

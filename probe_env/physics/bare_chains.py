@@ -11,8 +11,8 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain, build_chain
 from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import Sampling
+from probe_env.physics.methods import method_named, solver_named
 from probe_env.physics.methods.factors import node_matrices
-from probe_env.physics.methods.method import build_method
 from probe_env.physics.methods.ticm import OK
 from probe_env.physics.state import State
 from probe_env.scene import Scene
@@ -79,7 +79,7 @@ def run_chain(
 ) -> ChainRun:
     """Advance a state in place by a method (or ``LAPACK``) at constant feed speed and air speed [m/s]."""
     scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
-    advance = build_method(scheme, solver, chain, time_step, sensor, 4)
+    advance = method_named(scheme).build(chain, time_step, sensor, 4, solver_named(solver))
     inputs = Drive(feed, air).inputs_of_steps(steps, time_step, chain.element_length, 0)
     samples, counts = np.zeros((steps // every, 1, 4)), np.zeros(2, dtype=np.int64)
     sampling = Sampling(every, every, np.array([node], dtype=np.int64), samples, np.zeros(chain.node_count), counts)

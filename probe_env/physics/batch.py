@@ -1,9 +1,10 @@
-"""Many probes of the fast scheme, in lanes of four on a pool of threads: the batch counterpart of Simulator."""
+"""Many probes, those of the fast schemes in lanes, on a pool of threads: the batch counterpart of Simulator."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError
 from probe_env.machine import available_cores
 from probe_env.physics.kernel_call import Sampling, check_array, check_points
-from probe_env.physics.methods.lane_group import LANES, Lane, advance_group
+from probe_env.physics.methods import method_named
+from probe_env.physics.methods.lane_group import Lane, advance_group
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.signals import window_statistics
 from probe_env.physics.simulator import STEPS_PER_CALL, Simulator
@@ -62,6 +64,8 @@ class SimulatorBatch:
         seeds: of each probe's start perturbation; default 0, 1, 2, ...
         options: further arguments of ``Simulator``: growing, time_lapse, ramp, air_lag, perturbation.
 
+    ``kernel_seconds`` adds up what the kernels took, over all threads.
+
     Raises:
         ValueError: an argument is not valid.
     """
@@ -88,6 +92,7 @@ class SimulatorBatch:
             for scene, seed in zip(scenes, seeds, strict=True)
         ]
         self.method, self.time_step, self.nodes_per_pitch = method, time_step, nodes_per_pitch
+        self.kernel_seconds = 0.0
         # the two samples before a window, for differences across its start: every probe comes from rest
         self._before = [np.zeros((2, 3)) for _ in scenes]
 
@@ -171,10 +176,12 @@ class SimulatorBatch:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
         running.sort(key=lambda k: self.simulators[k].root)
-        width = LANES.get(self.method, 1)
+        width = method_named(self.method).width
         groups = [running[start : start + width] for start in range(0, len(running), width)]
         with ThreadPoolExecutor(self.threads) as pool:
-            list(pool.map(lambda group: self._advance_group(group, steps, every, signals), groups))
+            self.kernel_seconds += sum(
+                pool.map(lambda group: self._advance_group(group, steps, every, signals), groups)
+            )
         for k in running:
             self._before[k] = signals[k, -2:].copy()
         return self._window(signals, running, every, keep_samples)
@@ -188,26 +195,30 @@ class SimulatorBatch:
         except ValueError as error:
             raise ValueError(f"probe {k}: {error}") from error
 
-    def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> None:
-        """Advance the probes of a group; sensor x, y and root V go to ``signals`` after the two samples before."""
-        if self.method not in LANES:
-            self._advance_one(group[0], steps, every, signals)
-            return
+    def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> float:
+        """Advance the probes of a group; sensor x, y and root V go to ``signals`` after the two samples before.
+
+        Returns the seconds that the kernels took.
+        """
+        kernel = method_named(self.method).lanes
+        if kernel is None:
+            return self._advance_one(group[0], steps, every, signals)
         members = [self.simulators[k] for k in group]
         lanes = [Lane(*s.lane_constants(), s.state, s.root) for s in members]
         points = [np.array([s.sensor, -1], dtype=np.int64) for s in members]
         for k in group:
             signals[k, :2] = self._before[k]
-        done = 0
+        done, seconds = 0, 0.0
         while done < steps:
             stretch = min(steps - done, STEPS_PER_CALL)
             first = every - done % every
             rows = max(0, (stretch - first) // every + 1)
             samples = [np.zeros((rows, 2, 4)) for _ in group]
             inputs = [s.inputs_of_steps(stretch) for s in members]
-            failed = advance_group(
-                self.method, lanes, inputs, self.time_step, self.nodes_per_pitch, first, every, points, samples
+            failed, kernel_seconds = advance_group(
+                kernel, lanes, inputs, self.time_step, self.nodes_per_pitch, first, every, points, samples
             )
+            seconds += kernel_seconds
             start = 2 + done // every
             for k, rows_of_probe in zip(group, samples, strict=True):
                 signals[k, start : start + rows, 0:2] = rows_of_probe[:, 0, 0:2]
@@ -220,18 +231,22 @@ class SimulatorBatch:
             members = [self.simulators[k] for k in group]
             done += stretch
             if not group:
-                return
+                break
+        return seconds
 
-    def _advance_one(self, k: int, steps: int, every: int, signals: FloatArray) -> None:
+    def _advance_one(self, k: int, steps: int, every: int, signals: FloatArray) -> float:
         """``_advance_group`` for a method that does not run in lanes."""
         simulator = self.simulators[k]
         points, samples = np.array([simulator.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, 4))
         tension_sum, counts = np.zeros(simulator.chain.node_count), np.zeros(2, dtype=np.int64)
+        begin = time.perf_counter()
         with contextlib.suppress(SimulationError):  # kept by the simulator, reported in the window
             simulator.advance_steps(steps, Sampling(every, every, points, samples, tension_sum, counts))
+        seconds = time.perf_counter() - begin
         signals[k, :2] = self._before[k]
         signals[k, 2:, 0:2] = samples[:, 0, 0:2]
         signals[k, 2:, 2] = samples[:, 1, 3]
+        return seconds
 
     def _window(self, signals: FloatArray, running: Sequence[int], every: int, keep: bool) -> Window:
         period = every * self.time_step

@@ -56,15 +56,15 @@ def _inputs(inputs, speed, speed_target, ramp_step, air, air_target, gain, trave
     """Step by step, so that the result does not depend on how a run is cut into calls."""
     for k in range(len(inputs)):
         change = min(max(speed_target - speed, -ramp_step), ramp_step)
-        inputs[k, 0] = speed
-        inputs[k, 1] = change / dt
-        inputs[k, 2] = air
-        inputs[k, 3] = 0.0
+        inputs[k, SPEED] = speed
+        inputs[k, SLOPE] = change / dt
+        inputs[k, AIR] = air
+        inputs[k, APPEND] = 0.0
         speed = speed_target if abs(speed_target - speed) <= ramp_step else speed + change
         air = air_target if gain == 1.0 else air + gain * (air_target - air)
         travel += growth * speed * dt
         if travel >= h and room > 0:
             travel -= h
             room -= 1
-            inputs[k, 3] = 1.0
+            inputs[k, APPEND] = 1.0
     return speed, air, travel

@@ -50,8 +50,8 @@ def check_array(name: str, array: object, shape: tuple[int, ...], dtype: type = 
 def check_state(state: State, root: int, nodes: int, name: str = "state") -> None:
     """Raise ValueError unless a state is that of a chain of ``nodes`` nodes, held at ``root``."""
     if not isinstance(state, State):
-        raise ValueError(f"{name} is a {type(state).__name__}, not a State of d, v, a and axial_force")
-    for field in ("d", "v", "a"):
+        raise ValueError(f"{name} is a {type(state).__name__}, not a State of d, v, memory and axial_force")
+    for field in ("d", "v", "memory"):
         check_array(f"{name}.{field}", getattr(state, field), (nodes, 3))
     check_array(f"{name}.axial_force", state.axial_force, (nodes,))
     if not 1 <= root <= nodes - 1:

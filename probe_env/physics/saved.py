@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Of snapshots and pickles; goes up whenever what a simulator, its drive or a batch holds changes."""
 
 

@@ -16,12 +16,10 @@ from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.physics.chain import air_speed, build_chain, sensor_node
 from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import Sampling, check_state
-from probe_env.physics.methods import ticm
-from probe_env.physics.methods.lane_group import lane_constants
-from probe_env.physics.methods.method import Advance, build_method
+from probe_env.physics.methods import method_named, solver_named, ticm
+from probe_env.physics.methods.method import Advance
 from probe_env.physics.run import Run, point_name, shapes_of
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_same, check_types
-from probe_env.physics.stability import check_rounding, stable_time_step
 from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps, within
@@ -74,7 +72,7 @@ class Simulator:
         seed: int = 0,
     ) -> None:
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
-        check_rounding(method, time_step)
+        method_named(method).check_step(time_step)
         within("time_lapse", time_lapse, 1.0, 1000.0, "")
         within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
         within("air_lag", air_lag, 0.0, 1e3, "s")
@@ -95,7 +93,7 @@ class Simulator:
         self._start_root = round(scene.inserted_length / h)
         self.sensor = sensor_node(scene, self.nodes_per_pitch)
         self._advance = self._build()
-        self.stable_time_step = stable_time_step(scene, self.nodes_per_pitch, method)
+        self.stable_time_step = method_named(method).stable_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             warnings.warn(
                 f"time_step = {time_step:g} s is beyond the known stable limit {self.stable_time_step:.2g} s of"
@@ -115,12 +113,20 @@ class Simulator:
             air=air_speed(self.scene, self.scene.air_supply_rate),
             ramp=self.ramp,
             air_lag=self.air_lag,
-            growth=self.time_lapse if self.growing else 0.0,
         )
+        self.feed_length()
         self._error: SimulationError | None = None
         if self.perturbation > 0.0:
             noise = np.random.default_rng(self.seed).normal(size=self.root)
             self.state.d[: self.root, 1] = self.perturbation * noise
+
+    def hold_length(self) -> None:
+        """Feed without the length growing, until ``feed_length``: a probe that settles inspects nothing."""
+        self.drive.growth = 0.0
+
+    def feed_length(self) -> None:
+        """Let the length grow with the feed, where the probe is a growing one."""
+        self.drive.growth = self.time_lapse if self.growing else 0.0
 
     def snapshot(self) -> dict[str, Any]:
         """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
@@ -168,7 +174,9 @@ class Simulator:
         self._advance = self._build()
 
     def _build(self) -> Advance:
-        return build_method(self.method, self.solver, self.chain, self.time_step, self.sensor, self.nodes_per_pitch)
+        return method_named(self.method).build(
+            self.chain, self.time_step, self.sensor, self.nodes_per_pitch, solver_named(self.solver)
+        )
 
     @property
     def time(self) -> float:
@@ -330,7 +338,10 @@ class Simulator:
 
     def lane_constants(self) -> tuple[FloatArray, FloatArray]:
         """Parameters and factors with which this probe runs in a lane."""
-        return lane_constants(self.method, self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
+        kernel = method_named(self.method).lanes
+        if kernel is None:
+            raise ValueError(f"method = {self.method!r} does not run in lanes")
+        return kernel.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
     def _node(self, point: str | float) -> int:
         """Node of a point; -1 for the root, which moves as the probe grows."""

@@ -10,14 +10,17 @@ from probe_env.arrays import FloatArray
 
 
 class State(NamedTuple):
-    """Displacement, velocity, acceleration (n + 1, 3) and the axial force of each element (n + 1,).
+    """Displacement, velocity, memory of the last step (n + 1, 3) and the axial force of each element (n + 1,).
+
+    What ``memory`` is belongs to the method: the acceleration (Newmark, Wilson), the mean velocity of the last step
+    (implicit), the fields GX, GY, GT of a lane (imex); ``explicit`` has none.
 
     ``axial_force[i]`` is Vbar of (8) at node i, on its root side; the last entry is unused.
     """
 
     d: FloatArray
     v: FloatArray
-    a: FloatArray
+    memory: FloatArray
     axial_force: FloatArray
 
 

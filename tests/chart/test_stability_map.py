@@ -16,7 +16,7 @@ HELD = verdicts(MAP).assign(held=MAP["diverged_at_s"].isna())
 
 def test_the_map_is_complete_and_every_named_limit_holds():
     ran = MAP[["method", "stiffness_n_per_m", "length_m", "friction", "ratio"]]
-    assert list(ran.itertuples(index=False, name=None)) == cells()
+    assert sorted(ran.itertuples(index=False, name=None)) == sorted(cells())
     assert MAP[MAP["method"] == "imex32"]["time_step_s"].min() >= 5e-5
     assert HELD[HELD["ratio"] <= 1.0]["held"].all()
     assert HELD[HELD["method"] == "implicit"]["held"].all()

@@ -13,11 +13,13 @@ from agents.vec_env import ProbeVecEnv
 from probe_env import Context, Design, Fidelity, Probe, Scene, SimulatorBatch, load_contexts
 from probe_env.envs.design_env import HARDEST, STUDY_FEED, DesignEnv
 from probe_env.envs.limits import check_simulable, softest_wall, steady_sliding
+from probe_env.envs.observations import LOAD_CELL, observe
 from probe_env.envs.starts import Starts
-from probe_env.envs.task import LOAD_CELL, TaskConfig, observe
+from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import section_scenes
 from probe_env.fidelity import PRESETS
-from probe_env.physics.stability import FULL, contact_time_step
+from probe_env.physics.methods import METHODS
+from probe_env.physics.methods.stability import FULL
 from probe_env.schedule import Schedule
 
 MOST_AIR = TaskConfig().air_supply_rates[1]
@@ -112,7 +114,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
 @pytest.mark.parametrize("preset", ["study", "reference", "standard"])
 def test_the_fidelity_that_a_refusal_names_is_accepted_and_holds(stiffness, preset):
     fidelity, scene = PRESETS[preset], Scene(carrier_length=5.0, contact={"stiffness": stiffness})
-    limit = contact_time_step(scene, 4, fidelity.method)
+    limit = METHODS[fidelity.method].contact_step(scene, 4)
     assert limit == pytest.approx(FULL / math.sqrt(stiffness / (0.111 * 0.025)))
     if fidelity.time_step > limit:
         with pytest.raises(ValueError, match="give fidelity = ") as error:
@@ -130,11 +132,11 @@ def test_auto_takes_a_step_that_holds_for_all_that_is_drawn():
         episodes = gym.make(env_id, fidelity="auto", probes=probes).unwrapped.episodes
         stiffest = Context(contact_stiffness=1.4e5)
         scene = episodes.starts.build(stiffest, {"probe": HARDEST[0].built.model_dump()} if probes == "random" else {})
-        assert episodes.fidelity.time_step <= contact_time_step(scene, 4, episodes.fidelity.method)
+        assert episodes.fidelity.time_step <= METHODS[episodes.fidelity.method].contact_step(scene, 4)
     soft = gym.make("probe_env/Snapshot-v0", fidelity="auto", scene=Scene(contact={"stiffness": 1e4}))
     soft.reset(seed=0)  # contexts set the stiffness: the scene's own 1e4 N/m would have allowed 5e-4 s
-    assert DesignEnv(fidelity="auto").fidelity.time_step <= contact_time_step(
-        Scene(probe=HARDEST[0].probe(), contact={"stiffness": 1.4e5}), 4, "imex"
+    assert DesignEnv(fidelity="auto").fidelity.time_step <= METHODS["imex"].contact_step(
+        Scene(probe=HARDEST[0].probe(), contact={"stiffness": 1.4e5}), 4
     )
 
 

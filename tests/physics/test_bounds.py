@@ -6,13 +6,14 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from probe_env import Scene, SimulatorBatch
-from probe_env.physics.methods import lane_group
+from probe_env.physics.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
 CANARY = """
@@ -78,9 +79,10 @@ def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
         )
         for k in range(count)
     ]  # fmt: skip
-    results, plain_kernel, calls = [], lane_group.KERNELS[method], []
-    for kernel in (guarded(plain_kernel, calls), plain_kernel):  # the guarded first: it names what it finds
-        monkeypatch.setitem(lane_group.KERNELS, method, kernel)
+    results, plain, calls = [], METHODS[method], []
+    fenced = replace(plain, lanes=replace(plain.lanes, advance=guarded(plain.lanes.advance, calls)))
+    for kind in (fenced, plain):  # the guarded first: it names what it finds
+        monkeypatch.setitem(METHODS, method, kind)
         batch = SimulatorBatch(scenes, method, step, growing=True, time_lapse=1000.0, perturbation=1e-6, threads=1)
         batch.advance(0.25, 0.03, 480 * step, 8 * step)
         active = np.arange(count) % 3 != 1

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.stability import LEAST_STEP
+from probe_env.physics.methods import METHODS
 
 SHORT = Scene(carrier_length=10.0)
 
@@ -131,7 +131,7 @@ def scenes():
     time_step=st.sampled_from([1e-5, 1e-4, 1e-3]),
 )
 def test_no_valid_scene_gives_nan_without_an_error(scene, method, time_step):
-    time_step = max(time_step, LEAST_STEP.get(method, 0.0))
+    time_step = max(time_step, METHODS[method].least_step)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         simulator = Simulator(scene, method, time_step)

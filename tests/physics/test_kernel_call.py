@@ -7,15 +7,19 @@ from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.physics.chain import build_chain
 from probe_env.physics.drive import APPEND, Drive
 from probe_env.physics.kernel_call import Sampling
-from probe_env.physics.methods.method import METHODS, SOLVERS, build_method
-from probe_env.physics.stability import stable_time_step
+from probe_env.physics.methods import METHODS, SOLVERS
 from probe_env.physics.state import at_rest
 
 SCENE = Scene(carrier_length=1.0, probe={"guide_length": 0.5})
 CHAIN = build_chain(SCENE)
 NODES = CHAIN.node_count
 STEPS = 4
-KINDS = [(method, "ticm") for method in METHODS] + [("newmark", solver) for solver in SOLVERS[1:]]
+KINDS = [(method, "ticm") for method in METHODS] + [("newmark", solver) for solver in list(SOLVERS)[1:]]
+
+
+def step_of(method):
+    """A time step [s] that holds."""
+    return min(1e-4, METHODS[method].stable_step(SCENE, 4))
 
 
 def call(**changes):
@@ -47,7 +51,7 @@ REST = at_rest(NODES)
 BAD = {
     r"state.d has shape \(3, 3\)": {"state": REST._replace(d=np.zeros((3, 3)))},
     rf"state.v has shape \({NODES + 2}, 3\)": {"state": REST._replace(v=np.zeros((NODES + 2, 3)))},
-    rf"state.a has shape \({NODES}, 2\)": {"state": REST._replace(a=np.zeros((NODES, 2)))},
+    rf"state.memory has shape \({NODES}, 2\)": {"state": REST._replace(memory=np.zeros((NODES, 2)))},
     "state.d has type float32": {"state": REST._replace(d=np.zeros((NODES, 3), dtype=np.float32))},
     "state.d is not contiguous": {"state": REST._replace(d=np.zeros((3, NODES)).T)},
     "state.d is a list": {"state": REST._replace(d=[[0.0] * 3] * NODES)},
@@ -75,7 +79,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def advances():
-    return {kind: build_method(*kind, CHAIN, min(1e-4, stable_time_step(SCENE, 4, kind[0])), 20, 4) for kind in KINDS}
+    return {(m, s): METHODS[m].build(CHAIN, step_of(m), 20, 4, SOLVERS[s]) for m, s in KINDS}
 
 
 @pytest.mark.parametrize("message", BAD)
@@ -98,7 +102,7 @@ def test_arrays_that_fit_are_advanced_by_every_method(advances):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_state_that_was_replaced_is_an_error_and_nothing_is_advanced(method):
     """It was a write beyond the array, which ended the interpreter."""
-    step = min(1e-4, stable_time_step(SCENE, 4, method))
+    step = step_of(method)
     simulator, batch = Simulator(SCENE, method, step), SimulatorBatch([SCENE, SCENE], method, step)
     simulator.state = simulator.state._replace(d=np.zeros((2, 3)))
     batch.simulators[1].state = batch.simulators[1].state._replace(v=np.zeros((2, 3)))
@@ -138,9 +142,9 @@ UNKNOWN = {
 def test_the_lanes_refuse_a_chain_that_they_would_simulate_in_part(message, method):
     chain = CHAIN._replace(**UNKNOWN[message])
     with pytest.raises(ValueError, match=message.format(method)):
-        build_method(method, "ticm", chain, 1e-4, 20, 4)
+        METHODS[method].build(chain, 1e-4, 20, 4)
     for other in ("newmark", "implicit"):
-        build_method(other, "ticm", chain, 1e-4, 20, 4)
+        METHODS[other].build(chain, 1e-4, 20, 4)
 
 
 @pytest.mark.parametrize(
@@ -155,4 +159,4 @@ def test_the_lanes_refuse_a_chain_that_they_would_simulate_in_part(message, meth
 @pytest.mark.parametrize("method", METHODS)
 def test_a_chain_whose_arrays_do_not_fit_each_other_is_refused(method, changes, sensor, message):
     with pytest.raises(ValueError, match=message):
-        build_method(method, "ticm", CHAIN._replace(**changes), 1e-4, sensor, 4)
+        METHODS[method].build(CHAIN._replace(**changes), 1e-4, sensor, 4)

@@ -81,8 +81,8 @@ NODES = 101
         (changed(["changing", "steps_done"], 1.0), "steps_done = 1.0 is not int"),
         (changed(["changing", "state"], LONG), rf"state.d has shape \(500, 3\); \({NODES}, 3\) is accepted"),
         (
-            changed(["changing", "state"], at_rest(NODES)._replace(a=np.zeros((NODES, 3), np.float32))),
-            "state.a has type",
+            changed(["changing", "state"], at_rest(NODES)._replace(memory=np.zeros((NODES, 3), np.float32))),
+            "state.memory has type",
         ),
         (changed(["changing", "state"], tuple(at_rest(NODES))), r"state \(tuple\) is not State"),
         (changed(["changing", "_error"], "oh"), "_error = 'oh' is not a SimulationError"),
@@ -133,14 +133,14 @@ def test_the_format_goes_up_when_the_layout_changes():
     simulator = Simulator(SCENE)
     batch = SimulatorBatch([SCENE])
     layout = [sorted(vars(simulator)), sorted(vars(simulator.drive)), list(State._fields), sorted(vars(batch))]
-    assert FORMAT == 2
+    assert FORMAT == 3
     assert layout == [
         ["_advance", "_error", "_start_root", "air_lag", "chain", "drive", "growing", "iterations", "method",
          "nodes_per_pitch", "perturbation", "ramp", "root", "scene", "seed", "sensor", "solver", "stable_time_step",
          "state", "steps_done", "time_lapse", "time_step", "unconverged_steps"],
         ["air", "air_lag", "air_target", "growth", "ramp", "speed", "speed_target", "travel"],
-        ["d", "v", "a", "axial_force"],
-        ["_before", "method", "nodes_per_pitch", "simulators", "threads", "time_step"],
+        ["d", "v", "memory", "axial_force"],
+        ["_before", "kernel_seconds", "method", "nodes_per_pitch", "simulators", "threads", "time_step"],
     ]  # fmt: skip
     assert isinstance(simulator.drive, Drive)
 

@@ -13,17 +13,17 @@ from agents.policies.on_map import (
     Privileged,
     TensionScheduled,
     best_schedule_for,
+    expected_costs,
     grid,
-    metre_costs,
 )
 from agents.policies.vibration_map import (
     CONTEXT,
     VibrationMap,
     Wandering,
+    expected_cost,
     features_of,
     fit_map,
     load_quality,
-    metre_cost,
     stored_map,
 )
 from agents.policies.view import HALF_RANGE, MIDDLE, View
@@ -78,7 +78,7 @@ def test_a_known_law_is_found_again():
 def test_the_cost_of_a_metre_is_its_expectation(mean, deviation):
     """E[min(r, 3)^2] + 0.1 / u + 0.2 Q / u against quadrature; the cap's kink costs the 7-point rule some per cent."""
     feed, air = np.array([0.2]), np.array([0.02])
-    cost = metre_cost(*constant_map(mean, deviation).distribution(np.zeros((1, 7))), feed, air, CONFIG)[0]
+    cost = expected_cost(*constant_map(mean, deviation).distribution(np.zeros((1, 7))), feed, air, CONFIG)[0]
 
     def integrand(z):
         return min(10.0 ** (mean + deviation * z), 3.0) ** 2 * norm.pdf(z)
@@ -100,7 +100,7 @@ def test_best_schedule_for_a_tube_is_the_least_cost_and_slower_where_friction_is
     schedules = [best_schedule_for(tube, CONFIG) for tube in (mild, rough)]
     assert schedules[0].at(40.0)[0] > 1.3 * schedules[1].at(40.0)[0]
     tube = np.array([[getattr(rough, name) for name in CONTEXT]])
-    costs = metre_costs(tube, CONFIG)[0]
+    costs = expected_costs(tube, CONFIG)[0]
     feed, air = grid(CONFIG)
     for k in (3, 15):
         least = costs[k].argmin()

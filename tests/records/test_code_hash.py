@@ -1,12 +1,12 @@
 """The hash of the code that results depend on: blind to what changes nothing, and to nothing else."""
 
-import importlib
 import sys
 
 import pytest
 
 from agents.records import code_hash as module
-from agents.records.code_hash import METHOD_MODULES, code_hash
+from agents.records.code_hash import ALL, code_hash, method_roots
+from probe_env.physics.methods import METHODS
 
 PROGRAM = {
     "__init__": "",
@@ -129,23 +129,23 @@ def test_the_form_is_the_same_for_every_python(hash_of):
     assert hash_of(PROGRAM) == "d3cf73e8569ed4da", sys.version
 
 
-def test_an_evaluation_depends_on_task_kpis_and_signals_and_a_method_on_its_own_modules():
+def test_an_evaluation_depends_on_task_kpis_and_signals_and_on_its_own_method_alone():
     code_hash.cache_clear()
     episodes = ("probe_env.envs.episodes:Episodes.step",)
-    others = frozenset(
-        f"probe_env.physics.methods.{name}" for name in module.ALL_METHODS - set(METHOD_MODULES["imex32"])
-    )
-    reached = {text.split(" ")[0] for text in module._texts(episodes, others)}
+    reached = {text.split(" ")[0] for text in module._texts((*episodes, *method_roots("imex32")))}
     assert reached >= {"window_statistics", "Tally.kpis", "TaskConfig.targets", "imex_advance", "Chain", "Drive"}
-    assert not reached & {"ticm_step", "solve_banded_step", "node_equation"}
+    assert not reached & {"ticm_step", "solve_banded_step", "node_equation", "explicit_advance", "implicit_step"}
     newmark, lanes = (code_hash(("agents.study.cases:run_case",), method) for method in ("newmark", "imex32"))
     assert newmark != lanes
 
 
-@pytest.mark.parametrize("method", METHOD_MODULES)
-def test_modules_of_methods_exist(method):
-    for name in METHOD_MODULES[method]:
-        importlib.import_module(f"probe_env.physics.methods.{name}")
+def test_all_methods_and_solvers_have_a_place():
+    assert method_roots("imex32") == ("probe_env.physics.methods.imex:IMEX32",)
+    newmark = "probe_env.physics.methods.newmark:NEWMARK"
+    assert method_roots("banded") == (newmark, "probe_env.physics.methods.banded:stepper")
+    assert set(method_roots(ALL)) >= {
+        f"probe_env.physics.methods.{name.rstrip('32')}:{name.upper()}" for name in METHODS if name != "wilson"
+    }
 
 
 def test_a_root_that_is_not_there_is_named():

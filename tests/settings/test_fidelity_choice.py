@@ -10,7 +10,7 @@ from scatter import apart, reach
 
 from probe_env import Fidelity, Scene, SimulatorBatch
 from probe_env.fidelity import MOST_TIME_LAPSE, PRESETS, choose_fidelity, measured, outputs, resolve_fidelity
-from probe_env.physics.stability import stable_time_step
+from probe_env.physics.methods import METHODS
 
 
 def stated(fidelity, length):
@@ -32,7 +32,7 @@ def test_the_cheapest_within_the_tolerance_is_taken_and_the_reason_told():
     for choice in (loose, tight):
         assert f"{choice.fidelity.time_step:g} s" in choice.reason
         assert "radial_rms_m within" in choice.reason
-        assert choice.fidelity.time_step <= stable_time_step(scene, 4, choice.fidelity.method)
+        assert choice.fidelity.time_step <= METHODS[choice.fidelity.method].stable_step(scene, 4)
     cheaper = [r for r in measured() if r.length == 50.0 and r.stiffness == 1e5 and r.output == "radial_rms_m"]
     assert all(r.error > 0.15 for r in cheaper if r.cost < 0.99 * tight.cost)
 

@@ -24,10 +24,9 @@ from agents.chart.stability.one_mass import bounce, run_one_mass
 from agents.chart.stability.passive import run_digits, run_energy
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.stability import LEAST_STEP, stable_time_step
+from probe_env.physics.methods import METHODS
 
 Cell = tuple[str, float, float, float, float]
-METHODS = ("newmark", "wilson", "imex", "imex32", "explicit", "implicit")
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
 STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
 LENGTHS = (10.0, 50.0)  # [m]
@@ -40,13 +39,13 @@ DURATION = {"explicit": 0.1}  # [s], else 0.5
 def cells() -> list[Cell]:
     """Method, contact stiffness [N/m], length [m], friction and step over the named limit, of all runs."""
     every = product(METHODS, STIFFNESSES, LENGTHS, FRICTIONS, RATIOS)
-    return [cell for cell in every if _scene_and_step(*cell)[1] >= LEAST_STEP.get(cell[0], 0.0)]
+    return [cell for cell in every if _scene_and_step(*cell)[1] >= METHODS[cell[0]].least_step]
 
 
 def _scene_and_step(method: str, stiffness: float, length: float, friction: float, ratio: float) -> tuple[Scene, float]:
     contact = {"stiffness": stiffness, "friction": friction}
     scene = Scene.model_validate({"carrier_length": length, "contact": contact})
-    return scene, ratio * stable_time_step(scene, 4, "newmark" if method == "implicit" else method)
+    return scene, ratio * METHODS["newmark" if method == "implicit" else method].stable_step(scene, 4)
 
 
 def run_cell(method: str, stiffness: float, length: float, friction: float, ratio: float) -> dict[str, Any]:

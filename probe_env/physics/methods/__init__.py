@@ -1,5 +1,44 @@
 """Methods that advance a chain in time: arrays enter, the state moves on in them, a status leaves.
 
-``METHODS`` in ``method`` is the only list of them; a method is a file of kernels and an entry there.
-Imports the chain, the drive and the state below.
+``METHODS`` is the only list of them: a method is a file of kernels that ends with its ``Method``, and an entry here.
+Imports the chain, the drive, the state and what a kernel is called with.
 """
+
+from __future__ import annotations
+
+from typing import Final
+
+from probe_env.physics.methods import banded, transfer_matrix
+from probe_env.physics.methods.explicit import EXPLICIT
+from probe_env.physics.methods.imex import IMEX, IMEX32
+from probe_env.physics.methods.implicit import IMPLICIT
+from probe_env.physics.methods.method import Method
+from probe_env.physics.methods.newmark import NEWMARK, WILSON, Solver
+
+METHODS: Final = {m.name: m for m in (NEWMARK, WILSON, IMEX, IMEX32, IMPLICIT, EXPLICIT)}
+SOLVERS: Final[dict[str, Solver | None]] = {
+    "ticm": None, "banded": banded.stepper, "transfer-matrix": transfer_matrix.stepper
+}  # fmt: skip
+"""Solvers of the linear system of Newmark and Wilson; None: the method's own."""
+
+
+def method_named(name: str) -> Method:
+    """A method by its name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name not in METHODS:
+        raise ValueError(f"method = {name!r} is not one of {', '.join(METHODS)}")
+    return METHODS[name]
+
+
+def solver_named(name: str) -> Solver | None:
+    """A solver by its name; None is the method's own.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name not in SOLVERS:
+        raise ValueError(f"solver = {name!r} is not one of {', '.join(SOLVERS)}")
+    return SOLVERS[name]

@@ -5,21 +5,16 @@ A check on the TICM and the yardstick for its speed: same equations, same update
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.linalg import solve_banded
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain, element_blocks, element_stiffness
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import Scheme, Work
+from probe_env.physics.methods.newmark import Scheme, Step, Work
 from probe_env.physics.state import State
 
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
-
-
-Step = Callable[[FloatArray, int, State, Work], int]
 
 
 def stepper(chain: Chain, scheme: Scheme) -> Step:
@@ -31,7 +26,7 @@ def stepper(chain: Chain, scheme: Scheme) -> Step:
 
     def step(inputs: FloatArray, root: int, state: State, work: Work) -> int:
         ticm.node_equations(chain, scheme, inputs, root, state, work)
-        d, v, a = state.d[: root + 1], state.v[: root + 1], state.a[: root + 1]
+        d, v, a = state.d[: root + 1], state.v[: root + 1], state.memory[: root + 1]
         h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a  # zero at the root
         history = chain.damping_time * (h_v[:-1] @ head.T + h_v[1:] @ tail.T) @ stiffness.T
         right = work.q[:root] - history @ head

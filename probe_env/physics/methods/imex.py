@@ -13,8 +13,7 @@ One step, from displacements d and velocities v at its start:
 
 The matrix never changes, so it is eliminated once, from the tip to the root: the factors depend on the
 distance from the tip alone, converge after some dozen nodes, and serve probes of any length. First order in
-what is explicit, second in the rest. ``explicit`` takes K (d + delta v) into the kick instead: no system to
-solve, but a step some forty times smaller.
+what is explicit, second in the rest. ``explicit`` shares the forces and what follows a step.
 
 Probes run side by side in the lanes of vector registers (see lanes.py): four in double precision (imex), eight
 in single (imex32); the arrays decide. A lane has its own parameters, factors, length and inputs; lanes share
@@ -26,55 +25,60 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
 from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.physics.methods.factors import imex_factors, single_factors
+from probe_env.physics.methods.lane_group import (
+    AXIAL,
+    CARRIER_DRAG,
+    CARRIER_GAP,
+    CARRIER_LEVER,
+    COS,
+    COUPLE,
+    CURVATURE,
+    DAMPING,
+    FACTORS,
+    FIELDS,
+    FRICTION,
+    GT,
+    GUIDE_DRAG,
+    GUIDE_GAP,
+    GUIDE_LEVER,
+    GX,
+    GY,
+    INPUTS,
+    MASS_RATIO,
+    PEAK,
+    ROOT,
+    SENSOR,
+    SIN,
+    STIFFNESS,
+    VT,
+    VX,
+    VY,
+    A,
+    B,
+    C,
+    LaneKernel,
+    T,
+    V,
+    X,
+    Y,
+)  # fmt: skip
 from probe_env.physics.methods.lanes import load, splat, store, where_less
+from probe_env.physics.methods.method import lane_method
 
 DIVERGED_RADIAL = 1.0  # [m]
 
-# rows of the parameters; forces are per mass, moments per inertia
-(
-    ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
-    GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK,
-) = range(18)  # fmt: skip
-PARAMETERS = 18
-# fields of a node, rows of its state: displacement, velocity, partial solution, axial force
-X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
-FIELDS = 10
-# three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
-FACTORS = 27
-A, B, C = 0, 9, 18
-INPUTS = 4
-
-
-def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(18,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
-    carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
-    values = np.zeros(PARAMETERS)
-    values[SENSOR] = sensor
-    values[CURVATURE] = chain.curvature
-    values[STIFFNESS] = chain.contact_stiffness[0] / chain.mass
-    values[FRICTION] = chain.friction
-    values[[GUIDE_DRAG, CARRIER_DRAG]] = chain.drag[0] / chain.mass, chain.drag[carrier] / chain.mass
-    values[[GUIDE_LEVER, CARRIER_LEVER]] = chain.lever[0], chain.lever[carrier]
-    values[[GUIDE_GAP, CARRIER_GAP]] = chain.outer_gap[0], chain.outer_gap[carrier]
-    values[[COS, SIN]] = chain.cos_phi, chain.sin_phi
-    values[AXIAL] = 1.0 / chain.axial_compliance
-    values[COUPLE] = chain.couple_length / chain.inertia
-    values[MASS_RATIO] = chain.mass / chain.inertia
-    values[DAMPING] = chain.damping_time
-    return values
-
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _abs(value):
+def magnitude(value):
+    """Absolute value."""
     zero = splat(value, 0.0)
     return where_less(value, zero, zero - value, value)
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _product(factors, f, x, y, t):
+def product(factors, f, x, y, t):
     """(3, 3) matrix at ``f`` times (x, y, t)."""
     return (
         load(factors, f) * x + load(factors, f + 1) * y + load(factors, f + 2) * t,
@@ -84,7 +88,7 @@ def _product(factors, f, x, y, t):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _less_product(a, b, c, factors, f, x, y, t):
+def less_product(a, b, c, factors, f, x, y, t):
     """(a, b, c) less the (3, 3) matrix at ``f`` times (x, y, t)."""
     return (
         ((a - load(factors, f + 2) * t) - load(factors, f + 1) * y) - load(factors, f) * x,
@@ -94,7 +98,7 @@ def _less_product(a, b, c, factors, f, x, y, t):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _inertia(kappa, couple, forward, vy, t, axial_force, dt):
+def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
     """Coriolis and centrifugal acceleration of (13) and the couple of (9) per inertia.
 
     The couple is a spring of stiffness V l, taken linearly implicit: explicit, a tension above 4 J / (l dt^2),
@@ -107,7 +111,7 @@ def _inertia(kappa, couple, forward, vy, t, axial_force, dt):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def _float(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn):
+def float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn):
     """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
     zero = splat(y, 0.0)
     relative = air - forward
@@ -117,7 +121,7 @@ def _float(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, sli
     lever = where_less(y, zero, lever, zero - lever)  # of the contact point
     most = coefficient * stiffness * (inner + outer)
     friction = where_less(slide + turn * lever, zero, zero - most, most)  # against the slide; zero counts as forward
-    return drag * relative * _abs(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
+    return drag * relative * magnitude(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -138,7 +142,7 @@ def imex_advance(
     tension,
     failed,
 ):
-    """Steps of all lanes by imex; see ``_after_step`` for sampling and failure. Returns the steps done."""
+    """Steps of all lanes by imex; see ``after_step`` for sampling and failure. Returns the steps done."""
     zero = splat(parameters, 0.0)
     last = len(factors) // FACTORS - 1
     delta = load(parameters, DAMPING)
@@ -171,7 +175,7 @@ def imex_advance(
             x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
             vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
             forward = speed + vx
-            ax, ay, at = _inertia(kappa, couple, forward, vy, t, load(state, q + V), dt)
+            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
             if to_float == 0:
                 to_float = per_pitch
                 place = splat(parameters, float(i) - 0.5)
@@ -179,16 +183,16 @@ def imex_advance(
                 gap = where_less(place, sensor, guide_gap, carrier_gap)
                 drag = where_less(place, sensor, guide_drag, carrier_drag)
                 slide, turn = speed + load(state, q + GX) / tau, load(state, q + GT) / tau
-                cx, cy, ct = _float(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn)
+                cx, cy, ct = float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn)
                 ax, ay, at = ax + cx, ay + cy, at - ct
-                height = _abs(y)
+                height = magnitude(y)
                 peak = where_less(peak, height, height, peak)
             to_float -= 1
             # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
             ax, at = ax - slope, at + kappa * ax
             vx, vy, vt = vx + dt * ax, vy + dt * ay, vt + dt * at
-            ex, ey, et = _product(factors, f + A, x + tau * vx, y + tau * vy, t + tau * vt)
-            gx, gy, gt = _less_product(ex, ey, et, factors, f + B, gx, gy, gt)
+            ex, ey, et = product(factors, f + A, x + tau * vx, y + tau * vy, t + tau * vt)
+            gx, gy, gt = less_product(ex, ey, et, factors, f + B, gx, gy, gt)
             store(state, q + VX, vx)
             store(state, q + VY, vy)
             store(state, q + VT, vt)
@@ -204,7 +208,7 @@ def imex_advance(
             q = i * FIELDS
             node = splat(parameters, float(i))
             gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
-            ux, uy, ut = _less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            ux, uy, ut = less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
             ux = where_less(node, held, ux, zero)
             uy = where_less(node, held, uy, zero)
             ut = where_less(node, held, ut, zero)
@@ -223,7 +227,7 @@ def imex_advance(
             i = bottom - 1 - back
             q = i * FIELDS
             gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
-            ux, uy, ut = _less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            ux, uy, ut = less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
             store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
             ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
@@ -237,100 +241,7 @@ def imex_advance(
             store(state, q + VT, bounce * ut - reflection * load(state, q + VT))
         store(parameters, PEAK, peak)
         due -= 1
-        if _after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
-            return step + 1
-        if due == 0:
-            due = every
-            row += 1
-    return len(tops)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def explicit_advance(
-    parameters,
-    factors,
-    state,
-    inputs,
-    tops,
-    bottoms,
-    dt,
-    per_pitch,
-    first,
-    every,
-    points,
-    roots,
-    samples,
-    tension,
-    failed,
-):
-    """Steps of all lanes by central differences; the arguments are those of ``imex_advance``."""
-    zero = splat(parameters, 0.0)
-    delta = load(parameters, DAMPING)
-    kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
-    stiffness, coefficient, ratio = (
-        load(parameters, STIFFNESS),
-        load(parameters, FRICTION),
-        load(parameters, MASS_RATIO),
-    )
-    guide_lever, carrier_lever = load(parameters, GUIDE_LEVER), load(parameters, CARRIER_LEVER)
-    guide_gap, carrier_gap = load(parameters, GUIDE_GAP), load(parameters, CARRIER_GAP)
-    guide_drag, carrier_drag = load(parameters, GUIDE_DRAG), load(parameters, CARRIER_DRAG)
-    cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
-    row, due = 0, first
-    for step in range(len(tops)):
-        k = step * INPUTS
-        speed, slope, air = (
-            load(inputs, k + SPEED),
-            load(inputs, k + SLOPE),
-            load(inputs, k + AIR),
-        )
-        held = load(parameters, ROOT)
-        to_float, peak = 0, zero
-        bx, by, bt = zero, zero, zero  # d + delta v of the node on the tip side
-        x, y, t = load(state, X), load(state, Y), load(state, T)
-        vx, vy, vt = load(state, VX), load(state, VY), load(state, VT)
-        ex, ey, et = x + delta * vx, y + delta * vy, t + delta * vt
-        for i in range(tops[step]):
-            q, f = i * FIELDS, min(i, 1) * FACTORS
-            nx, ny, nt = load(state, q + FIELDS + X), load(state, q + FIELDS + Y), load(state, q + FIELDS + T)
-            nvx, nvy, nvt = load(state, q + FIELDS + VX), load(state, q + FIELDS + VY), load(state, q + FIELDS + VT)
-            aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
-            force = axial * (cosine * (ex - aex) + sine * (ey + aey))
-            forward = speed + vx
-            ax, ay, at = _inertia(kappa, couple, forward, vy, t, force, dt)
-            if to_float == 0:
-                to_float = per_pitch
-                place = splat(parameters, float(i) - 0.5)
-                lever = where_less(place, sensor, guide_lever, carrier_lever)
-                gap = where_less(place, sensor, guide_gap, carrier_gap)
-                drag = where_less(place, sensor, guide_drag, carrier_drag)
-                cx, cy, ct = _float(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, forward, vt)
-                ax, ay, at = ax + cx, ay + cy, at - ct
-                height = _abs(y)
-                peak = where_less(peak, height, height, peak)
-            to_float -= 1
-            # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
-            ax, at = ax - slope, at + kappa * ax
-            ox, oy, ot = _product(factors, f + A, ex, ey, et)
-            px, py, pt = _product(factors, f + B, bx, by, bt)
-            sx, sy, st = _product(factors, f + C, aex, aey, aet)
-            node = splat(parameters, float(i))
-            vx = where_less(node, held, vx + dt * (ax - (ox + px + sx)), zero)
-            vy = where_less(node, held, vy + dt * (ay - (oy + py + sy)), zero)
-            vt = where_less(node, held, vt + dt * (at - (ot + pt + st)), zero)
-            store(state, q + VX, vx)
-            store(state, q + VY, vy)
-            store(state, q + VT, vt)
-            store(state, q + X, x + dt * vx)
-            store(state, q + Y, y + dt * vy)
-            store(state, q + T, t + dt * vt)
-            store(state, q + V, force)
-            bx, by, bt = ex, ey, et
-            ex, ey, et = aex, aey, aet
-            x, y, t, vx, vy, vt = nx, ny, nt, nvx, nvy, nvt
-        store(parameters, PEAK, peak)
-        due -= 1
-        if _after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+        if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
             return step + 1
         if due == 0:
             due = every
@@ -339,7 +250,7 @@ def explicit_advance(
 
 
 @njit(nogil=True, error_model="numpy")
-def _after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+def after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
     """Sampling, failure and growth after a step; True if no lane is left.
 
     ``points`` (p, lanes) are nodes, -1 the root; ``samples`` (rows, p, 4, lanes) get x, y, theta and V when
@@ -367,3 +278,9 @@ def _after_step(parameters, state, inputs, k, step, due, row, points, roots, sam
         roots[lane] += int(inputs[k + APPEND, lane])
         parameters[ROOT, lane] = roots[lane]
     return running == 0
+
+
+IMEX = lane_method("imex", LaneKernel(imex_advance, imex_factors, np.float64), order=2, usual_step=2e-4)
+IMEX32 = lane_method(
+    "imex32", LaneKernel(imex_advance, single_factors, np.float32), order=2, usual_step=2e-4, least_step=5e-5
+)

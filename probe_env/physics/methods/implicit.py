@@ -33,7 +33,10 @@ from numba import njit
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
 from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
-from probe_env.physics.methods.factors import LONG_STEP
+from probe_env.physics.kernel_call import Sampling
+from probe_env.physics.methods.factors import LONG_STEP, implicit_weights
+from probe_env.physics.methods.method import Advance, Method
+from probe_env.physics.methods.stability import any_step
 from probe_env.physics.methods.ticm import (
     DIVERGED,
     DIVERGED_RADIAL,
@@ -45,6 +48,7 @@ from probe_env.physics.methods.ticm import (
     through_point,
     turned,
 )
+from probe_env.physics.state import State
 
 TOLERANCE, LEAST_FORCE = 1e-6, 1e-4  # relative to the largest contact force [N], at least the second
 HALF_STEPS_FROM, FREEZE_AFTER, MOST_ITERATIONS = 8, 25, 40
@@ -303,7 +307,7 @@ def implicit_step(chain, weights, limits, places, inputs, root, state, work):
     for i in range(root):
         free_rows(chain, weights, limits, speed, inputs[SLOPE], inputs[AIR], state, i, work.free_p, work.free_q)
         for k in range(3):  # the first iterate goes on as the last step went, whose mean velocity is kept in a
-            w[i, k] = state.d[i, k] + tau * state.a[i, k]
+            w[i, k] = state.d[i, k] + tau * state.memory[i, k]
             work.iterate[i, k] = w[i, k]
     zeta = 0.5 + 0.5 * dt / (dt + LONG_STEP)
     law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, False)
@@ -324,7 +328,7 @@ def implicit_step(chain, weights, limits, places, inputs, root, state, work):
             mean = (w[i, k] - state.d[i, k]) / tau
             state.d[i, k] += dt * mean
             state.v[i, k] = (mean - (1.0 - theta) * state.v[i, k]) / theta
-            state.a[i, k] = mean
+            state.memory[i, k] = mean
         if bad < 0 and not abs(state.d[i, 1]) <= DIVERGED_RADIAL:
             bad = i
     return iterations, converged and iterations <= FREEZE_AFTER, bad
@@ -350,3 +354,20 @@ def advance(
             record(state, root, points, samples, row, tension_sum)
             row += 1
     return OK, len(inputs), -1, root
+
+
+def _prepare(chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
+    weights = (time_step, *implicit_weights(chain.damping_time, time_step))
+    limits, places = couple_limits(chain, nodes_per_pitch), contact_places(chain)
+    work = workspace(chain.node_count)
+
+    def run(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
+        result: tuple[int, int, int, int] = advance(
+            chain, weights, limits, places, inputs, root, state, work, *sampling
+        )
+        return result
+
+    return run
+
+
+IMPLICIT = Method("implicit", _prepare, 2, 1e-4, stable_step=any_step, contact_step=any_step)

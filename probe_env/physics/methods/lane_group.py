@@ -6,36 +6,66 @@ and a probe's result does not depend on the company it keeps.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.methods import imex
-from probe_env.physics.methods.factors import explicit_factors, imex_factors, single_factors
+from probe_env.physics.drive import APPEND
 from probe_env.physics.methods.lanes import lane_count
 from probe_env.physics.state import State
 
-KERNELS: Final[dict[str, Callable[..., Any]]] = {
-    "imex": imex.imex_advance, "imex32": imex.imex_advance, "explicit": imex.explicit_advance
-}  # fmt: skip
-FACTORS: Final[dict[str, Callable[[Chain, float], FloatArray]]] = {
-    "imex": imex_factors, "imex32": single_factors, "explicit": lambda chain, _: explicit_factors(chain)
-}  # fmt: skip
-PRECISIONS: Final = {"imex": np.float64, "imex32": np.float32, "explicit": np.float64}
-LANES: Final = {method: lane_count(precision) for method, precision in PRECISIONS.items()}
-"""Probes that share a group."""
+# rows of the parameters; forces are per mass, moments per inertia
+(
+    ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
+    GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK,
+) = range(18)  # fmt: skip
+PARAMETERS = 18
+# fields of a node, rows of its state: displacement, velocity, partial solution, axial force
+X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
+FIELDS = 10
+# three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
+FACTORS = 27
+A, B, C = 0, 9, 18
+INPUTS = 4
+
+
+@dataclass(frozen=True)
+class LaneKernel:
+    """What advances a group of lanes.
+
+    Attributes:
+        advance: the kernel, see ``imex.imex_advance``.
+        factors: (k, 27) of a chain and a time step [s].
+        precision: of the numbers in a lane.
+    """
+
+    advance: Callable[..., Any]
+    factors: Callable[[Chain, float], FloatArray]
+    precision: npt.DTypeLike
+
+    @property
+    def width(self) -> int:
+        """Probes that share a group."""
+        return lane_count(self.precision)
+
+    def constants(
+        self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Parameters and factors of a probe."""
+        return lane_parameters(chain, sensor, nodes_per_pitch), self.factors(chain, time_step)
 
 
 @dataclass
 class Lane:
     """One probe as the lanes need it; ``state`` and ``root`` change in place.
 
-    ``state.a`` holds no acceleration here but what a kernel keeps of its last step (fields GX, GY, GT).
+    ``state.memory`` is what a kernel keeps of its last step (fields GX, GY, GT).
     """
 
     parameters: FloatArray
@@ -44,15 +74,27 @@ class Lane:
     root: int
 
 
-def lane_constants(
-    method: str, chain: Chain, sensor: int, per_pitch: int, time_step: float
-) -> tuple[FloatArray, FloatArray]:
-    """Parameters and factors of a probe for a method of ``KERNELS``."""
-    return imex.lane_parameters(chain, sensor, per_pitch), FACTORS[method](chain, time_step)
+def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
+    """(18,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
+    carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
+    values = np.zeros(PARAMETERS)
+    values[SENSOR] = sensor
+    values[CURVATURE] = chain.curvature
+    values[STIFFNESS] = chain.contact_stiffness[0] / chain.mass
+    values[FRICTION] = chain.friction
+    values[[GUIDE_DRAG, CARRIER_DRAG]] = chain.drag[0] / chain.mass, chain.drag[carrier] / chain.mass
+    values[[GUIDE_LEVER, CARRIER_LEVER]] = chain.lever[0], chain.lever[carrier]
+    values[[GUIDE_GAP, CARRIER_GAP]] = chain.outer_gap[0], chain.outer_gap[carrier]
+    values[[COS, SIN]] = chain.cos_phi, chain.sin_phi
+    values[AXIAL] = 1.0 / chain.axial_compliance
+    values[COUPLE] = chain.couple_length / chain.inertia
+    values[MASS_RATIO] = chain.mass / chain.inertia
+    values[DAMPING] = chain.damping_time
+    return values
 
 
 def advance_group(
-    method: str,
+    kernel: LaneKernel,
     lanes: Sequence[Lane],
     inputs: Sequence[FloatArray],
     time_step: float,
@@ -62,11 +104,11 @@ def advance_group(
     points: Sequence[npt.NDArray[np.int64]],
     samples: Sequence[FloatArray],
     tension_sum: FloatArray | None = None,
-) -> list[int]:
-    """Advance as many probes as ``LANES`` of the method, or fewer, by the rows of their inputs.
+) -> tuple[list[int], float]:
+    """Advance as many probes as the kernel has lanes, or fewer, by the rows of their inputs.
 
     Args:
-        method: a key of ``KERNELS``.
+        kernel: of the method.
         lanes: the probes.
         inputs: (steps, 4) of each probe, see drive.py; equally many steps.
         time_step: [s].
@@ -78,49 +120,51 @@ def advance_group(
         tension_sum: (n + 1,) of the first probe, gains the axial force of every sample.
 
     Returns:
-        for each probe the step at which it diverged, counted from 1, or 0.
+        for each probe the step at which it diverged, counted from 1, or 0; seconds that the kernel took.
     """
-    steps, used, width, precision = len(inputs[0]), len(lanes), LANES[method], PRECISIONS[method]
-    packed_inputs = np.zeros((steps, imex.INPUTS, width), dtype=precision)
+    steps, used, width, precision = len(inputs[0]), len(lanes), kernel.width, kernel.precision
+    packed_inputs = np.zeros((steps, INPUTS, width), dtype=precision)
     roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
     packed_points = np.zeros((len(points[0]), width), dtype=np.int64)
     for k, (lane, rows) in enumerate(zip(lanes, inputs, strict=True)):
         packed_inputs[:, :, k] = rows
         roots[k], failed[k] = lane.root, 0
         packed_points[:, k] = points[k]
-    appended = np.cumsum(packed_inputs[:, 3, :used], axis=0) - packed_inputs[:, 3, :used]  # before each step
+    appended = np.cumsum(packed_inputs[:, APPEND, :used], axis=0) - packed_inputs[:, APPEND, :used]  # before each step
     held = roots[:used] + appended.astype(np.int64)
     tops, bottoms = held.max(axis=1), held.min(axis=1)
-    nodes = int(max(lane.root + rows[:, 3].sum() for lane, rows in zip(lanes, inputs, strict=True))) + 2
+    nodes = int(max(lane.root + rows[:, APPEND].sum() for lane, rows in zip(lanes, inputs, strict=True))) + 2
 
-    parameters = np.zeros((imex.PARAMETERS, width), dtype=precision)
-    parameters[imex.DAMPING] = 1.0  # idle lanes divide by it
-    factors = np.zeros((max(len(lane.factors) for lane in lanes), imex.FACTORS, width), dtype=precision)
-    state = np.zeros((nodes, imex.FIELDS, width), dtype=precision)
+    parameters = np.zeros((PARAMETERS, width), dtype=precision)
+    parameters[DAMPING] = 1.0  # idle lanes divide by it
+    factors = np.zeros((max(len(lane.factors) for lane in lanes), FACTORS, width), dtype=precision)
+    state = np.zeros((nodes, FIELDS, width), dtype=precision)
     for k, lane in enumerate(lanes):
         parameters[:, k] = lane.parameters
-        parameters[imex.ROOT, k] = lane.root
+        parameters[ROOT, k] = lane.root
         factors[: len(lane.factors), :, k] = lane.factors
         factors[len(lane.factors) :, :, k] = lane.factors[-1]
-        state[: lane.root, 0:3, k] = lane.state.d[: lane.root]
-        state[: lane.root, 3:6, k] = lane.state.v[: lane.root]
-        state[: lane.root, 6:9, k] = lane.state.a[: lane.root]
-        state[: lane.root, 9, k] = lane.state.axial_force[: lane.root]
+        state[: lane.root, X : T + 1, k] = lane.state.d[: lane.root]
+        state[: lane.root, VX : VT + 1, k] = lane.state.v[: lane.root]
+        state[: lane.root, GX : GT + 1, k] = lane.state.memory[: lane.root]
+        state[: lane.root, V, k] = lane.state.axial_force[: lane.root]
     packed_samples = np.zeros((len(samples[0]), len(points[0]), 4, width))
     packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
-    KERNELS[method](
+    begin = time.perf_counter()
+    kernel.advance(
         parameters, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
         tops, bottoms, time_step, per_pitch, first_sample, sample_every, packed_points, roots, packed_samples,
         packed_tension, failed,
     )  # fmt: skip
+    seconds = time.perf_counter() - begin
     for k, lane in enumerate(lanes):
         lane.root = int(roots[k])
-        lane.state.d[: lane.root] = state[: lane.root, 0:3, k]
-        lane.state.v[: lane.root] = state[: lane.root, 3:6, k]
-        lane.state.a[: lane.root] = state[: lane.root, 6:9, k]
-        lane.state.axial_force[: lane.root] = state[: lane.root, 9, k]
+        lane.state.d[: lane.root] = state[: lane.root, X : T + 1, k]
+        lane.state.v[: lane.root] = state[: lane.root, VX : VT + 1, k]
+        lane.state.memory[: lane.root] = state[: lane.root, GX : GT + 1, k]
+        lane.state.axial_force[: lane.root] = state[: lane.root, V, k]
         samples[k][...] = packed_samples[..., k]
     if tension_sum is not None:
         covered = min(nodes, len(tension_sum))
         tension_sum[:covered] += packed_tension[:covered, 0]
-    return [int(failed[k]) for k in range(used)]
+    return [int(failed[k]) for k in range(used)], seconds

@@ -1,47 +1,95 @@
-"""The methods by name, each as one function that advances a probe by the rows of an input table."""
+"""What a method is: how it advances a chain, how accurate it is and up to which step it holds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Any
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
 from probe_env.physics.kernel_call import Sampling, check_call, check_chain, check_lane_chain
-from probe_env.physics.methods import banded, implicit, ticm, transfer_matrix
-from probe_env.physics.methods.factors import implicit_weights
-from probe_env.physics.methods.lane_group import KERNELS, Lane, advance_group, lane_constants
-from probe_env.physics.methods.newmark import Scheme, Work, newmark, wilson, workspace
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.lane_group import Lane, LaneKernel, advance_group
+from probe_env.physics.methods.stability import contact_step, known_step
 from probe_env.physics.state import State
-
-SOLVERS: Final = ("ticm", "banded", "transfer-matrix")
-SCHEMES: Final[dict[str, Callable[[float], Scheme]]] = {"newmark": newmark, "wilson": wilson}
-METHODS: Final = (*SCHEMES, "implicit", *KERNELS)
-
+from probe_env.scene import Scene
 
 Advance = Callable[[FloatArray, int, State, Sampling], tuple[int, int, int, int]]
 """(inputs, root, state, sampling) -> (status, steps done, diverged node or -1, root)."""
+Prepare = Callable[[Chain, float, int, int], Advance]
+"""(chain, time step [s], sensor's node, nodes a pitch) -> the advance function, constants and scratch prepared."""
+Limit = Callable[[Scene, int], float]
+"""(scene, nodes a pitch) -> time step [s]."""
 
 
-def build_method(
-    method: str, solver: str, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int
-) -> Advance:
-    """The advance function of a method, with its constant matrices and scratch prepared.
+@dataclass(frozen=True)
+class Method:
+    """A method that advances a chain in time.
 
-    ``sensor`` is the sensor's node; guide floats reach from the tip up to it. What the function is called with is
-    checked once a call: an array that does not fit the chain is a ``ValueError`` that names it.
-
-    Raises:
-        ValueError: no such method or solver, arrays of the chain that do not fit each other, or a chain with what the
-            method does not simulate.
+    Attributes:
+        name: by which it is asked for.
+        prepare: its advance function for a chain.
+        order: of convergence where the motion is smooth.
+        usual_step: that table 2's probe is simulated with [s].
+        stable_step: largest step known to hold; 0 where none is known.
+        contact_step: largest step that contact allows, whatever damping and mesh: beyond it a run diverges.
+        least_step: below which rounding shows [s].
+        solved_by: the advance function with another solver of the linear system, where there can be one.
+        lanes: the kernel of a method that advances several probes side by side.
     """
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
-    if solver not in SOLVERS:
-        raise ValueError(f"solver = {solver!r} is not one of {', '.join(SOLVERS)}")
-    check_chain(chain, sensor, nodes_per_pitch)
-    return partial(_checked, _unchecked(method, solver, chain, time_step, sensor, nodes_per_pitch), chain.node_count)
+
+    name: str
+    prepare: Prepare
+    order: int
+    usual_step: float
+    stable_step: Limit = known_step
+    contact_step: Limit = contact_step
+    least_step: float = 0.0
+    solved_by: Callable[[Any], Prepare] | None = None
+    lanes: LaneKernel | None = None
+
+    @property
+    def width(self) -> int:
+        """Probes side by side in a group."""
+        return self.lanes.width if self.lanes else 1
+
+    def check_step(self, time_step: float) -> None:
+        """Raise ValueError if a step [s] is so small that rounding shows."""
+        if time_step < self.least_step:
+            raise ValueError(
+                f"time_step = {time_step!r} s is below {self.least_step:g} s, where the rounding of {self.name} shows:"
+                " imex has no such limit"
+            )
+
+    def build(self, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int, solver: Any = None) -> Advance:
+        """The advance function, with its constant matrices and scratch prepared.
+
+        ``sensor`` is the sensor's node; guide floats reach from the tip up to it. What the function is called with is
+        checked once a call: an array that does not fit the chain is a ``ValueError`` that names it.
+
+        Args:
+            chain: what is advanced.
+            time_step: [s].
+            sensor: node.
+            nodes_per_pitch: nodes in a float pitch.
+            solver: one of ``SOLVERS`` for the linear system of a step; default: the method's own.
+
+        Raises:
+            ValueError: arrays of the chain that do not fit each other, a chain with what the method does not simulate,
+                or a solver for a method that has no such system.
+        """
+        check_chain(chain, sensor, nodes_per_pitch)
+        prepare = self.prepare
+        if solver is not None:
+            if self.solved_by is None:
+                raise ValueError(
+                    f"solver: {self.name} has its own; banded and transfer-matrix are for newmark and wilson"
+                )
+            prepare = self.solved_by(solver)
+        advance = prepare(chain, time_step, sensor, nodes_per_pitch)
+        return partial(_checked, advance, chain.node_count)
 
 
 def _checked(
@@ -51,87 +99,35 @@ def _checked(
     return advance(inputs, root, state, sampling)
 
 
-def _unchecked(method: str, solver: str, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
-    if method in KERNELS:
-        if solver != "ticm":
-            raise ValueError(f"solver = {solver!r} is for newmark and wilson; {method} has its own")
-        check_lane_chain(method, chain, sensor, nodes_per_pitch)
-        return partial(
-            _single_lane, method, time_step, nodes_per_pitch,
-            *lane_constants(method, chain, sensor, nodes_per_pitch, time_step),
-        )  # fmt: skip
-    if method == "implicit":
-        if solver != "ticm":
-            raise ValueError(f"solver = {solver!r} is for newmark and wilson; implicit is solved by the TICM alone")
-        return _implicit(chain, time_step, nodes_per_pitch)
-    scheme = SCHEMES[method](time_step)
-    work = workspace(chain.node_count)
-    if solver == "banded":
-        return partial(_step_by_step, banded.stepper(chain, scheme), work)
-    if solver == "transfer-matrix":
-        return partial(_step_by_step, partial(transfer_matrix.step, chain, scheme), work)
-
-    def advance(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
-        result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling[:5])
-        return result
-
-    return advance
-
-
-def _implicit(chain: Chain, time_step: float, nodes_per_pitch: int) -> Advance:
-    weights = (time_step, *implicit_weights(chain.damping_time, time_step))
-    limits, places = implicit.couple_limits(chain, nodes_per_pitch), implicit.contact_places(chain)
-    work = implicit.workspace(chain.node_count)
-
-    def advance(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
-        result: tuple[int, int, int, int] = implicit.advance(
-            chain, weights, limits, places, inputs, root, state, work, *sampling
-        )
-        return result
-
-    return advance
-
-
-def _step_by_step(
-    step: banded.Step,
-    work: Work,
-    inputs: FloatArray,
-    root: int,
-    state: State,
-    sampling: Sampling,
-) -> tuple[int, int, int, int]:
-    """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
-    row, due = 0, sampling.first
-    for k, step_inputs in enumerate(inputs):
-        node = step(step_inputs, root, state, work)
-        if node >= 0:
-            return ticm.DIVERGED, k + 1, node, root
-        root += int(step_inputs[3])
-        due -= 1
-        if due == 0:
-            due = sampling.every
-            ticm.record(state, root, sampling.points, sampling.samples, row, sampling.tension_sum)
-            row += 1
-    return ticm.OK, len(inputs), -1, root
-
-
-def _single_lane(
-    method: str,
-    time_step: float,
-    nodes_per_pitch: int,
-    parameters: FloatArray,
-    factors: FloatArray,
-    inputs: FloatArray,
-    root: int,
-    state: State,
-    sampling: Sampling,
-) -> tuple[int, int, int, int]:
-    """One probe by the kernels of the batch: a batch of one."""
-    lane = Lane(parameters, factors, state, root)
-    first, every, points, samples, tension_sum, _ = sampling
-    rows = samples[: max(0, (len(inputs) - first) // every + 1)]
-    (failed,) = advance_group(
-        method, [lane], [inputs], time_step, nodes_per_pitch, first, every, [points], [rows], tension_sum
+def lane_method(
+    name: str,
+    lanes: LaneKernel,
+    order: int,
+    usual_step: float,
+    least_step: float = 0.0,
+    stable_step: Limit = known_step,
+    contact_step: Limit = contact_step,
+) -> Method:
+    """A method whose kernel advances several probes side by side; one probe is a group of one."""
+    return Method(
+        name, partial(_prepare_lane, name, lanes), order, usual_step, stable_step, contact_step, least_step, lanes=lanes
     )
-    status = ticm.DIVERGED if failed else ticm.OK
-    return status, failed or len(inputs), -1, lane.root
+
+
+def _prepare_lane(
+    name: str, kernel: LaneKernel, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int
+) -> Advance:
+    check_lane_chain(name, chain, sensor, nodes_per_pitch)
+    parameters, factors = kernel.constants(chain, sensor, nodes_per_pitch, time_step)
+
+    def advance(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
+        lane = Lane(parameters, factors, state, root)
+        first, every, points, samples, tension_sum, _ = sampling
+        rows = samples[: max(0, (len(inputs) - first) // every + 1)]
+        (failed,), _ = advance_group(
+            kernel, [lane], [inputs], time_step, nodes_per_pitch, first, every, [points], [rows], tension_sum
+        )
+        status = ticm.DIVERGED if failed else ticm.OK
+        return status, failed or len(inputs), -1, lane.root
+
+    return advance

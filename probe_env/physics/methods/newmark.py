@@ -1,12 +1,20 @@
-"""Newmark-beta and Wilson-theta as coefficients, and the scratch of a step."""
+"""Newmark-beta and Wilson-theta, the study's methods: coefficients, scratch of a step, and steps by any solver."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
+from probe_env.physics.chain import Chain
+from probe_env.physics.drive import APPEND
+from probe_env.physics.kernel_call import Sampling
+from probe_env.physics.methods import ticm
+from probe_env.physics.methods.method import Advance, Method, Prepare
+from probe_env.physics.state import State
 
 
 class Scheme(NamedTuple):
@@ -58,3 +66,50 @@ class Work(NamedTuple):
 def workspace(nodes: int) -> Work:
     """Scratch arrays for a chain of ``nodes`` nodes."""
     return Work(np.zeros((nodes, 6)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
+
+
+Step = Callable[[FloatArray, int, State, Work], int]
+"""(inputs of a step, root, state, work) -> first diverged node or -1."""
+Solver = Callable[[Chain, Scheme], Step]
+"""A solver of the linear system (17)-(18), constant matrices prepared."""
+
+
+def _by_ticm(
+    scheme_of: Callable[[float], Scheme], chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int
+) -> Advance:
+    scheme, work = scheme_of(time_step), workspace(chain.node_count)
+
+    def advance(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
+        result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling[:5])
+        return result
+
+    return advance
+
+
+def _solved_by(scheme_of: Callable[[float], Scheme], solver: Solver) -> Prepare:
+    def prepare(chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
+        return partial(_step_by_step, solver(chain, scheme_of(time_step)), workspace(chain.node_count))
+
+    return prepare
+
+
+def _step_by_step(
+    step: Step, work: Work, inputs: FloatArray, root: int, state: State, sampling: Sampling
+) -> tuple[int, int, int, int]:
+    """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
+    row, due = 0, sampling.first
+    for k, step_inputs in enumerate(inputs):
+        node = step(step_inputs, root, state, work)
+        if node >= 0:
+            return ticm.DIVERGED, k + 1, node, root
+        root += int(step_inputs[APPEND])
+        due -= 1
+        if due == 0:
+            due = sampling.every
+            ticm.record(state, root, sampling.points, sampling.samples, row, sampling.tension_sum)
+            row += 1
+    return ticm.OK, len(inputs), -1, root
+
+
+NEWMARK = Method("newmark", partial(_by_ticm, newmark), 2, 1e-4, solved_by=partial(_solved_by, newmark))
+WILSON = Method("wilson", partial(_by_ticm, wilson), 2, 1e-4, solved_by=partial(_solved_by, wilson))

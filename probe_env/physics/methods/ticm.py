@@ -22,7 +22,7 @@ OK, DIVERGED = 0, 1
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
 def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
     """P_j and q_j of (17) from the state of the step before; P as (xx, xy, yy, tx, ty, tt)."""
-    d, v, a = state.d, state.v, state.a
+    d, v, a = state.d, state.v, state.memory
     y = d[i, 1]
     speed = feed_speed + v[i, 0]
     inertial = chain.mass * chain.curvature * speed  # m omega_j, (13)
@@ -84,18 +84,18 @@ def update_node(scheme, state, i, x, y, t):
     """d, v and a of node i at the new time from the solution of (17)-(18); False if it has diverged."""
     for c in range(3):
         new = x if c == 0 else (y if c == 1 else t)
-        d, v, a = state.d[i, c], state.v[i, c], state.a[i, c]
+        d, v, a = state.d[i, c], state.v[i, c], state.memory[i, c]
         a_solved = scheme.B_a * new + (scheme.a_d * d + scheme.a_v * v + scheme.a_a * a)  # (16)
         if scheme.wilson:
             dt = scheme.time_step
             a_new = a + (a_solved - a) / scheme.theta
             state.d[i, c] = d + dt * v + dt * dt / 6.0 * (2.0 * a + a_new)
             state.v[i, c] = v + 0.5 * dt * (a + a_new)
-            state.a[i, c] = a_new
+            state.memory[i, c] = a_new
         else:
             state.d[i, c] = new
             state.v[i, c] = scheme.B_v * new + (scheme.v_d * d + scheme.v_v * v + scheme.v_a * a)  # (16)
-            state.a[i, c] = a_solved
+            state.memory[i, c] = a_solved
     return abs(x) < OVERFLOW and abs(y) <= DIVERGED_RADIAL and abs(t) < OVERFLOW
 
 
@@ -187,9 +187,9 @@ def ticm_step(chain, scheme, inputs, root, state, work):
     for back in range(root):  # counting down costs a sixth more: numba checks for negative indices
         i = root - 1 - back
         node_equation(chain, scheme, speed, slope, air, state, i, P, q)
-        vx = scheme.v_d * state.d[i, 0] + scheme.v_v * state.v[i, 0] + scheme.v_a * state.a[i, 0]
-        vy = scheme.v_d * state.d[i, 1] + scheme.v_v * state.v[i, 1] + scheme.v_a * state.a[i, 1]
-        vt = scheme.v_d * state.d[i, 2] + scheme.v_v * state.v[i, 2] + scheme.v_a * state.a[i, 2]
+        vx = scheme.v_d * state.d[i, 0] + scheme.v_v * state.v[i, 0] + scheme.v_a * state.memory[i, 0]
+        vy = scheme.v_d * state.d[i, 1] + scheme.v_v * state.v[i, 1] + scheme.v_a * state.memory[i, 1]
+        vt = scheme.v_d * state.d[i, 2] + scheme.v_v * state.v[i, 2] + scheme.v_a * state.memory[i, 2]
 
         Tj = through_field(Tj, h, F_xx, F_yy, F_tt, F_yt)
         # (22b), mended: L^T s + delta/(1 + delta B_v) [L^T Phi h_v,j-1 - Phi^T h_v,j]

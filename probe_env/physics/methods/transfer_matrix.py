@@ -6,20 +6,27 @@ method loses its digits on long or stiffly supported chains (Pestel and Leckie 1
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numba import njit
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import Scheme, Work
+from probe_env.physics.methods.newmark import Scheme, Step, Work
 from probe_env.physics.state import State
+
+
+def stepper(chain: Chain, scheme: Scheme) -> Step:
+    """A step function (inputs, root, state, work) -> first diverged node or -1."""
+    return partial(step, chain, scheme)
 
 
 def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Work) -> int:
     """One step; returns the first diverged node or -1 (a lost solution counts as diverged: node 0)."""
     ticm.node_equations(chain, scheme, inputs, root, state, work)
-    h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.a
+    h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.memory
     columns = np.empty((root + 1, 3, 4))
     axial = np.empty((root + 1, 4))
     tip_force = _sweep(chain, scheme.B_v, h_v, work.P, work.q, columns, axial)

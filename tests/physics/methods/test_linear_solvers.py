@@ -50,8 +50,8 @@ def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme):
     chain = random_chain(rng, n, 10 ** rng.uniform(3.0, 7.0))
     start = random_state(rng, n + 1)
     coefficients = scheme(time_step)._replace(wilson=False)  # the solution of (17)-(18) itself
-    h_a = coefficients.a_d * start.d + coefficients.a_v * start.v + coefficients.a_a * start.a
-    h_v = coefficients.v_d * start.d + coefficients.v_v * start.v + coefficients.v_a * start.a
+    h_a = coefficients.a_d * start.d + coefficients.a_v * start.v + coefficients.a_a * start.memory
+    h_v = coefficients.v_d * start.d + coefficients.v_v * start.v + coefficients.v_a * start.memory
     d, axial = dense_step(
         chain, coefficients.B_a, coefficients.B_v, INPUTS, h_a, h_v, start.d, start.v, start.axial_force
     )

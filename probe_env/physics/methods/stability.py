@@ -11,14 +11,13 @@ imex takes the contact explicitly: its limit is omega dt < 2 by theory, 1.8 with
 the fastest mode of the chain with its damping, see ``explicit_time_step``.
 
 imex32 has a least step as well: rounding, eps = 6e-8, returns a displacement d as d (1 + eps) step for step, a spring
-to the frame of eps m / dt^2 a mass, which grows as the step shrinks (see ``single_precision``). The
+to the frame of eps m / dt^2 a mass, which grows as the step shrinks (see ``factors.single_factors``). The
 statistics at 10 to 50 m were compared with those of imex down to 5e-5 s.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
@@ -28,36 +27,16 @@ from probe_env.scene import Scene
 
 FULL, REDUCED = 1.8, 0.6  # omega dt
 EXPLICIT_MARGIN = 0.95
-LEAST_STEP: Final = {"imex32": 5e-5}
-"""[s] of a method, below which rounding shows; others have none."""
 TABLE_2_DAMPING = 5e-5  # [s]
 
 
-def check_rounding(method: str, time_step: float) -> None:
-    """Raise ValueError if a step [s] is so small that the method's rounding shows."""
-    if time_step < LEAST_STEP.get(method, 0.0):
-        raise ValueError(
-            f"time_step = {time_step!r} s is below {LEAST_STEP[method]:g} s, where the rounding of {method} shows:"
-            " imex has no such limit"
-        )
-
-
-def contact_time_step(scene: Scene, nodes_per_pitch: int, method: str) -> float:
-    """Largest time step [s] that contact allows, whatever damping and mesh; infinite for ``implicit``.
-
-    Beyond ``stable_time_step`` nothing may be known, beyond this it is known to diverge.
-    """
-    if method in ("implicit", "explicit"):
-        return stable_time_step(scene, nodes_per_pitch, method)
+def contact_step(scene: Scene, nodes_per_pitch: int) -> float:
+    """Largest step [s] that explicit contact allows, whatever damping and mesh."""
     return FULL / _contact_frequency(scene, nodes_per_pitch)
 
 
-def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark") -> float:
-    """Largest time step [s] known to hold for a method; 0 where none is known, infinite for ``implicit``."""
-    if method == "implicit":
-        return math.inf
-    if method == "explicit":
-        return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))
+def known_step(scene: Scene, nodes_per_pitch: int) -> float:
+    """Largest step [s] known to hold where the contact flag is that of the step before; 0 where none is known."""
     omega = _contact_frequency(scene, nodes_per_pitch)
     delta, friction = scene.probe.damping_time, scene.contact.friction
     fine = nodes_per_pitch >= 4
@@ -66,6 +45,16 @@ def stable_time_step(scene: Scene, nodes_per_pitch: int, method: str = "newmark"
     if delta >= TABLE_2_DAMPING or (fine and delta >= 1e-6 and friction <= 0.5):
         return REDUCED / omega
     return 0.0
+
+
+def explicit_step(scene: Scene, nodes_per_pitch: int) -> float:
+    """Largest step [s] known to hold for ``explicit``."""
+    return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))
+
+
+def any_step(scene: Scene, nodes_per_pitch: int) -> float:
+    """Infinite: every step holds."""
+    return math.inf
 
 
 def _contact_frequency(scene: Scene, nodes_per_pitch: int) -> float:

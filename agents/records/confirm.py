@@ -1,0 +1,158 @@
+"""Whether changed code gives what the code that made a result gave: a sample of both, compared to the last bit.
+
+Code that is moved keeps its hash; code that is rewritten does not, though it may compute the same. Then a stage's
+``sample``, its command with fewer tubes or trials, is run with the commit that made the results and with the present
+one, on this machine. Where all numbers agree the results are kept under the new hash, and their record says so.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_atomically, write_json
+from agents.records.stages import MADE, WORK, Stage, load_stages
+from agents.terminal.tables import print_table
+
+COMPARED: Final = (".csv", ".npz", ".toml")
+APART: Final = ("commit", "code")
+"""Columns that say where a row comes from, not what it says."""
+
+
+def confirm_results(names: Sequence[str]) -> None:
+    """Keep the results of stages whose code or command changed without changing what they give.
+
+    Args:
+        names: of the stages; none: all.
+
+    Raises:
+        ValueError: no such stage, or the code differs from the commit.
+        RuntimeError: a sample failed, or differs: names the stage and the file. Those before it are kept.
+    """
+    stages = {stage.name: stage for stage in load_stages()}
+    for name in names:
+        if name not in stages:
+            raise ValueError(f"stage = {name!r} is not one of {', '.join(stages)}")
+    if not in_history(commit()):
+        files = ", ".join(changed_code()[:5]) or "there is no git history here"
+        raise ValueError(f"results are kept for clean commits only; commit first: {files}")
+    chosen = [stages[name] for name in names or stages]
+    rows = []
+    for stage in chosen:
+        answer = _answer(stage)
+        if not answer:
+            confirm(stage)
+            answer = "the same: kept"
+        rows.append((stage.name, answer))
+        print(f"{stage.name}: {answer}", flush=True)
+    print_table("Confirmed results", ("stage", "outcome"), rows, left=2)
+
+
+def _answer(stage: Stage) -> str:
+    """Why there is nothing to compare; empty if there is."""
+    made, state = stage.made(), stage.state()
+    if not made:
+        return "never made"
+    changed = {name for name, value in state.items() if made.get(name) != value}
+    if not changed:
+        return "up to date"
+    if not changed <= {"code", "command"}:
+        return f"{' and '.join(sorted(changed))} changed: make it again"
+    return "" if stage.sample else "no sample is known: make it again"
+
+
+def confirm(stage: Stage) -> None:
+    """Run a stage's sample with the commit that made it and with this code; keep the results if they agree.
+
+    Raises:
+        RuntimeError: a run failed, or the first file in which they differ.
+    """
+    made = stage.made()
+    place = WORK / f"{stage.name}-sample"
+    shutil.rmtree(place, ignore_errors=True)
+    folders = {"before": place / "before", "now": place / "now"}
+    with checked_out(made["commit"]) as tree:
+        _run(sampled(made["command"], stage.sample), tree, folders["before"], stage.name)
+    _run(sampled(stage.command, stage.sample), CHECKOUT, folders["now"], stage.name)
+    difference = first_difference(folders["before"], folders["now"])
+    if difference:
+        raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
+    _keep(stage, made)
+
+
+def sampled(command: str, sample: dict[str, str]) -> str:
+    """A command with some options set to other values, wherever they stood before."""
+    words = shlex.split(command)
+    for option, value in sample.items():
+        flag = f"--{option}"
+        if flag in words:
+            words[words.index(flag) + 1] = value
+        else:
+            words += [flag, value]
+    return shlex.join(words)
+
+
+@contextmanager
+def checked_out(name: str) -> Iterator[Path]:
+    """The files of a commit, in a folder of their own while it is entered."""
+    tree = WORK / f"tree-{name}"
+    git = ["git", "-C", str(CHECKOUT), "worktree"]
+    subprocess.run([*git, "remove", "--force", str(tree)], check=False, capture_output=True)
+    subprocess.run([*git, "add", "--detach", str(tree), name], check=True, capture_output=True)
+    try:
+        yield tree
+    finally:
+        subprocess.run([*git, "remove", "--force", str(tree)], check=True, capture_output=True)
+
+
+def _run(command: str, tree: Path, folder: Path, stage: str) -> None:
+    print(f"{stage}: sample with the code in {tree}", flush=True)
+    words = [word.replace("{work}", str(folder)) for word in shlex.split(command)]
+    done = subprocess.run(
+        [sys.executable, "-m", "agents.cli", *words], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, check=False
+    )
+    if done.returncode:
+        raise RuntimeError(f"stage {stage}: the sample failed (exit status {done.returncode}) with the code in {tree}")
+
+
+def first_difference(before: Path, now: Path) -> str:
+    """What differs between the results in two folders; empty if nothing does."""
+    names = [sorted(str(p.relative_to(f)) for p in f.rglob("*") if p.suffix in COMPARED) for f in (before, now)]
+    if not names[0]:
+        return f"{before} holds nothing to compare"
+    if names[0] != names[1]:
+        return f"the files differ: {', '.join(sorted(set(names[0]) ^ set(names[1])))}"
+    return next((f"{name} differs" for name in names[0] if not _equal(before / name, now / name)), "")
+
+
+def _equal(one: Path, other: Path) -> bool:
+    if one.suffix == ".csv":
+        left, right = (pd.read_csv(path, dtype=str).drop(columns=list(APART), errors="ignore") for path in (one, other))
+        return left.equals(right)
+    if one.suffix == ".npz":
+        with np.load(one) as left, np.load(other) as right:
+            return left.files == right.files and all(np.array_equal(left[name], right[name]) for name in left.files)
+    return one.read_bytes() == other.read_bytes()
+
+
+def _keep(stage: Stage, made: dict[str, Any]) -> None:
+    """Write the new code's hash where the old one stands: in the record, and in what the stage published."""
+    state = stage.state()
+    for name in made["files"]:
+        path = CHECKOUT / name
+        if path.suffix in (".csv", ".json") and path.exists():
+            text = path.read_text()
+            if made["code"] in text:
+                write_atomically(path, text.replace(made["code"], state["code"]))
+    shown = {"from": made["code"], "made_by": made["commit"], "confirmed_at": commit(), "sample": stage.sample}
+    write_json(MADE / f"{stage.name}.json", made | state | {"confirmed": [*made.get("confirmed", ()), shown]})

@@ -1,0 +1,154 @@
+"""Central differences in the lanes of the fast scheme: no system to solve, but a step some forty times smaller.
+
+K (d + delta v) stands in the kick of ``imex``; the damping force lags half a step, so the order is one where the cable
+is damped.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from probe_env.physics.drive import AIR, SLOPE, SPEED
+from probe_env.physics.methods.factors import explicit_factors
+from probe_env.physics.methods.imex import after_step, float_forces, inertia_forces, magnitude, product
+from probe_env.physics.methods.lane_group import (
+    AXIAL,
+    CARRIER_DRAG,
+    CARRIER_GAP,
+    CARRIER_LEVER,
+    COS,
+    COUPLE,
+    CURVATURE,
+    DAMPING,
+    FACTORS,
+    FIELDS,
+    FRICTION,
+    GUIDE_DRAG,
+    GUIDE_GAP,
+    GUIDE_LEVER,
+    INPUTS,
+    MASS_RATIO,
+    PEAK,
+    ROOT,
+    SENSOR,
+    SIN,
+    STIFFNESS,
+    VT,
+    VX,
+    VY,
+    A,
+    B,
+    C,
+    LaneKernel,
+    T,
+    V,
+    X,
+    Y,
+)  # fmt: skip
+from probe_env.physics.methods.lanes import load, splat, store, where_less
+from probe_env.physics.methods.method import lane_method
+from probe_env.physics.methods.stability import explicit_step
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def explicit_advance(
+    parameters,
+    factors,
+    state,
+    inputs,
+    tops,
+    bottoms,
+    dt,
+    per_pitch,
+    first,
+    every,
+    points,
+    roots,
+    samples,
+    tension,
+    failed,
+):
+    """Steps of all lanes by central differences; the arguments are those of ``imex_advance``."""
+    zero = splat(parameters, 0.0)
+    delta = load(parameters, DAMPING)
+    kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
+    stiffness, coefficient, ratio = (
+        load(parameters, STIFFNESS),
+        load(parameters, FRICTION),
+        load(parameters, MASS_RATIO),
+    )
+    guide_lever, carrier_lever = load(parameters, GUIDE_LEVER), load(parameters, CARRIER_LEVER)
+    guide_gap, carrier_gap = load(parameters, GUIDE_GAP), load(parameters, CARRIER_GAP)
+    guide_drag, carrier_drag = load(parameters, GUIDE_DRAG), load(parameters, CARRIER_DRAG)
+    cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
+    row, due = 0, first
+    for step in range(len(tops)):
+        k = step * INPUTS
+        speed, slope, air = (
+            load(inputs, k + SPEED),
+            load(inputs, k + SLOPE),
+            load(inputs, k + AIR),
+        )
+        held = load(parameters, ROOT)
+        to_float, peak = 0, zero
+        bx, by, bt = zero, zero, zero  # d + delta v of the node on the tip side
+        x, y, t = load(state, X), load(state, Y), load(state, T)
+        vx, vy, vt = load(state, VX), load(state, VY), load(state, VT)
+        ex, ey, et = x + delta * vx, y + delta * vy, t + delta * vt
+        for i in range(tops[step]):
+            q, f = i * FIELDS, min(i, 1) * FACTORS
+            nx, ny, nt = load(state, q + FIELDS + X), load(state, q + FIELDS + Y), load(state, q + FIELDS + T)
+            nvx, nvy, nvt = load(state, q + FIELDS + VX), load(state, q + FIELDS + VY), load(state, q + FIELDS + VT)
+            aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
+            force = axial * (cosine * (ex - aex) + sine * (ey + aey))
+            forward = speed + vx
+            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, force, dt)
+            if to_float == 0:
+                to_float = per_pitch
+                place = splat(parameters, float(i) - 0.5)
+                lever = where_less(place, sensor, guide_lever, carrier_lever)
+                gap = where_less(place, sensor, guide_gap, carrier_gap)
+                drag = where_less(place, sensor, guide_drag, carrier_drag)
+                cx, cy, ct = float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, forward, vt)
+                ax, ay, at = ax + cx, ay + cy, at - ct
+                height = magnitude(y)
+                peak = where_less(peak, height, height, peak)
+            to_float -= 1
+            # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
+            ax, at = ax - slope, at + kappa * ax
+            ox, oy, ot = product(factors, f + A, ex, ey, et)
+            px, py, pt = product(factors, f + B, bx, by, bt)
+            sx, sy, st = product(factors, f + C, aex, aey, aet)
+            node = splat(parameters, float(i))
+            vx = where_less(node, held, vx + dt * (ax - (ox + px + sx)), zero)
+            vy = where_less(node, held, vy + dt * (ay - (oy + py + sy)), zero)
+            vt = where_less(node, held, vt + dt * (at - (ot + pt + st)), zero)
+            store(state, q + VX, vx)
+            store(state, q + VY, vy)
+            store(state, q + VT, vt)
+            store(state, q + X, x + dt * vx)
+            store(state, q + Y, y + dt * vy)
+            store(state, q + T, t + dt * vt)
+            store(state, q + V, force)
+            bx, by, bt = ex, ey, et
+            ex, ey, et = aex, aey, aet
+            x, y, t, vx, vy, vt = nx, ny, nt, nvx, nvy, nvt
+        store(parameters, PEAK, peak)
+        due -= 1
+        if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+            return step + 1
+        if due == 0:
+            due = every
+            row += 1
+    return len(tops)
+
+
+EXPLICIT = lane_method(
+    "explicit",
+    LaneKernel(explicit_advance, lambda chain, _: explicit_factors(chain), np.float64),
+    order=1,
+    usual_step=5e-6,
+    stable_step=explicit_step,
+    contact_step=explicit_step,
+)
