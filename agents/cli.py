@@ -24,7 +24,7 @@ def _run(arguments: Sequence[str]) -> int:
 
     from pydantic import ValidationError
 
-    from agents.commands.publishing import in_its_place
+    from agents.publishing.places import in_its_place
     from agents.terminal.command_line import parsed
     from agents.terminal.notices import said_when_compiling
     from probe_env import SimulationError

@@ -22,8 +22,8 @@ class Results:
 
     def run(self) -> None:
         """Say what is stale, run it, publish it."""
-        from agents.records.confirm import confirm_results
-        from agents.records.stages import run_results
+        from agents.publishing.confirm import confirm_results
+        from agents.publishing.stages import run_results
 
         if self.confirm:
             confirm_results(self.stages)

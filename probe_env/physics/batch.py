@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import itertools
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -204,34 +205,31 @@ class SimulatorBatch:
         if kernel is None:
             return self._advance_one(group[0], steps, every, signals)
         members = [self.simulators[k] for k in group]
-        lanes = [Lane(*s.lane_constants(), s.state, s.root) for s in members]
-        points = [np.array([s.sensor, -1], dtype=np.int64) for s in members]
+        none = np.zeros((0, 2, 4))
+        lanes = [
+            Lane(*s.lane_constants(), s.state, s.root, np.array([s.sensor, -1], dtype=np.int64), none[:, 0], none)
+            for s in members
+        ]
         for k in group:
             signals[k, :2] = self._before[k]
         done, seconds = 0, 0.0
-        while done < steps:
+        while done < steps and group:
             stretch = min(steps - done, STEPS_PER_CALL)
             first = every - done % every
             rows = max(0, (stretch - first) // every + 1)
-            samples = [np.zeros((rows, 2, 4)) for _ in group]
-            inputs = [s.inputs_of_steps(stretch) for s in members]
-            failed, kernel_seconds = advance_group(
-                kernel, lanes, inputs, self.time_step, self.nodes_per_pitch, first, every, points, samples
-            )
-            seconds += kernel_seconds
+            for lane, simulator in zip(lanes, members, strict=True):
+                lane.inputs, lane.samples = simulator.inputs_of_steps(stretch), np.zeros((rows, 2, 4))
+            failed, spent = advance_group(kernel, lanes, self.time_step, self.nodes_per_pitch, first, every)
+            seconds += spent
             start = 2 + done // every
-            for k, rows_of_probe in zip(group, samples, strict=True):
-                signals[k, start : start + rows, 0:2] = rows_of_probe[:, 0, 0:2]
-                signals[k, start : start + rows, 2] = rows_of_probe[:, 1, 3]
-            for simulator, lane, step in zip(members, lanes, failed, strict=True):
+            for k, lane, simulator, step in zip(group, lanes, members, failed, strict=True):
+                signals[k, start : start + rows, 0:2] = lane.samples[:, 0, 0:2]
+                signals[k, start : start + rows, 2] = lane.samples[:, 1, 3]
                 simulator.note_steps(step or stretch, lane.root, diverged=step > 0)
-            lanes = [lane for lane, step in zip(lanes, failed, strict=True) if not step]
-            points = [point for point, step in zip(points, failed, strict=True) if not step]
-            group = [k for k, step in zip(group, failed, strict=True) if not step]
-            members = [self.simulators[k] for k in group]
+            held = [not step for step in failed]
+            lanes, members = list(itertools.compress(lanes, held)), list(itertools.compress(members, held))
+            group = list(itertools.compress(group, held))
             done += stretch
-            if not group:
-                break
         return seconds
 
     def _advance_one(self, k: int, steps: int, every: int, signals: FloatArray) -> float:

@@ -63,15 +63,25 @@ class LaneKernel:
 
 @dataclass
 class Lane:
-    """One probe as the lanes need it; ``state`` and ``root`` change in place.
+    """One probe as the lanes need it; ``state``, ``root`` and ``samples`` change in place.
 
     ``state.memory`` is what a kernel keeps of its last step (fields GX, GY, GT).
+
+    Attributes:
+        parameters, factors: see ``LaneKernel.constants``.
+        state, root: of the probe.
+        points: (p,) nodes that are sampled, -1 for the root.
+        inputs: (steps, 4) of the coming steps, see drive.py.
+        samples: (k, p, 4) of the coming steps.
     """
 
     parameters: FloatArray
     factors: FloatArray
     state: State
     root: int
+    points: npt.NDArray[np.int64]
+    inputs: FloatArray
+    samples: FloatArray
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
@@ -96,44 +106,38 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
 def advance_group(
     kernel: LaneKernel,
     lanes: Sequence[Lane],
-    inputs: Sequence[FloatArray],
     time_step: float,
     per_pitch: int,
     first_sample: int,
     sample_every: int,
-    points: Sequence[npt.NDArray[np.int64]],
-    samples: Sequence[FloatArray],
     tension_sum: FloatArray | None = None,
 ) -> tuple[list[int], float]:
     """Advance as many probes as the kernel has lanes, or fewer, by the rows of their inputs.
 
     Args:
         kernel: of the method.
-        lanes: the probes.
-        inputs: (steps, 4) of each probe, see drive.py; equally many steps.
+        lanes: the probes, with equally many steps and points.
         time_step: [s].
         per_pitch: nodes in a float pitch.
         first_sample: steps until the first sample.
         sample_every: steps between samples.
-        points: (p,) nodes of each probe, -1 for the root; equally many.
-        samples: (k, p, 4) of each probe, written in place.
         tension_sum: (n + 1,) of the first probe, gains the axial force of every sample.
 
     Returns:
         for each probe the step at which it diverged, counted from 1, or 0; seconds that the kernel took.
     """
-    steps, used, width, precision = len(inputs[0]), len(lanes), kernel.width, kernel.precision
+    steps, used, width, precision = len(lanes[0].inputs), len(lanes), kernel.width, kernel.precision
     packed_inputs = np.zeros((steps, INPUTS, width), dtype=precision)
     roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
-    packed_points = np.zeros((len(points[0]), width), dtype=np.int64)
-    for k, (lane, rows) in enumerate(zip(lanes, inputs, strict=True)):
-        packed_inputs[:, :, k] = rows
+    packed_points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
+    for k, lane in enumerate(lanes):
+        packed_inputs[:, :, k] = lane.inputs
         roots[k], failed[k] = lane.root, 0
-        packed_points[:, k] = points[k]
+        packed_points[:, k] = lane.points
     appended = np.cumsum(packed_inputs[:, APPEND, :used], axis=0) - packed_inputs[:, APPEND, :used]  # before each step
     held = roots[:used] + appended.astype(np.int64)
     tops, bottoms = held.max(axis=1), held.min(axis=1)
-    nodes = int(max(lane.root + rows[:, APPEND].sum() for lane, rows in zip(lanes, inputs, strict=True))) + 2
+    nodes = int(max(lane.root + lane.inputs[:, APPEND].sum() for lane in lanes)) + 2
 
     parameters = np.zeros((PARAMETERS, width), dtype=precision)
     parameters[DAMPING] = 1.0  # idle lanes divide by it
@@ -148,7 +152,7 @@ def advance_group(
         state[: lane.root, VX : VT + 1, k] = lane.state.v[: lane.root]
         state[: lane.root, GX : GT + 1, k] = lane.state.memory[: lane.root]
         state[: lane.root, V, k] = lane.state.axial_force[: lane.root]
-    packed_samples = np.zeros((len(samples[0]), len(points[0]), 4, width))
+    packed_samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
     packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
     begin = time.perf_counter()
     kernel.advance(
@@ -163,7 +167,7 @@ def advance_group(
         lane.state.v[: lane.root] = state[: lane.root, VX : VT + 1, k]
         lane.state.memory[: lane.root] = state[: lane.root, GX : GT + 1, k]
         lane.state.axial_force[: lane.root] = state[: lane.root, V, k]
-        samples[k][...] = packed_samples[..., k]
+        lane.samples[...] = packed_samples[..., k]
     if tension_sum is not None:
         covered = min(nodes, len(tension_sum))
         tension_sum[:covered] += packed_tension[:covered, 0]

@@ -121,12 +121,10 @@ def _prepare_lane(
     parameters, factors = kernel.constants(chain, sensor, nodes_per_pitch, time_step)
 
     def advance(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
-        lane = Lane(parameters, factors, state, root)
         first, every, points, samples, tension_sum, _ = sampling
         rows = samples[: max(0, (len(inputs) - first) // every + 1)]
-        (failed,), _ = advance_group(
-            kernel, [lane], [inputs], time_step, nodes_per_pitch, first, every, [points], [rows], tension_sum
-        )
+        lane = Lane(parameters, factors, state, root, points, inputs, rows)
+        (failed,), _ = advance_group(kernel, [lane], time_step, nodes_per_pitch, first, every, tension_sum)
         status = ticm.DIVERGED if failed else ticm.OK
         return status, failed or len(inputs), -1, lane.root
 

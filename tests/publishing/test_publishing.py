@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from agents.commands import publishing
-from agents.commands.publishing import in_its_place, place
+from agents.publishing import places
+from agents.publishing import stages as results
+from agents.publishing.places import in_its_place, place
+from agents.publishing.stages import Stage, load_stages, run_results
 from agents.records import provenance
-from agents.records import stages as results
 from agents.records.provenance import changed_code, commit, in_history
-from agents.records.stages import Stage, load_stages, run_results
 
 
 def git(folder, *arguments):
@@ -36,7 +36,7 @@ def checkout(tmp_path, monkeypatch):
     git(tmp_path, "init", "-q")
     git(tmp_path, "add", "-A")
     git(tmp_path, "commit", "-qm", "first")
-    for part in (provenance, publishing, results):
+    for part in (provenance, places, results):
         monkeypatch.setattr(part, "CHECKOUT", tmp_path)
     monkeypatch.setattr(results, "MADE", tmp_path / "results" / "made")
     monkeypatch.setattr(results, "WORK", tmp_path / "output" / "results")

@@ -20,8 +20,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from agents.publishing.stages import MADE, WORK, Stage, load_stages
 from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_atomically, write_json
-from agents.records.stages import MADE, WORK, Stage, load_stages
 from agents.terminal.tables import print_table
 
 COMPARED: Final = (".csv", ".npz", ".toml")

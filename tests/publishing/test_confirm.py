@@ -1,0 +1,147 @@
+"""Whether rewritten code gives the same: what is compared, what is kept, and that a difference is not."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.publishing import confirm, stages
+from agents.publishing.confirm import confirm_results, first_difference, sampled
+from agents.publishing.stages import Stage
+
+OLD = "0123456789abcdef"
+MADE = {
+    "command": "evaluate pi --limit 24 --output {work}", "commit": "abc", "packages": {},
+    "machine": {"processor": "p", "cores": 2, "system": "s"}, "code": OLD, "inputs": "", "seconds": 1.0,
+    "files": ["results/numbers/table.csv"],
+}  # fmt: skip
+
+
+def folder(place, table="a,commit\n1,x\n", value=1.0):
+    place.mkdir(parents=True)
+    (place / "table.csv").write_text(table)
+    np.savez(place / "map.npz", weights=np.array([value]))
+    (place / "notes.json").write_text("{}")
+    return place
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({}, ""),
+        ({"table": "a,commit\n1,y\n"}, ""),  # another commit says nothing of the numbers
+        ({"table": "a,commit\n1.0000000001,x\n"}, "table.csv differs"),
+        ({"table": "a,b,commit\n1,2,x\n"}, "table.csv differs"),
+        ({"value": 1.0 + 2.0**-52}, "map.npz differs"),
+    ],
+)
+def test_every_digit_counts_and_only_numbers_do(tmp_path, change, told):
+    assert first_difference(folder(tmp_path / "before"), folder(tmp_path / "now", **change)) == told
+
+
+def test_a_file_that_is_not_there_is_a_difference(tmp_path):
+    one, other = folder(tmp_path / "before"), folder(tmp_path / "now")
+    (other / "map.npz").unlink()
+    assert first_difference(one, other) == "the files differ: map.npz"
+    shutil.rmtree(one)
+    one.mkdir()
+    assert "holds nothing to compare" in first_difference(one, other)
+
+
+def test_a_sample_is_the_command_with_other_options():
+    assert sampled("evaluate 'a b' --limit 24 --output {work}", {"limit": "1"}) == (
+        "evaluate 'a b' --limit 1 --output '{work}'"
+    )
+    assert sampled("evaluate pi", {"limit": "1"}) == "evaluate pi --limit 1"
+
+
+@pytest.fixture
+def stage(tmp_path, monkeypatch):
+    """A stage whose code has changed; ``outputs`` is what its samples write, before and now."""
+    one = Stage(
+        name="numbers", command=MADE["command"], publish={"results/numbers": ("*.csv",)},
+        code=("agents.study.cases:run_case",), sample={"limit": "1"}, minutes=1.0,
+    )  # fmt: skip
+    monkeypatch.setattr(stages, "CHECKOUT", tmp_path)
+    for module in (stages, confirm):
+        monkeypatch.setattr(module, "MADE", tmp_path / "results" / "made")
+    monkeypatch.setattr(confirm, "CHECKOUT", tmp_path)
+    monkeypatch.setattr(confirm, "WORK", tmp_path / "output")
+    monkeypatch.setattr(confirm, "load_stages", lambda: (one,))
+    monkeypatch.setattr(confirm, "in_history", lambda _: True)
+    monkeypatch.setattr(confirm, "commit", lambda: "def")
+    monkeypatch.setattr(confirm, "checked_out", lambda name: _Tree(tmp_path / name))
+    state = one.state()
+    (tmp_path / "results" / "made").mkdir(parents=True)
+    (tmp_path / "results" / "numbers").mkdir()
+    (tmp_path / "results" / "numbers" / "table.csv").write_text(f"a,code\n1,{OLD}\n")
+    path = tmp_path / "results" / "made" / "numbers.json"
+    path.write_text(json.dumps(MADE | {"inputs": state["inputs"]}))
+    return one, path, state
+
+
+class _Tree:
+    def __init__(self, place):
+        self.place = place
+
+    def __enter__(self):
+        return self.place
+
+    def __exit__(self, *_):
+        pass
+
+
+def outputs(monkeypatch, before, now):
+    ran = []
+
+    def run(command, tree, place, name):
+        ran.append((command, tree.name))
+        folder(Path(place), value=before if tree.name == "abc" else now)
+
+    monkeypatch.setattr(confirm, "_run", run)
+    return ran
+
+
+def test_results_are_kept_under_the_new_hash_where_the_sample_agrees(stage, monkeypatch, tmp_path, capsys):
+    one, path, state = stage
+    assert one.stale() == "code changed"
+    ran = outputs(monkeypatch, 1.0, 1.0)
+    confirm_results(("numbers",))
+    assert [command for command, _ in ran] == ["evaluate pi --limit 1 --output '{work}'"] * 2
+    assert ran[0][1] == "abc"
+    kept = json.loads(path.read_text())
+    assert kept["code"] == state["code"]
+    assert kept["commit"] == "abc"  # they are still what that commit made
+    assert kept["confirmed"][0]["from"] == OLD
+    assert (tmp_path / "results" / "numbers" / "table.csv").read_text() == f"a,code\n1,{state['code']}\n"
+    assert "numbers: the same: kept" in capsys.readouterr().out
+    confirm_results(())
+    assert "numbers: up to date" in capsys.readouterr().out
+
+
+def test_a_difference_keeps_them_stale(stage, monkeypatch):
+    _, path, _ = stage
+    text = path.read_text()
+    outputs(monkeypatch, 1.0, 2.0)
+    with pytest.raises(RuntimeError, match=r"stage numbers: map.npz differs; the results are stale"):
+        confirm_results(())
+    assert path.read_text() == text
+
+
+def test_what_cannot_be_compared_is_told(stage, monkeypatch, capsys):
+    one, path, _ = stage
+    outputs(monkeypatch, 1.0, 1.0)
+    path.write_text(json.dumps(MADE | {"inputs": "other"}))
+    confirm_results(())
+    assert "code and inputs changed: make it again" in capsys.readouterr().out
+    path.write_text(json.dumps(MADE | {"inputs": one.state()["inputs"]}))
+    monkeypatch.setattr(confirm, "load_stages", lambda: (one.model_copy(update={"sample": {}}),))
+    confirm_results(())
+    assert "no sample is known" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="stage = 'letters' is not one of numbers"):
+        confirm_results(("letters",))
+    monkeypatch.setattr(confirm, "in_history", lambda _: False)
+    with pytest.raises(ValueError, match="clean commits only"):
+        confirm_results(())
