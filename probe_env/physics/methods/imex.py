@@ -124,6 +124,29 @@ def float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, 
     return drag * relative * magnitude(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
 
 
+@njit(nogil=True, error_model="numpy", inline="always")
+def solve_node(state, q, factors, f, wx, wy, wt):
+    """W of a node on the way back, from that of its neighbour on the root side."""
+    gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
+    return less_product(gx, gy, gt, factors, f, wx, wy, wt)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
+    """New displacement of a node from w, and its velocity, which is returned."""
+    ux, uy, ut = wx - load(state, q + X), wy - load(state, q + Y), wt - load(state, q + T)
+    store(state, q + GX, ux)  # the last step's motion, by which friction knows the slide
+    store(state, q + GT, ut)
+    store(state, q + X, load(state, q + X) + drift * ux)
+    store(state, q + Y, load(state, q + Y) + drift * uy)
+    store(state, q + T, load(state, q + T) + drift * ut)
+    return (
+        bounce * ux - reflection * load(state, q + VX),
+        bounce * uy - reflection * load(state, q + VY),
+        bounce * ut - reflection * load(state, q + VT),
+    )
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def imex_advance(
     parameters,
@@ -207,38 +230,26 @@ def imex_advance(
             i = top - back
             q = i * FIELDS
             node = splat(parameters, float(i))
-            gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
-            ux, uy, ut = less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
             ux = where_less(node, held, ux, zero)
             uy = where_less(node, held, uy, zero)
             ut = where_less(node, held, ut, zero)
             store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
-            ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
-            store(state, q + GX, ux)  # the last step's motion, by which friction knows the slide
-            store(state, q + GT, ut)
-            store(state, q + X, load(state, q + X) + drift * ux)
-            store(state, q + Y, load(state, q + Y) + drift * uy)
-            store(state, q + T, load(state, q + T) + drift * ut)
-            store(state, q + VX, where_less(node, held, bounce * ux - reflection * load(state, q + VX), zero))
-            store(state, q + VY, where_less(node, held, bounce * uy - reflection * load(state, q + VY), zero))
-            store(state, q + VT, where_less(node, held, bounce * ut - reflection * load(state, q + VT), zero))
+            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
+            store(state, q + VX, where_less(node, held, vx, zero))
+            store(state, q + VY, where_less(node, held, vy, zero))
+            store(state, q + VT, where_less(node, held, vt, zero))
         for back in range(bottom):
             i = bottom - 1 - back
             q = i * FIELDS
-            gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
-            ux, uy, ut = less_product(gx, gy, gt, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
             store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
-            ux, uy, ut = ux - load(state, q + X), uy - load(state, q + Y), ut - load(state, q + T)
-            store(state, q + GX, ux)  # the last step's motion, by which friction knows the slide
-            store(state, q + GT, ut)
-            store(state, q + X, load(state, q + X) + drift * ux)
-            store(state, q + Y, load(state, q + Y) + drift * uy)
-            store(state, q + T, load(state, q + T) + drift * ut)
-            store(state, q + VX, bounce * ux - reflection * load(state, q + VX))
-            store(state, q + VY, bounce * uy - reflection * load(state, q + VY))
-            store(state, q + VT, bounce * ut - reflection * load(state, q + VT))
+            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
+            store(state, q + VX, vx)
+            store(state, q + VY, vy)
+            store(state, q + VT, vt)
         store(parameters, PEAK, peak)
         due -= 1
         if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):

@@ -43,6 +43,7 @@ from probe_env.physics.methods.ticm import (
     FASTMATH,
     OK,
     OVERFLOW,
+    behind,
     record,
     through_field,
     through_point,
@@ -274,7 +275,7 @@ def solve(chain, root, places, law, state, work):
         T[i, 0], T[i, 1], T[i, 2], T[i, 3], T[i, 4], T[i, 5], T[i, 6], T[i, 7], T[i, 8] = Tj
         s[i, 0], s[i, 1], s[i, 2] = sx, sy, st
 
-    # back from the tip (27) to the root by (28)-(29), as in ticm.ticm_step
+    # back from the tip (27) to the root by (28)-(29)
     x, y, t = sx, sy, st
     fx = fy = ft = 0.0
     for i in range(root):
@@ -284,17 +285,7 @@ def solve(chain, root, places, law, state, work):
         gx = fx + q[i, 0] - P[i, 0] * x - P[i, 1] * y - P[i, 6] * t
         gy = fy + q[i, 1] - P[i, 2] * y
         gt = ft + q[i, 2] - P[i, 3] * x - P[i, 4] * y - P[i, 5] * t
-        fx = c * gx + sn * gy
-        fy = c * gy - sn * gx
-        ft = gt + h * fy
-        state.axial_force[i] = fx
-        j = i + 1
-        bx = T[j, 0] * fx + T[j, 1] * fy + T[j, 2] * ft + s[j, 0]
-        by = T[j, 3] * fx + T[j, 4] * fy + T[j, 5] * ft + s[j, 1]
-        t = T[j, 6] * fx + T[j, 7] * fy + T[j, 8] * ft + s[j, 2]
-        x = c * bx + sn * by
-        y = c * by - sn * bx
-        fx, fy = c * fx + sn * fy, c * fy - sn * fx
+        state.axial_force[i], x, y, t, fx, fy, ft = behind(T, s, i + 1, gx, gy, gt, c, sn, h)
     return -1
 
 

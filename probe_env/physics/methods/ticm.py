@@ -163,6 +163,19 @@ def through_point(T, s, P, q):
     )  # fmt: skip
 
 
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def behind(T, s, j, gx, gy, gt, c, sn, h):
+    """Axial force of the element to node j, d of that node and the force on it, (28)-(29), from the force ahead."""
+    fx = c * gx + sn * gy  # Phi^T fbar: the element's frame (29)
+    fy = c * gy - sn * gx
+    ft = gt + h * fy  # L of (6)
+    bx = T[j, 0] * fx + T[j, 1] * fy + T[j, 2] * ft + s[j, 0]
+    by = T[j, 3] * fx + T[j, 4] * fy + T[j, 5] * ft + s[j, 1]
+    t = T[j, 6] * fx + T[j, 7] * fy + T[j, 8] * ft + s[j, 2]
+    # d_{j-1} stands in the element's frame: turn it back too (erratum of (29))
+    return fx, c * bx + sn * by, c * by - sn * bx, t, c * fx + sn * fy, c * fy - sn * fx, ft
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def ticm_step(chain, scheme, inputs, root, state, work):
     """One step by the TICM with node ``root`` held; the first diverged node counted from the tip, or -1."""
@@ -218,17 +231,7 @@ def ticm_step(chain, scheme, inputs, root, state, work):
         gt = ft + q[i, 2] - P[i, 3] * x - P[i, 4] * y - P[i, 5] * t
         if not update_node(scheme, state, i, x, y, t) and diverged < 0:
             diverged = i
-        fx = c * gx + sn * gy  # Phi^T fbar: the element's frame (29)
-        fy = c * gy - sn * gx
-        ft = gt + h * fy  # L of (6)
-        state.axial_force[i] = fx
-        j = i + 1
-        bx = T[j, 0] * fx + T[j, 1] * fy + T[j, 2] * ft + s[j, 0]
-        by = T[j, 3] * fx + T[j, 4] * fy + T[j, 5] * ft + s[j, 1]
-        t = T[j, 6] * fx + T[j, 7] * fy + T[j, 8] * ft + s[j, 2]
-        x = c * bx + sn * by  # d_{j-1} stands in the element's frame: turn it back too (erratum of (29))
-        y = c * by - sn * bx
-        fx, fy = c * fx + sn * fy, c * fy - sn * fx
+        state.axial_force[i], x, y, t, fx, fy, ft = behind(T, s, i + 1, gx, gy, gt, c, sn, h)
     return diverged
 
 
