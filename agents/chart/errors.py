@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import bootstrap
 
 from agents.chart.costs import cpu_seconds
 from agents.chart.ensembles import LENGTHS, MODEL_STEP, PEAK, REFERENCE_STEP, STATISTICS, STIFFNESSES, Setting
 from agents.chart.insertions import END, FEED_SPEED, REFERENCE, START, STRETCH
+from agents.rollouts.statistics import ratio_interval
 from agents.study.cases import CASES
 
 FLOORS = {
@@ -23,25 +24,6 @@ OUTPUTS = tuple(FLOORS)
 KEYS = list(Setting().key)
 BANDS = ((20.0, 40.0), (40.0, 60.0))
 """[m] stretches of the insertion over which runs are compared; before 20 m it is all but silent."""
-
-
-def ratio_interval(values: np.ndarray, reference: np.ndarray) -> tuple[float, float, float]:
-    """Ratio of means and its 95 % interval (BCa), of two independent samples; NaN without members."""
-    values, reference = values[np.isfinite(values)], reference[np.isfinite(reference)]
-    if min(len(values), len(reference)) < 2 or reference.mean() == 0.0:
-        return (float("nan"),) * 3
-    ratio = float(values.mean() / reference.mean())
-    if np.ptp(values) == 0.0 and np.ptp(reference) == 0.0:
-        return ratio, ratio, ratio
-
-    def of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
-        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
-
-    interval = bootstrap((values, reference), of_means, rng=np.random.default_rng(0)).confidence_interval
-    if not np.isfinite(interval).all():  # BCa fails where nearly all values are the same, as frequencies can be
-        rng = np.random.default_rng(0)
-        interval = bootstrap((values, reference), of_means, rng=rng, method="percentile").confidence_interval
-    return ratio, float(interval.low), float(interval.high)
 
 
 def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
@@ -125,7 +107,7 @@ def _compared(part: pd.DataFrame, reference: pd.DataFrame) -> dict[str, float]:
     for output in OUTPUTS:
         values, base = (frame[output].to_numpy(dtype=float) for frame in (part, reference))
         row[f"{output}:reference"] = float(np.nanmean(base)) if np.isfinite(base).any() else float("nan")
-        interval = ratio_interval(values, base)
+        interval = astuple(ratio_interval(values, base))
         row |= {f"{output}:{name}": value for name, value in zip(("ratio", "low", "high"), interval, strict=True)}
     return row
 

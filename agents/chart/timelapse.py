@@ -13,11 +13,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from scipy.stats import bootstrap
 from tqdm import tqdm
 
 from agents.records.drawing import GRID, MM, save
 from agents.records.provenance import provenance, write_atomically, write_json
+from agents.rollouts.statistics import ratio_interval
 from agents.terminal.tables import print_table
 from probe_env import Scene, SimulatorBatch
 from probe_env.fidelity import PRESETS
@@ -69,14 +69,10 @@ def summarise(profile: pd.DataFrame) -> pd.DataFrame:
         squares = part.assign(square=part["radial_rms_m"] ** 2).pivot_table("square", "probe", "factor")
         rms = {factor: np.sqrt(squares[factor].to_numpy()) for factor in FACTORS}
         for factor in FACTORS[1:]:
-            interval = bootstrap((rms[factor], rms[1]), _ratio, rng=np.random.default_rng(0)).confidence_interval
-            rows.append((factor, low, high, float(_ratio(rms[factor], rms[1])), interval.low, interval.high))
+            ratio = ratio_interval(rms[factor], rms[1])
+            rows.append((factor, low, high, ratio.mean, ratio.low, ratio.high))
     rows.sort()
     return pd.DataFrame(rows, columns=["factor", "from_m", "to_m", "ratio", "low", "high"])
-
-
-def _ratio(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:
-    return np.asarray(first.mean(axis=axis) / second.mean(axis=axis))
 
 
 def draw(profile: pd.DataFrame, path: Path) -> None:

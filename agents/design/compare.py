@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +15,9 @@ from tqdm import tqdm
 
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Scheduled
-from agents.records import reading as stored
 from agents.records.code_hash import class_hash, code_hash
-from agents.records.models import Trial, set_aside
+from agents.records.journal import Journal
+from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.work import Work, announce
 from agents.rollouts.statistics import Interval, mean_interval
@@ -119,26 +118,22 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
         raise ValueError("designs = none: give at least one design file (TOML), see configs/design/")
     if not comparison.full:
         comparison.schedule()
-    journal = output / "designs.jsonl"
-    done = read_journal(journal)
+    journal = trials_of(output)
+    done = journal.read()
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
     missing = [unit for unit in units if keys[unit] not in done]
     every = set(keys.values())
-    announce(Work("trial", len(every), lambda: len(every & read_journal(journal).keys()), output))
+    announce(Work("trial", len(every), lambda: len(every & journal.read().keys()), output))
     if missing:
-        output.mkdir(parents=True, exist_ok=True)
-        set_aside(journal)
-        with journal.open("ab") as file, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
+        with journal.appending() as append, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
             for begin in range(0, len(missing), BATCH):
                 part = missing[begin : begin + BATCH]
                 pairs = [(comparison.designs[name], comparison.contexts[k]) for name, k in part]
-                for unit, kpis in zip(part, comparison.run(pairs, [k for _, k in part]), strict=True):
-                    file.write((json.dumps({"key": keys[unit], "commit": commit(), "kpis": kpis}) + "\n").encode())
-                    bar.update()
-                file.flush()
-                os.fsync(file.fileno())
-        done = read_journal(journal)
+                kpis = comparison.run(pairs, [k for _, k in part])
+                append("".join(_line(keys[unit], values) for unit, values in zip(part, kpis, strict=True)))
+                bar.update(len(part))
+        done = journal.read()
     rows: list[dict[str, Any]] = []
     for name, k in units:
         place, record = {"design": name, "context": k}, done[keys[name, k]]
@@ -153,9 +148,13 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     return table
 
 
-def read_journal(path: Path) -> dict[str, dict[str, Any]]:
-    """Stored trials by key; a last line that was cut off by an interrupt is left out."""
-    return stored.read_journal(path, Trial)
+def _line(key: str, kpis: dict[str, float]) -> str:
+    return json.dumps({"key": key, "commit": commit(), "kpis": kpis}) + "\n"
+
+
+def trials_of(output: Path) -> Journal[Trial]:
+    """The stored trials of a comparison."""
+    return Journal(output / "designs.jsonl", Trial)
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:

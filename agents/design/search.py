@@ -19,7 +19,7 @@ import pandas as pd
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import NSGAIISampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
-from scipy.stats import bootstrap, rankdata
+from scipy.stats import rankdata
 from tqdm import tqdm
 
 from agents.design import figures
@@ -28,6 +28,7 @@ from agents.design.problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignPr
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.work import Work, announce
+from agents.rollouts.statistics import bootstrap_ends
 from agents.terminal.masking import masked
 from agents.terminal.tables import print_table
 from probe_env import Design
@@ -137,12 +138,9 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
             return np.asarray(np.linalg.lstsq(scaled[:, :-1], scaled[:, -1], rcond=None)[0])
 
         data = tuple(table[name].to_numpy() for name in (*names, objective))
-        drawn = bootstrap(
-            data, coefficients, paired=True, vectorized=False, method="percentile", n_resamples=1000,
-            rng=np.random.default_rng(0),
-        )  # fmt: skip
+        ends = bootstrap_ends(coefficients, *data, method="percentile", paired=True, vectorized=False, n_resamples=1000)
         middle = coefficients(*data)
-        low, high = (np.atleast_1d(end) for end in drawn.confidence_interval)
+        low, high = map(np.atleast_1d, ends)
         rows += [(objective, n, float(middle[k]), float(low[k]), float(high[k])) for k, n in enumerate(names)]
     return pd.DataFrame(rows, columns=["objective", "parameter", "coefficient", "low", "high"])
 

@@ -10,7 +10,6 @@ from typing import Any, Final
 import moocore
 import numpy as np
 import pandas as pd
-from scipy.stats import bootstrap
 
 from agents.evaluation import figures
 from agents.policies.catalogue import named_policies
@@ -18,7 +17,7 @@ from agents.policies.fixed import PI, Constant, FixedPolicy, OnOff, SlowDown
 from agents.policies.on_map import Privileged, TensionScheduled
 from agents.records.provenance import write_atomically
 from agents.rollouts.plan import Plan, Policy, run_plan
-from agents.rollouts.statistics import Interval, by_context, grouped, mean_interval, method_and_seed
+from agents.rollouts.statistics import Interval, bootstrap_ends, by_context, grouped, mean_interval, method_and_seed
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split, spread_contexts
 from probe_env.envs.task import TaskConfig
@@ -118,10 +117,8 @@ def _interval(time: np.ndarray, out: np.ndarray) -> Interval:
     every = np.arange(time.shape[1])
     if len(every) < 2:
         return Interval(volume(every), volume(every), volume(every))
-    drawn = bootstrap(
-        (every,), volume, vectorized=False, method="percentile", n_resamples=2000, rng=np.random.default_rng(0)
-    )
-    return Interval(volume(every), float(drawn.confidence_interval.low), float(drawn.confidence_interval.high))
+    ends = bootstrap_ends(volume, every, method="percentile", vectorized=False, n_resamples=2000)
+    return Interval(volume(every), *map(float, ends))
 
 
 def _print(front: pd.DataFrame, volumes: pd.DataFrame) -> None:

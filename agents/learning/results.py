@@ -10,7 +10,7 @@ import pandas as pd
 
 from agents.records.reading import read_csv
 from agents.records.tables import CURVE
-from agents.rollouts.statistics import CONFIDENCE, Interval, interquartile_means, seeds_by_contexts
+from agents.rollouts.statistics import Interval, nested_interval, seeds_by_contexts
 
 RESAMPLES = 2000
 SHOWN = ("reward", "inspection_time_s", "share_within_limit")
@@ -64,15 +64,7 @@ def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Calla
     values = [seeds_by_contexts(table, name, kpi) for name in names]
     if len({tuple(part.columns) for part in values}) != 1:
         raise ValueError(f"{', '.join(names)} were not run on the same contexts")
-    arrays, rng, drawn = [part.to_numpy() for part in values], np.random.default_rng(0), []
-    contexts = arrays[0].shape[1]
-    for _ in range(RESAMPLES):
-        chosen = rng.integers(contexts, size=contexts)
-        drawn.append([part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays])
-    means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
-    low, high = np.percentile(statistic(*means), [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
-    measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
-    return Interval(float(measured), float(low), float(high))
+    return nested_interval(statistic, *(part.to_numpy() for part in values), resamples=RESAMPLES)
 
 
 def _percent(change: Interval) -> str:

@@ -1,10 +1,7 @@
-"""JSON files and journals (a line of JSON a record), validated by models."""
+"""What is stored as JSON, described by models."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
 
@@ -15,18 +12,16 @@ from agents.records.columns import CARRIED, KPIS
 from probe_env.design import RANGES
 from probe_env.envs.starts import Probes
 from probe_env.envs.task import TaskConfig
-from probe_env.files import MEBI, FileError, as_text, open_regular, read_text
+from probe_env.files import MEBI, FileError, read_text
 from probe_env.settings import explain
 
 MOST_JSON: Final = 16 * MEBI
-MOST_JOURNAL: Final = 4096 * MEBI
-MOST_LINE: Final = 4 * MEBI
 ENDINGS: Final = ("complete", "lost_drive", "diverged")
 TRIAL_KPIS: Final = (
     "reward", "radial_rms_m", "share_within_limit", "inspection_time_s", "inspected_m", "drive_margin_n",
     "lost_drive", "diverged",
 )  # fmt: skip
-_RESTORE: Final = "restore the file or choose another folder"
+RESTORE: Final = "restore the file or choose another folder"
 
 
 class Stored(BaseModel):
@@ -131,72 +126,13 @@ def read_json(path: Path, model: type[S]) -> S:
         FileNotFoundError: no such file.
         FileError: not JSON, or not what the model says.
     """
-    return _valid(path, "", read_text(path, MOST_JSON), model)
+    return valid(path, "", read_text(path, MOST_JSON), model)
 
 
-def read_journal(path: Path, model: type[S]) -> dict[str, dict[str, Any]]:
-    """Records of a journal by their keys; none if there is no file. Of two with one key the later counts.
-
-    A last line that an interrupt cut off is left out; ``set_aside`` takes it away before anything is appended.
-
-    Raises:
-        FileError: any other line is not a record: names file and line.
-    """
-    records: dict[str, dict[str, Any]] = {}
-    if not os.path.lexists(path):
-        return records
-    for number, line, _ in _lines(path):
-        if line.endswith(b"\n") or not _cut_off(line):
-            record = _valid(path, f"line {number}: ", as_text(path, line, number), model).model_dump(exclude_none=True)
-            records[record["key"]] = record
-    return records
-
-
-def set_aside(path: Path) -> None:
-    """Make a journal ready to be appended to: a line that was cut off goes to ``NAME.cut-off`` beside it."""
-    if not path.exists():
-        return
-    line, begin = b"\n", 0
-    for _, line, begin in _lines(path):  # noqa: B007
-        pass
-    if line.endswith(b"\n"):
-        return
-    whole = not _cut_off(line)
-    with (path if whole else path.with_name(f"{path.name}.cut-off")).open("ab") as file:
-        file.write(b"\n" if whole else line + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-    if not whole:
-        os.truncate(path, begin)
-
-
-def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
-    """Number, content and first byte of every line."""
-    with open_regular(path, MOST_JOURNAL) as file:
-        begin, number = 0, 0
-        while line := file.readline(MOST_LINE + 1):
-            number += 1
-            if len(line) > MOST_LINE:
-                raise FileError(path, f"line {number}: longer than the {MOST_LINE} bytes of any record - {_RESTORE}")
-            yield number, line, begin
-            begin += len(line)
-
-
-def _cut_off(line: bytes) -> bool:
-    """Whether a line without an end is the beginning of a record, and not a whole one."""
-    begin = b'{"key": "'
-    if not (line.startswith(begin) or begin.startswith(line)) or b"\0" in line:
-        return False
-    try:
-        json.loads(line)
-    except (ValueError, RecursionError):
-        return True
-    return False
-
-
-def _valid(path: Path, place: str, text: str, model: type[S]) -> S:
+def valid(path: Path, place: str, text: str, model: type[S]) -> S:
+    """What a text says, or a ``FileError`` that names the file, the place in it and every field."""
     try:
         return model.model_validate_json(text)
     except ValidationError as error:
-        hint = _RESTORE if not place else f"take the line out (what it held is run again), or {_RESTORE}"
+        hint = RESTORE if not place else f"take the line out (what it held is run again), or {RESTORE}"
         raise FileError(path, f"{place}{explain(error)} - {hint}") from error

@@ -6,8 +6,8 @@ expected (``arrays``) or the search that it should hold (``database``). What doe
 line, ``FILE: place: what is wrong - what to do``. Reading changes nothing.
 """
 
-from agents.records.models import read_journal, read_json
+from agents.records.models import read_json
 from agents.records.tables import check_table, read_csv, read_parquet
 from probe_env.files import FileError
 
-__all__ = ["FileError", "check_table", "read_csv", "read_journal", "read_json", "read_parquet"]
+__all__ = ["FileError", "check_table", "read_csv", "read_json", "read_parquet"]

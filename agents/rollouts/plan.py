@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +24,8 @@ from agents.processes.workers import HERE, Workers
 from agents.records import reading as stored
 from agents.records.code_hash import class_hash, code_hash
 from agents.records.columns import CARRIED
-from agents.records.models import Episode, Setting, set_aside
+from agents.records.journal import Journal
+from agents.records.models import Episode, Setting
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.work import Work, announce
 from probe_env import Context, Fidelity
@@ -33,6 +33,7 @@ from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.starts import Probes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
+from probe_env.envs.trials import Controller, Players
 
 BATCH = 16
 SHARED = ("fidelity", "code", "probes")
@@ -45,13 +46,8 @@ CODE = (
 """What an episode depends on, besides its policy."""
 
 
-class Policy(Protocol):
+class Policy(Controller, Protocol):
     """What evaluation needs: SB3's ``predict`` and a description that is equal for equal policies."""
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """Action and state."""
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
@@ -113,28 +109,22 @@ def run_plan(
     if output is None:
         lines = _lines(plan, deque(plan.units()), batch, threads, workers)
         return _tables(plan, {record["key"]: record for record in map(json.loads, lines)})[0]
-    journal = output / "episodes.jsonl"
+    journal = episodes_of(output)
     done = _check_setting(plan, output)
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
-    announce(
-        Work("episode", len(units), lambda: len(units.keys() & read_journal(journal).keys()), output),
-        quiet=not progress,
-    )
+    announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
     if missing:
         output.mkdir(parents=True, exist_ok=True)
         write_json(output / "setting.json", plan.setting())
-        set_aside(journal)
         with (
-            journal.open("ab") as file,
+            journal.appending() as append,
             tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
         ):
             for line in _lines(plan, missing, batch, threads, workers):
-                file.write(line.encode())
-                file.flush()
-                os.fsync(file.fileno())
+                append(line)
                 bar.update()
-        done = read_journal(journal)
+        done = journal.read()
     table, profile = _tables(plan, done)
     _write_tables(table, profile, output)
     described = {name: policy.describe() for name, policy in plan.policies.items()}
@@ -155,13 +145,13 @@ def _tables(plan: Plan, done: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFram
     return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
 
 
-def read_journal(path: Path) -> dict[str, dict[str, Any]]:
-    """Stored episodes by key; a last line that was cut off by an interrupt is left out."""
-    return stored.read_journal(path, Episode)
+def episodes_of(output: Path) -> Journal[Episode]:
+    """The stored episodes of an evaluation."""
+    return Journal(output / "episodes.jsonl", Episode)
 
 
 def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
-    path, journal = output / "setting.json", output / "episodes.jsonl"
+    path, journal = output / "setting.json", episodes_of(output)
     if path.exists():
         this = Setting.model_validate_json(json.dumps(plan.setting()))
         before, now = _shared(stored.read_json(path, Setting)), _shared(this)
@@ -170,9 +160,9 @@ def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
             raise ValueError(
                 f"{output} holds episodes of another setting ({', '.join(different)} differ): choose another folder"
             )
-    elif read_journal(journal):
+    elif journal.read():
         raise stored.FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
-    return read_journal(journal)
+    return journal.read()
 
 
 def _shared(setting: Setting) -> dict[str, Any]:
@@ -209,14 +199,15 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, thr
     episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)
     probes: list[dict[str, float] | None] = [None] * count
     units: list[tuple[str, int, int] | None] = [None] * count
-    states: list[Any] = [None] * count
+    players = Players(count)
     profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
     observation = episodes.observation.copy()
     while missing or episodes.running.any():
         idle = [k for k in range(count) if not episodes.running[k]]
         fresh = []
         for k in idle[: len(missing)]:
-            units[k], states[k], profile[k] = missing.popleft(), None, []
+            units[k], profile[k] = missing.popleft(), []
+            players.begin(k, plan.policies[_unit(units[k])[0]])
             fresh.append(k)
         if fresh:
             options = {k: {"context": plan.contexts[_unit(units[k])[1]]} for k in fresh}
@@ -226,13 +217,7 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, thr
                 for k in fresh:
                     probes[k] = {name: started[k]["probe"][name] for name in RANGES}
         active = episodes.running.copy()
-        actions = np.zeros((count, 2), dtype=np.float32)
-        for k in np.flatnonzero(active).tolist():
-            policy = plan.policies[_unit(units[k])[0]]
-            start = np.array([states[k] is None])
-            action, states[k] = policy.predict(observation[k : k + 1], states[k], start, deterministic=True)
-            actions[k] = action[0]
-        step = episodes.step(actions, active)
+        step = episodes.step(players.act(observation, active), active)
         observation = step.observation
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]

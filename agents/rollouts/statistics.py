@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
@@ -31,6 +32,62 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
+def bootstrap_ends(
+    statistic: Callable[..., Any], *samples: np.ndarray, method: Literal["BCa", "percentile"] = "BCa", **options: Any
+) -> tuple[Any, Any]:
+    """Ends of a statistic's 95 % interval, drawn with a fixed seed.
+
+    BCa fails on nearly equal values: there plain percentiles serve.
+
+    Args:
+        statistic: of the samples, with ``axis`` unless ``vectorized=False``.
+        samples: independent ones (paired with ``paired=True``).
+        method: of ``scipy.stats.bootstrap``.
+        options: of it.
+    """
+    for kind in dict.fromkeys((method, "percentile")):
+        rng = np.random.default_rng(0)
+        drawn = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
+        low, high = drawn.confidence_interval
+        if np.isfinite([low, high]).all():
+            break
+    return low, high
+
+
+def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
+    """Ratio of the means of two independent samples; NaN without two values of each."""
+    values, reference = values[np.isfinite(values)], reference[np.isfinite(reference)]
+    if min(len(values), len(reference)) < 2 or reference.mean() == 0.0:
+        return Interval(*(float("nan"),) * 3)
+    ratio = float(values.mean() / reference.mean())
+    if np.ptp(values) == 0.0 and np.ptp(reference) == 0.0:
+        return Interval(ratio, ratio, ratio)
+
+    def of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
+
+    return Interval(ratio, *map(float, bootstrap_ends(of_means, values, reference)))
+
+
+def nested_interval(statistic: Callable[..., np.ndarray], *arrays: np.ndarray, resamples: int = 2000) -> Interval:
+    """A statistic of the interquartile means over training seeds of several methods' means over contexts.
+
+    Args:
+        statistic: of one mean a method.
+        arrays: (seeds, contexts) of each method; contexts are drawn anew, the same for all, and each one's seeds.
+        resamples: how often.
+    """
+    rng, drawn = np.random.default_rng(0), []
+    contexts = arrays[0].shape[1]
+    for _ in range(resamples):
+        chosen = rng.integers(contexts, size=contexts)
+        drawn.append([part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays])
+    means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
+    low, high = np.percentile(statistic(*means), [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
+    measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
+    return Interval(float(measured), float(low), float(high))
+
+
 def mean_interval(values: np.ndarray) -> Interval:
     """Mean of independent values with a bootstrap interval (BCa); the mean alone where all are equal or one.
 
@@ -43,12 +100,7 @@ def mean_interval(values: np.ndarray) -> Interval:
     mean = float(values.mean())
     if len(values) == 1 or np.ptp(values) == 0.0:
         return Interval(mean, mean, mean)
-    result = bootstrap((values,), np.mean, confidence_level=CONFIDENCE, rng=np.random.default_rng(0))
-    low, high = result.confidence_interval
-    if not np.isfinite([low, high]).all():  # BCa fails on nearly equal values: take plain percentiles
-        result = bootstrap((values,), np.mean, method="percentile", rng=np.random.default_rng(0))
-        low, high = result.confidence_interval
-    return Interval(mean, float(low), float(high))
+    return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
 
 
 def interquartile_mean(values: np.ndarray) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import Design
@@ -38,6 +39,30 @@ class Controller(Protocol):
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Action and state."""
+
+
+class Players:
+    """Policies that act in N episodes side by side, each with the memory of its own episode."""
+
+    def __init__(self, count: int) -> None:
+        self.controllers: list[Controller | None] = [None] * count
+        self.states: list[Any] = [None] * count
+
+    def begin(self, k: int, controller: Controller) -> None:
+        """Give episode ``k``, which begins, to a policy."""
+        self.controllers[k], self.states[k] = controller, None
+
+    def act(self, observation: npt.NDArray[np.float32], active: BoolArray) -> npt.NDArray[np.float32]:
+        """Actions (N, 2) for observations (N, d); zero where an episode is not active."""
+        actions = np.zeros((len(self.states), 2), dtype=np.float32)
+        for k in np.flatnonzero(active).tolist():
+            controller, start = self.controllers[k], np.array([self.states[k] is None])
+            assert controller is not None
+            action, self.states[k] = controller.predict(
+                observation[k : k + 1], self.states[k], start, deterministic=True
+            )
+            actions[k] = action[0]
+        return actions
 
 
 @dataclass(frozen=True)
@@ -162,15 +187,13 @@ def try_insertions(
     sums = {name: np.zeros((count, places)) for name in ("travel", "seconds", "air", "square", "tension", "periods")}
     ended = {name: np.zeros(count, dtype=bool) for name in ("lost_drive", "diverged")}
     guides = np.array([design.built.guide_length for design in designs])
-    states: list[Any] = [None] * count
+    players = Players(count)
+    for k, controller in enumerate(controllers):
+        players.begin(k, controller)
     while episodes.running.any():
-        active, actions = episodes.running.copy(), np.zeros((count, 2), dtype=np.float32)
+        active = episodes.running.copy()
         before = np.array([tally.inspected for tally in episodes.tally])
-        for k in np.flatnonzero(active).tolist():
-            start = np.array([states[k] is None])
-            action, states[k] = controllers[k].predict(observation[k : k + 1], states[k], start, deterministic=True)
-            actions[k] = action[0]
-        step = episodes.step(actions, active)
+        step = episodes.step(players.act(observation, active), active)
         observation = step.observation
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]

@@ -13,7 +13,7 @@ from scipy.stats import trim_mean
 from agents.evaluation.report import evaluate, write_report
 from agents.policies.fixed import Constant, SlowDown
 from agents.records.columns import KPIS
-from agents.rollouts.plan import Plan, per_metre, read_journal, run_plan
+from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
 from agents.rollouts.statistics import (
     Interval,
     endings,
@@ -74,7 +74,7 @@ def test_an_evaluation_killed_at_every_episode_and_table_gives_the_same_table(tm
     whole = run_plan(plan(4, 3), tmp_path / "whole", batch=2, progress=False)
     folder, stored = tmp_path / "killed", []
     while killed_at("agents.rollouts.plan._line", 4, evaluate_here, folder):
-        stored.append(len(read_journal(folder / "episodes.jsonl")))
+        stored.append(len(episodes_of(folder).read()))
     assert stored == list(range(3, 24, 3))  # of 24; nothing is lost, nothing done twice
     for number in range(1, 5):
         assert killed_at("os.replace", number, evaluate_here, folder)
@@ -88,7 +88,7 @@ def test_a_line_that_was_cut_off_is_run_again(tmp_path):
     content = journal.read_bytes()
     journal.write_bytes(content[:-40])
     pd.testing.assert_frame_equal(run_plan(plan(), tmp_path, progress=False), table, check_exact=True)
-    assert len(read_journal(journal)) == 12
+    assert len(episodes_of(journal.parent).read()) == 12
 
 
 def test_what_is_done_is_not_done_again_and_another_setting_is_refused(tmp_path, monkeypatch):

@@ -28,7 +28,8 @@ from agents.policies.fixed import Constant
 from agents.policies.vibration_map import STORED as MAP
 from agents.policies.vibration_map import VibrationMap
 from agents.policies.view import View
-from agents.records.models import TRIAL_KPIS, set_aside
+from agents.records.journal import set_aside
+from agents.records.models import TRIAL_KPIS
 from agents.records.reading import read_csv
 from agents.records.tables import FRONT
 from agents.rollouts.plan import Plan, run_plan

@@ -1,0 +1,105 @@
+"""Journals: a line of JSON a record, each whole on the disk before the next begins.
+
+What an interrupt or a kill leaves is read again by the next run, which does only what is missing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, Generic
+
+from agents.records.models import RESTORE, S, valid
+from probe_env.files import MEBI, FileError, as_text, open_regular
+
+MOST_JOURNAL: Final = 4096 * MEBI
+MOST_LINE: Final = 4 * MEBI
+
+
+class Journal(Generic[S]):
+    """Records by their keys, in a file of lines.
+
+    Args:
+        path: the file; there may be none.
+        model: of a record; it has a field ``key``.
+    """
+
+    def __init__(self, path: Path, model: type[S]) -> None:
+        self.path, self.model = path, model
+
+    def read(self) -> dict[str, dict[str, Any]]:
+        """Records by their keys; none if there is no file. Of two with one key the later counts.
+
+        A last line that an interrupt cut off is left out.
+
+        Raises:
+            FileError: any other line is not a record: names file and line.
+        """
+        records: dict[str, dict[str, Any]] = {}
+        if not os.path.lexists(self.path):
+            return records
+        for number, line, _ in _lines(self.path):
+            if line.endswith(b"\n") or not _cut_off(line):
+                text = as_text(self.path, line, number)
+                record = valid(self.path, f"line {number}: ", text, self.model).model_dump(exclude_none=True)
+                records[record["key"]] = record
+        return records
+
+    @contextmanager
+    def appending(self) -> Iterator[Callable[[str], None]]:
+        """A function that appends lines, while it is entered; they are on the disk when it returns."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        set_aside(self.path)
+        with self.path.open("ab") as file:
+
+            def append(lines: str) -> None:
+                file.write(lines.encode())
+                file.flush()
+                os.fsync(file.fileno())
+
+            yield append
+
+
+def set_aside(path: Path) -> None:
+    """Make a journal ready to be appended to: a line that was cut off goes to ``NAME.cut-off`` beside it."""
+    if not path.exists():
+        return
+    line, begin = b"\n", 0
+    for _, line, begin in _lines(path):  # noqa: B007
+        pass
+    if line.endswith(b"\n"):
+        return
+    whole = not _cut_off(line)
+    with (path if whole else path.with_name(f"{path.name}.cut-off")).open("ab") as file:
+        file.write(b"\n" if whole else line + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    if not whole:
+        os.truncate(path, begin)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
+    """Number, content and first byte of every line."""
+    with open_regular(path, MOST_JOURNAL) as file:
+        begin, number = 0, 0
+        while line := file.readline(MOST_LINE + 1):
+            number += 1
+            if len(line) > MOST_LINE:
+                raise FileError(path, f"line {number}: longer than the {MOST_LINE} bytes of any record - {RESTORE}")
+            yield number, line, begin
+            begin += len(line)
+
+
+def _cut_off(line: bytes) -> bool:
+    """Whether a line without an end is the beginning of a record, and not a whole one."""
+    begin = b'{"key": "'
+    if not (line.startswith(begin) or begin.startswith(line)) or b"\0" in line:
+        return False
+    try:
+        json.loads(line)
+    except (ValueError, RecursionError):
+        return True
+    return False
