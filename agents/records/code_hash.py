@@ -30,6 +30,8 @@ ASIDE: Final = (
     "agents.terminal.tables", "probe_env.errors", "probe_env.files",
 )  # fmt: skip
 """Modules that read, write and tell: no result depends on them. With the modules in them."""
+SHOWN_BY: Final = ("__repr__", "__str__", "_repr_html_")
+"""Methods that show an object: no result depends on them."""
 IGNORED_FIELDS: Final = frozenset({"annotation", "returns", "type_comment", "type_params", "ctx", "kind"})
 
 
@@ -102,6 +104,8 @@ def _texts(roots: tuple[str, ...]) -> Iterator[str]:
         if isinstance(found.node, ast.ClassDef):
             parts = [*found.node.decorator_list, *found.node.bases, *found.node.keywords]
             for member in found.node.body:
+                if isinstance(member, ast.FunctionDef) and member.name in SHOWN_BY:
+                    continue
                 if isinstance(member, ast.FunctionDef) and not member.name.startswith("__"):
                     inner = Definition(found.module, f"{found.name}.{member.name}", member)
                     methods.setdefault(member.name, []).append(inner)

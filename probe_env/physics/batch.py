@@ -100,6 +100,9 @@ class SimulatorBatch:
     def __len__(self) -> int:
         return len(self.simulators)
 
+    def __repr__(self) -> str:
+        return f"<SimulatorBatch of {len(self)} by {self.method}, step {self.time_step:g} s, {self.threads} threads>"
+
     def snapshot(self) -> dict[str, Any]:
         """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
         probes = [s.snapshot() for s in self.simulators]

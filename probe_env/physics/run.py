@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+QUANTITIES: Final = {"axial": "m", "radial": "m", "rotation": "rad", "tension": "N"}
+"""Signals of a run and their units."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,63 @@ class Run:
     def sample_period(self) -> float:
         """Time between samples [s]."""
         return float(self.time[1] - self.time[0]) if len(self.time) > 1 else float("nan")
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The signals over ``time_s``, a column a point and quantity: ("sensor", "radial_m") and so on."""
+        import pandas as pd  # which takes half a second to load
+
+        columns = {
+            (point, f"{name}_{unit.lower()}"): getattr(self, name)[:, k]
+            for k, point in enumerate(self.points)
+            for name, unit in QUANTITIES.items()
+        }
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time_s"))
+
+    def summary(self) -> pd.DataFrame:
+        """Rms about the mean and largest magnitude of every signal, SI units; a row a point."""
+        import pandas as pd
+
+        frame = self.to_pandas()
+        figures = {"rms": frame.std(ddof=0), "max": frame.abs().max()}
+        rows = {
+            point: {
+                f"{quantity}_{name}": values[point, quantity]
+                for quantity in frame[point]
+                for name, values in figures.items()
+            }
+            for point in self.points
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def plot(self, quantity: str = "radial", **options: Any) -> Any:
+        """Draw a quantity of all points over time; needs matplotlib.
+
+        Args:
+            quantity: one of ``QUANTITIES``.
+            options: of ``pandas.DataFrame.plot``.
+
+        Returns:
+            matplotlib's axes.
+
+        Raises:
+            ValueError: no such quantity.
+        """
+        if quantity not in QUANTITIES:
+            raise ValueError(f"quantity = {quantity!r} is not one of {', '.join(QUANTITIES)}")
+        unit = QUANTITIES[quantity]
+        frame = self.to_pandas().xs(f"{quantity}_{unit.lower()}", axis=1, level=1)
+        return frame.plot(xlabel="time [s]", ylabel=f"{quantity} [{unit}]", **options)
+
+    def __repr__(self) -> str:
+        rms = ", ".join(
+            f"{name} {1e3 * value:.3g}" for name, value in zip(self.points, self.radial.std(axis=0), strict=True)
+        )
+        span = f"{self.time[0]:g} to {self.time[-1]:g} s"
+        return f"<Run of {span}, {len(self.time)} samples; radial rms [mm]: {rms}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return f"<p>{self.time[0]:g} to {self.time[-1]:g} s, {len(self.time)} samples</p>{self.summary().to_html()}"
 
 
 def point_name(point: str | float) -> str:

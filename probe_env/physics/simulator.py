@@ -6,14 +6,17 @@ import copy
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Final
 
 import numpy as np
+from tqdm import tqdm
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.physics.chain import air_speed, build_chain, sensor_node
+from probe_env.physics.costs import node_step_seconds
 from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import Sampling, check_state
 from probe_env.physics.methods import method_named, solver_named, ticm
@@ -26,6 +29,9 @@ from probe_env.settings import whole_steps, within
 
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
+MOST_SAMPLES: Final = 2**31
+"""Bytes that the samples of one call may take."""
+CHANNELS: Final = 4
 
 
 class Simulator:
@@ -178,6 +184,23 @@ class Simulator:
             self.chain, self.time_step, self.sensor, self.nodes_per_pitch, solver_named(self.solver)
         )
 
+    def __repr__(self) -> str:
+        return (
+            f"<Simulator by {self.method}, step {self.time_step:g} s, {self.inserted_length:.6g} m in {self.root}"
+            f" elements, t = {self.time:.6g} s{', diverged' if self.diverged else ''}>"
+        )
+
+    def cost(self, duration: float) -> float:
+        """Processor time [s] that ``duration`` [s] will take about, on the machine that measured the chart's costs.
+
+        One probe takes as long as a group that fills the lanes. A probe that grows is counted with the nodes that it
+        will have half-way, at the present feed speed.
+        """
+        growth = 0.5 * duration * self.drive.growth * self.drive.speed_target
+        nodes = min(self.root + growth / self.chain.element_length, self.chain.node_count - 1)
+        per_node = node_step_seconds()[self.method] * method_named(self.method).width
+        return float(nodes * duration / self.time_step * per_node)
+
     @property
     def time(self) -> float:
         """Simulated time [s]."""
@@ -209,7 +232,7 @@ class Simulator:
         sample_period: float = 1e-3,
         points: Sequence[str | float] = ("sensor", "tip"),
         snapshots: Sequence[float] = (),
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] | bool = False,
     ) -> Run:
         """Simulate from rest at t = 0 with the scene's constant inputs; see ``advance`` for the arguments."""
         self.reset()
@@ -223,7 +246,7 @@ class Simulator:
         sample_period: float = 1e-3,
         points: Sequence[str | float] = ("sensor", "tip"),
         snapshots: Sequence[float] = (),
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] | bool = False,
     ) -> Run:
         """Continue for ``duration`` towards new targets of feed speed and air supply.
 
@@ -235,10 +258,10 @@ class Simulator:
             points: "sensor", "tip", "root" or distances from the tip [m] (the nearest node is taken).
             snapshots: times of whole-probe snapshots [s], ascending, within this run, on a time step;
                 constant length only.
-            progress: called now and then with the simulated time [s].
+            progress: True shows a bar; a function is called now and then with the simulated time [s].
 
         Raises:
-            ValueError: an argument is not valid.
+            ValueError: an argument is not valid, or the samples would not fit in memory.
             SimulationError: the state diverged, now or in an earlier call.
         """
         steps = whole_steps("duration", duration, self.time_step)
@@ -250,30 +273,31 @@ class Simulator:
             raise self._error
         self.check_fits()
         self.set_targets(feed_speed, air_supply_rate)
-        samples = np.zeros((steps // every + 1, len(nodes), 4))
+        _check_size(steps // every + 1, len(nodes))
+        samples = np.zeros((steps // every + 1, len(nodes), CHANNELS))
         tension_sum = np.zeros(self.chain.node_count)
         ticm.record(self.state, self.root, nodes, samples, 0, np.zeros(self.chain.node_count))
         start, start_root, done = self.steps_done, self.root, 0
         shapes: list[tuple[float, FloatArray, FloatArray]] = []
-        while True:
-            if done in stops:
-                shapes.append((self.time, self.state.d.copy(), self.state.axial_force.copy()))
-            if done == steps:
-                break
-            stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
-            rows = samples[done // every + 1 :]
-            counts = np.zeros(2, dtype=np.int64)
-            self.advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum, counts))
-            done += stretch
-            if progress is not None:
-                progress(self.time)
+        with _shown(progress, self.time, steps * self.time_step) as tell:
+            while True:
+                if done in stops:
+                    shapes.append((self.time, self.state.d.copy(), self.state.axial_force.copy()))
+                if done == steps:
+                    break
+                stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
+                rows = samples[done // every + 1 :]
+                counts = np.zeros(2, dtype=np.int64)
+                self.advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum, counts))
+                done += stretch
+                tell(self.time)
         h = self.chain.element_length
         return Run(
             time=(start + every * np.arange(len(samples))) * self.time_step,
-            axial=samples[:, :, 0].copy(),
-            radial=samples[:, :, 1].copy(),
-            rotation=samples[:, :, 2].copy(),
-            tension=samples[:, :, 3].copy(),
+            axial=samples[:, :, 0],
+            radial=samples[:, :, 1],
+            rotation=samples[:, :, 2],
+            tension=samples[:, :, 3],
             points=tuple(point_name(point) for point in points),
             distance_from_tip=np.where(nodes < 0, start_root, nodes) * h,
             mean_tension=tension_sum[start_root - 1 :: -1] / max(len(samples) - 1, 1),
@@ -371,6 +395,32 @@ class Simulator:
         if any(later <= earlier for earlier, later in itertools.pairwise(whole)):
             raise ValueError(f"snapshots = {list(snapshots)!r} s must ascend")
         return whole
+
+
+def _check_size(rows: int, points: int) -> None:
+    """Raise ValueError where the samples would take more than ``MOST_SAMPLES`` bytes."""
+    size = 8 * CHANNELS * rows * points
+    if size > MOST_SAMPLES:
+        raise ValueError(
+            f"duration, sample_period, points: {rows} samples of {points} points take {size / 2**30:.3g} GiB, more than"
+            f" {MOST_SAMPLES / 2**30:g}: sample less often or fewer points, or advance in pieces"
+        )
+
+
+@contextmanager
+def _shown(
+    progress: Callable[[float], None] | bool, start: float, duration: float
+) -> Iterator[Callable[[float], None]]:
+    """What to call with the simulated time [s]: nothing, a bar's update, or a given function."""
+    if callable(progress):
+        yield progress
+        return
+    with tqdm(total=round(duration, 6), unit="s", disable=not progress) as bar:
+
+        def tell(time: float) -> None:
+            bar.update(round(time - start, 6) - bar.n)
+
+        yield tell
 
 
 _BUILT: Final = (
