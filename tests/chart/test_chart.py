@@ -16,6 +16,7 @@ from agents.chart.ensembles import Setting, open_store, run_ensembles, run_setti
 from agents.chart.figures import RESOLVED, resolved
 from agents.chart.report import draw_chart
 from agents.records.store import stored_rows
+from agents.rollouts.statistics import ratio_interval
 from probe_env.physics import closed_forms
 from probe_env.physics.bare_chains import LAPACK
 
