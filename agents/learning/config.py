@@ -14,7 +14,7 @@ from agents.policies.view import View
 from agents.vec_env import ENVIRONMENTS
 from probe_env.envs.contexts import Split, spread_contexts
 from probe_env.envs.env import task_config
-from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.starts import NamedContexts, Probes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import Model, quantity, tuples, whole_steps
@@ -33,7 +33,7 @@ class Environments(Model):
 
     env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
-    contexts: Contexts = "train"
+    contexts: NamedContexts = "train"
     probes: Probes = "scene"
     """"random": every episode has a probe of its own."""
     fidelity: str | Fidelity = "fast"

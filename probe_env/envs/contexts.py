@@ -12,16 +12,19 @@ import hashlib
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 from scipy.stats import qmc, rankdata
 
 from probe_env.scene import Scene
-from probe_env.settings import Model, quantity
+from probe_env.settings import Model, explain, quantity
 
 Split = Literal["train", "validation", "test"]
+Values = float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)]
 SPLIT_SIZES: Final[dict[Split, int]] = {"train": 96, "validation": 24, "test": 48}
 HELIX_DIAMETERS: Final = (1.0, 1.2, 1.4, 1.7, 2.0, 2.5)  # [m]
 FRICTION: Final = (0.10, 0.25)
@@ -50,18 +53,49 @@ class Context(Model):
         )
 
 
-def draw_context(rng: np.random.Generator, fixed: dict[str, Any] | None = None) -> Context:
+class Ranges(Model):
+    """What random contexts are drawn from: a number, a range (low, high), or three and more to choose of."""
+
+    friction: Values = FRICTION
+    contact_stiffness: Values = STIFFNESS
+    drag_factor: Values = DRAG_FACTOR
+    helix_diameter: Values = HELIX_DIAMETERS
+
+    @model_validator(mode="after")
+    def _all_are_contexts(self) -> Self:
+        for name in Context.model_fields:
+            values = _values(getattr(self, name))
+            if len(values) == 2 and values[0] > values[1]:
+                raise PydanticCustomError("range", f"{name} = {list(values)} must ascend")
+            for value in values:
+                try:
+                    Context.model_validate({name: value})
+                except ValidationError as error:
+                    raise PydanticCustomError("context", explain(error).replace("{", "(").replace("}", ")")) from error
+        return self
+
+    @property
+    def stiffest(self) -> float:
+        """The largest contact stiffness that may be drawn [N/m]."""
+        return max(_values(self.contact_stiffness))
+
+
+def _values(given: Values) -> tuple[float, ...]:
+    return given if isinstance(given, tuple) else (given,)
+
+
+def draw_context(
+    rng: np.random.Generator, fixed: dict[str, Any] | None = None, ranges: Ranges | None = None
+) -> Context:
     """A random context; ``fixed`` sets fields by name, and drawing goes on alike whatever is fixed.
 
     Raises:
         ValueError: an unknown field or a value out of range (pydantic's ValidationError).
     """
-    drawn = {
-        "friction": float(rng.uniform(*FRICTION)),
-        "contact_stiffness": float(rng.uniform(*STIFFNESS)),
-        "drag_factor": float(rng.uniform(*DRAG_FACTOR)),
-        "helix_diameter": float(rng.choice(HELIX_DIAMETERS)),
-    }
+    ranges, drawn = ranges or Ranges(), {}
+    for name in Context.model_fields:
+        values = _values(getattr(ranges, name))
+        drawn[name] = float(rng.choice(values) if len(values) > 2 else rng.uniform(values[0], values[-1]))
     return Context.model_validate(drawn | (fixed or {}))
 
 

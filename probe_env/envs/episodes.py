@@ -101,6 +101,7 @@ class Episodes:
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.actions = np.tile(self.start_action, (count, 1))
         self.observation = np.zeros((count, len(config.observations)), dtype=np.float32)
+        self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
         self.start = np.zeros(count)
         self.running = np.zeros(count, dtype=bool)
         self.window: Window | None = None
@@ -151,9 +152,9 @@ class Episodes:
             self.batch.simulators[k].feed_length()
             self.tally[k].last_radial = window.radial[-2:, k].copy()
             self.running[k] = True  # one that diverged while settling ends in its first step
-        observation = self._observe(window, active)
+        self.observed[active] = self._observe(window, active)[active, None]
+        self.observation[active] = self.observed[active, 0]
         for k in which:
-            self.observation[k] = observation[k]
             infos[k] = self._info(k, window) | {
                 "context": self.context[k].model_dump(),
                 "probe": self.batch.simulators[k].scene.probe.model_dump(),
@@ -193,8 +194,10 @@ class Episodes:
         squares, seconds = inspected * capped_square(self.config, ratio), np.full(len(self), self.config.period)
         terms = reward_terms(self.config, inspected, squares, seconds, air, left, end.diverged, change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
-        observation = self._observe(window, good)
-        self.observation[good] = observation[good]  # a diverged probe keeps its last one
+        observation = self._observe(window, good)[:, None]
+        late = np.concatenate([self.observed[:, 1:], observation], axis=1)
+        self.observed[good] = late[good]  # a diverged probe keeps its last one
+        self.observation[good] = late[good, 0]
         self.running &= ~over
         self.window = window
         for k in np.flatnonzero(chosen):

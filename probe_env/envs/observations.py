@@ -26,8 +26,8 @@ OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
     "air_supply_rate": (0.0, 6.0, "applied air supply / (130 m3/h)"),
     "radial_acceleration": (-3.0, 8.0, "log10 of the radial accelerometer's rms / (1 m/s2)"),
     "axial_acceleration": (-3.0, 8.0, "log10 of the axial accelerometer's rms / (1 m/s2)"),
-    "rf_noise": (-4.0, 5.0, "log10 of the eddy-current noise, as radial rms / 0.1 mm; 5 % sensor noise"),
-    "root_tension": (-500.0, 500.0, "mean root tension / 20 N; 2 % sensor noise; the load cell ends at 10 kN"),
+    "rf_noise": (-4.0, 5.0, "log10 of the eddy-current noise, as radial rms / 0.1 mm; with sensor noise"),
+    "root_tension": (-500.0, 500.0, "mean root tension / 20 N; with sensor noise; the load cell ends at 10 kN"),
     "previous_feed_action": (-1.5, 1.5, "action before, feed speed"),
     "previous_air_action": (-1.5, 1.5, "action before, air supply"),
     "helix_diameter": (0.0, 4000.0, "helix diameter / 2.5 m"),
@@ -57,11 +57,12 @@ LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
 
 def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArray) -> npt.NDArray[np.float32]:
     """(N, d) observation of what was measured, with standard normal ``noise`` (N, 2) for RF noise and tension."""
+    tension = measured["tension_mean_n"] * (1.0 + config.tension_noise * noise[:, 1])
     felt: dict[str, FloatArray] = measured | {
         "radial_acceleration": np.hypot(measured["radial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
         "axial_acceleration": np.hypot(measured["axial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
-        "rf_noise": np.hypot(measured["radial_rms_m"], RF_FLOOR) * np.exp(0.05 * noise[:, 0]),
-        "root_tension": np.clip(measured["tension_mean_n"] * (1.0 + 0.02 * noise[:, 1]), -LOAD_CELL, LOAD_CELL),
+        "rf_noise": np.hypot(measured["radial_rms_m"], RF_FLOOR) * np.exp(config.rf_noise * noise[:, 0]),
+        "root_tension": np.clip(tension, -LOAD_CELL, LOAD_CELL),
         "previous_feed_action": measured["feed_action"],
         "previous_air_action": measured["air_action"],
     }

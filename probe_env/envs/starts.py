@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
+from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
-from probe_env.envs.contexts import STIFFNESS, Context, Split, draw_context, load_contexts
+from probe_env.envs.contexts import Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.task import TaskConfig
 from probe_env.scene import Probe, Scene
+from probe_env.settings import explain, tuples
 
-Contexts = Literal["random"] | Split
+NamedContexts = Literal["random"] | Split
+Contexts = NamedContexts | Sequence[Context | Mapping[str, float]] | Mapping[str, Any]
+"""A name, a list of one's own, or the ranges of random ones (see ``contexts.Ranges``)."""
 Probes = Literal["scene", "random"]
 SHORTEST_START: Final = 5.0  # [m] inserted
 SETTLING: Final = (0.2, 63.0 / 3600.0)
@@ -28,7 +32,7 @@ class Starts:
     Attributes:
         config: the task.
         scene: what contexts and options change.
-        contexts: "random", or the shipped list that is drawn from.
+        contexts: "random", the shipped list that is drawn from, a list of one's own, or ranges.
         probes: "scene", or "random": a ``Design`` is drawn.
         feed_speed, air_supply_rate: of the settling before an episode [m/s], [m3/s].
 
@@ -46,13 +50,13 @@ class Starts:
     def __post_init__(self) -> None:
         if self.probes not in get_args(Probes):
             raise ValueError(f"probes = {self.probes!r} is not one of {', '.join(get_args(Probes))}")
-        drawn_context(self.contexts, np.random.default_rng(0), {})  # names a list that is not there
+        object.__setattr__(self, "contexts", checked_contexts(self.contexts))
 
     @property
     def stiffest(self) -> Scene:
         """The scene with the hardest contact and the lightest floats that may be drawn: a step for it holds for all."""
-        listed = load_contexts(self.contexts) if self.contexts != "random" else ()
-        drawn = max((context.contact_stiffness for context in listed), default=STIFFNESS[1])
+        source = checked_contexts(self.contexts)
+        drawn = source.stiffest if isinstance(source, Ranges) else max(c.contact_stiffness for c in source)
         update: dict[str, Any] = {"contact": {"stiffness": max(drawn, self.scene.contact.stiffness)}}
         if self.probes == "random":
             lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
@@ -99,21 +103,49 @@ def _whole_pitches(length: float, probe: Probe) -> float:
     return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
 
 
+def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
+    """What contexts are drawn from: a list, or ranges.
+
+    Raises:
+        ValueError: no such list, or one of one's own with a field that is not known or not valid; names it.
+    """
+    if isinstance(contexts, Ranges) or (isinstance(contexts, tuple) and all(isinstance(c, Context) for c in contexts)):
+        return contexts
+    if isinstance(contexts, str):
+        if contexts == "random":
+            return Ranges()
+        if contexts not in get_args(Split):
+            raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+        return load_contexts(contexts)
+    try:
+        if isinstance(contexts, Mapping):
+            return Ranges.model_validate(tuples(dict(contexts)))
+        place, listed = "contexts", []
+        for k, given in enumerate(contexts):
+            place = f"contexts[{k}]"
+            listed.append(given if isinstance(given, Context) else Context.model_validate(dict(given)))
+    except ValidationError as error:
+        raise ValueError(explain(error, "contexts" if isinstance(contexts, Mapping) else place)) from error
+    except TypeError as error:
+        raise ValueError(f"contexts = {contexts!r} is no name, list of contexts or mapping of ranges") from error
+    if not listed:
+        raise ValueError("contexts = [] is empty: give at least one")
+    return tuple(listed)
+
+
 def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:
-    """A context from the generator, at random or from a shipped list; ``given`` fixes fields or a whole "context".
+    """A context from the generator, at random or from a list; ``given`` fixes fields or a whole "context".
 
     Takes "context" out of ``given``.
 
     Raises:
         ValueError: no such list, or a field that is not known or not valid.
     """
-    if contexts not in ("random", *get_args(Split)):
-        raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+    source = checked_contexts(contexts)
     whole = given.pop("context", None)
     if whole is not None:
         values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
         given = values | given
-    if contexts == "random":
-        return draw_context(rng, given)
-    choices = load_contexts(contexts)
-    return choices[int(rng.integers(len(choices)))].model_copy(update=given)
+    if isinstance(source, Ranges):
+        return draw_context(rng, given, source)
+    return source[int(rng.integers(len(source)))].model_copy(update=given)

@@ -35,6 +35,9 @@ class TaskConfig(Model):
 
     Weights: reward per metre inspected, per metre at the vibration limit (grows with the square, up to
     ``ratio_cap`` squared), per second, per m3 of air, and per squared change of the action.
+
+    Sensors: relative noise of the eddy-current noise and of the root tension (standard deviations), and how many
+    periods an observation is late; the actions in it are late as well.
     """
 
     growing: bool = True
@@ -57,6 +60,9 @@ class TaskConfig(Model):
     required_tension: Annotated[float, quantity(0.0, 1e3, "N")] = 0.8
     lost_drive_periods: Annotated[int, Field(ge=1, le=1000)] = 3
     lost_drive_from: Annotated[float, quantity(0.0, 1e3, "m")] = 15.0
+    rf_noise: Annotated[float, quantity(0.0, 1.0, "")] = 0.05
+    tension_noise: Annotated[float, quantity(0.0, 1.0, "")] = 0.02
+    delay_periods: Annotated[int, Field(ge=0, le=100)] = 0
     observe_root_tension: bool = True
     privileged: bool = False
     observe_probe: bool = False

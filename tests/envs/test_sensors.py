@@ -1,0 +1,87 @@
+"""Noise and delay of the sensors are the task's, and own contexts are drawn from lists and ranges."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import probe_env
+from probe_env import Context, TaskConfig
+from probe_env.envs.contexts import Ranges, draw_context
+from probe_env.envs.observations import observe
+from probe_env.envs.starts import checked_contexts, drawn_context
+
+assert probe_env.__all__
+SHORT = {"growing": False, "period": 0.05, "time_limit": 1.0, "settle_time": 0.05}
+ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2)).astype(np.float32)
+
+
+def observations(**config):
+    env = gym.make("probe_env/Insertion-v0", config=SHORT | config, scene=probe_env.Scene(carrier_length=2.0))
+    seen = [env.reset(seed=3)[0]]
+    return np.array(seen + [env.step(action)[0] for action in ACTIONS])
+
+
+def test_a_delay_shows_what_was_seen_so_many_periods_before():
+    now, late = observations(), observations(delay_periods=3)
+    assert (late[:4] == now[0]).all()  # the episode begins with its first observation
+    assert (late[3:] == now[:-3]).all()
+
+
+def test_noise_is_as_strong_as_the_task_says():
+    """Of 4,000 draws the deviation is within 6 standard errors, 0.011 of it each (a chance of 2e-9)."""
+    count = 4000
+    names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "radial_rms_m", "tension_mean_n")
+    others = ("feed_action", "air_action", "inserted_length", "remaining_length", "feed_speed", "air_supply_rate")
+    measured = {name: np.full(count, 2.0) for name in (*names, *others, "helix_diameter")}
+    noise = np.random.default_rng(1).normal(size=(count, 2))
+    columns = list(TaskConfig().observations)
+    for rf, tension in ((0.05, 0.02), (0.2, 0.1), (0.0, 0.0)):
+        seen = observe(TaskConfig(rf_noise=rf, tension_noise=tension), measured, noise).astype(float)
+        spread = seen.std(axis=0)
+        assert spread[columns.index("rf_noise")] == pytest.approx(rf / np.log(10.0), rel=6 * 0.0112, abs=1e-6)
+        assert spread[columns.index("root_tension")] == pytest.approx(0.1 * tension, rel=6 * 0.0112, abs=1e-6)
+
+
+def test_contexts_are_drawn_from_a_list_of_ones_own():
+    listed = [Context(friction=0.2), {"friction": 0.3, "helix_diameter": 1.9}]
+    env = gym.make("probe_env/Insertion-v0", config=SHORT, contexts=listed)
+    drawn = {env.reset(seed=seed)[1]["context"]["friction"] for seed in range(12)}
+    assert drawn == {0.2, 0.3}  # a chance of 2^-11 to miss one, with these seeds it does not
+    assert checked_contexts(listed)[1].helix_diameter == 1.9
+
+
+def test_and_from_ranges_that_leave_the_rest_as_it_was():
+    rng, same = np.random.default_rng(5), np.random.default_rng(5)
+    ranges = {"friction": (0.3, 0.35), "helix_diameter": 1.9, "drag_factor": [0.8, 1.0, 1.2]}
+    plain = draw_context(same)
+    drawn = drawn_context(ranges, rng, {})
+    assert 0.3 <= drawn.friction <= 0.35
+    assert drawn.helix_diameter == 1.9
+    assert drawn.drag_factor in (0.8, 1.0, 1.2)
+    assert drawn.contact_stiffness == plain.contact_stiffness
+    assert (drawn.friction - 0.3) / 0.05 == pytest.approx((plain.friction - 0.1) / 0.15)
+
+
+def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
+    assert Ranges(contact_stiffness=(1e5, 3e6)).stiffest == 3e6
+    for contexts in ({"contact_stiffness": (1e5, 1.8e5)}, [{"contact_stiffness": 1.8e5}, {"friction": 0.2}]):
+        env = gym.make("probe_env/Insertion-v0", contexts=contexts).unwrapped
+        assert env.episodes.starts.stiffest.contact.stiffness == 1.8e5
+
+
+@pytest.mark.parametrize(
+    ("contexts", "told"),
+    [
+        ("mine", "contexts = 'mine' is not one of random, train, validation, test"),
+        ([], "contexts = \\[\\] is empty"),
+        ([{"friction": 0.1}, {"friction": 7.0}], r"contexts\[1\].friction: 7.0 is outside the accepted range 0 to 1"),
+        ([{"fiction": 0.1}], r"contexts\[0\].fiction: there is no such field"),
+        ({"friction": (0.3, 0.1)}, r"contexts: friction = \[0.3, 0.1\] must ascend"),
+        ({"helix_diameter": (0.1, 2.0)}, "contexts: helix_diameter: 0.1 m is outside the accepted range"),
+        ({"fiction": 1.0}, "contexts.fiction: there is no such field"),
+        (3, "contexts = 3 is no name, list of contexts or mapping of ranges"),
+    ],
+)
+def test_what_is_wrong_with_contexts_is_named(contexts, told):
+    with pytest.raises(ValueError, match=told):
+        gym.make("probe_env/Insertion-v0", contexts=contexts)
