@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-processors test-pythons test-bounds lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme clean
+.PHONY: setup demo test test-processors test-pythons test-bounds lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme docs clean
 
 setup: $(STAMP)
 
@@ -101,6 +101,18 @@ test-ray:
 readme: setup
 	$(BIN)/probe-env readme
 
+# the site, with warnings as errors, and the check of its links; an environment of its own, so that that of make test
+# does not grow: libraries of the extra agents are not needed
+DOCS := .venv-docs
+SITE := output/docs
+docs:
+	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]' pytest
+	rm -rf $(SITE)
+	$(DOCS)/bin/python -m sphinx -q -W --keep-going --doctree-dir $(DOCS)/doctrees --fresh-env docs $(SITE)
+	PROBE_ENV_SITE=$(SITE) $(DOCS)/bin/pytest tests/docs
+	@echo "open $(CURDIR)/$(SITE)/index.html"
+
 clean:
-	rm -rf $(VENV) $(RAY) $(PEERS) $(PYTHONS:%=.venv-%) output
+	rm -rf $(VENV) $(RAY) $(PEERS) $(DOCS) $(PYTHONS:%=.venv-%) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

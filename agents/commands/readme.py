@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Readme:
-    """Rewrite the README's tables and figures from the stored results."""
+    """Rewrite the tables and figures of the README and of docs/ from the stored results."""
 
     check: bool = False
-    """Change nothing; fail if the README is not what the stored results say."""
+    """Change nothing; fail if a page is not what the stored results say."""
 
     def run(self) -> None:
         """Rewrite or check."""

@@ -12,7 +12,8 @@ __all__ = ["MAKERS", "RESULTS"]
 MAKERS: dict[str, Callable[[], str]] = {
     maker.__name__: maker
     for maker in (
-        control.agents, control.any_probe, control.evaluation, control.fidelity, control.map_quality, control.tradeoff,
+        control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
+        control.map_quality, control.tradeoff,
         designs.codesign, designs.designs, designs.search,
         simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
         simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from agents.evaluation.fidelity_check import words
 from agents.evaluation.report import compared_with, kpi_cells
@@ -13,11 +14,55 @@ from agents.records.columns import KPIS
 from agents.records.models import Made, Quality
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
-from agents.rollouts.statistics import Interval, endings, grouped, sentences
+from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
+from probe_env.envs.task import TaskConfig
 
 BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
            "adaptive", "ppo-no-tension", "ppo-any-probe", "ppo", "privileged")  # fmt: skip
+
+HEADLINE: Final = {
+    "constant": "0.2 m/s and 63 m³/h, as in the study",
+    "slow-down": "slower with length",
+    "example": "a schedule file, `configs/schedules/example.csv`",
+    "pi": "PI control of the measured vibration",
+    "best-constant": "the best constant for all training tubes",
+    "best-schedule": "the best schedule over length for all training tubes",
+    "best-schedule-by-diameter": "the best schedule for each helix diameter",
+    "tension-scheduled": "reads friction from the root tension, follows the best schedule for it",
+    "adaptive": "the same, corrected by the vibration that is measured",
+    "ppo": "trained agents",
+    "ppo-any-probe": "trained agents that see which probe was built",
+    "privileged": "is told the tube, which no rig knows: a measure of what is to be had",
+}
+"""Policies that a newcomer should know, in words."""
+SHORT: Final = {
+    "reward": ("reward", 1.0, ".1f"),
+    "inspection_time_s": ("time [s]", 1.0, ".0f"),
+    "share_within_limit": ("within the limit [%]", 100.0, ".1f"),
+    "radial_rms_m": ("radial rms [mm]", 1e3, ".3f"),
+    "air_m3": ("air [m³]", 1.0, ".1f"),
+}
+"""KPI -> heading, factor and format of the short table."""
+
+
+def headline() -> str:
+    """The policies that a newcomer should know by five means each."""
+    folder = RESULTS / "evaluation"
+    table, config = grouped(read_csv(folder / "episodes.csv", EPISODES)), TaskConfig()
+    means = summarise(table).set_index(["policy", "kpi"])["mean"].to_dict()
+    lines = [f"| policy | what it does | {' | '.join(name for name, _, _ in SHORT.values())} |"]
+    lines += ["|---" * 2 + "|---:" * len(SHORT) + "|"]
+    for policy, what in HEADLINE.items():
+        cells = (f"{means[policy, kpi] * factor:{form}}" for kpi, (_, factor, form) in SHORT.items())
+        lines.append(f"| `{policy}` | {what} | {' | '.join(cells)} |")
+    ends = endings(table)
+    note = (
+        f"Means over {table['context'].nunique()} held-out tubes. The limit is a radial rms of"
+        f" {1e3 * config.limit:g} mm at the sensor, {config.period:g} s at a time; `radial rms` is over the length."
+        f" {ends['diverged'].sum()} of {len(table)} insertions diverged, {ends['lost_drive'].sum()} lost their drive."
+    )
+    return "\n".join(lines) + f"\n\n{note} {source(folder / 'provenance.json')}"
 
 
 def evaluation() -> str:

@@ -1,7 +1,7 @@
-"""The README's and docs' tables and figures, made from stored results, so that neither can drift from the other.
+"""Tables and figures of the README and of docs/, made from stored results, so that neither can drift from the other.
 
-A block of a page between ``<!-- NAME -->`` and ``<!-- /NAME -->`` belongs to the maker of that name in
-``readme_blocks``.
+A block of a page between ``<!-- NAME -->`` and ``<!-- /NAME -->`` belongs to the maker of that name in ``blocks``, and
+stands on one page only: ``_pages``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from agents.records.provenance import write_atomically
 from agents.study.cases import load_rows
 from agents.study.claims import Ensemble
 
-README, ACCURACY, CLUSTER = Path("README.md"), Path("docs/accuracy.md"), Path("docs/cluster.md")
+README, DOCS = Path("README.md"), Path("docs")
 
 
 def rewrite_readme() -> None:
@@ -31,8 +31,8 @@ def check_readme() -> None:
     """Raise ValueError if a block differs from what the stored results give."""
     for page, names in _pages().items():
         if _rewritten(page, names) != page.read_text():
-            raise ValueError(f"{page.name} differs from the stored results: run `make readme`")
-        print(f"{page.name} agrees with results/")
+            raise ValueError(f"{page} differs from the stored results: run `make readme`")
+        print(f"{page} agrees with results/")
 
 
 def _rewritten(page: Path, names: tuple[str, ...]) -> str:
@@ -40,7 +40,7 @@ def _rewritten(page: Path, names: tuple[str, ...]) -> str:
     for name in names:
         pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
         if len(pattern.findall(text)) != 1:
-            raise ValueError(f"{page.name} must hold the block <!-- {name} --> ... <!-- /{name} --> exactly once")
+            raise ValueError(f"{page} must hold the block <!-- {name} --> ... <!-- /{name} --> exactly once")
         content = MAKERS[name]()
         text = pattern.sub(lambda match, content=content: f"{match[1]}{content}\n{match[2]}", text)  # type: ignore[misc]
     return text
@@ -65,11 +65,15 @@ def _learning_figure(path: Path) -> None:
 
 def _pages() -> dict[Path, tuple[str, ...]]:
     """The blocks of every page."""
+    results = DOCS / "results"
     return {
-        README: (
-            "study", "bench", "environments", "map_quality", "evaluation", "agents", "any_probe", "search", "designs",
-            "codesign", "tradeoff", "fidelity", "presets", "choices",
-        ),
-        ACCURACY: ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
-        CLUSTER: ("scaling",),
-    }  # fmt: skip
+        README: ("headline",),
+        results / "evaluation.md": ("map_quality", "evaluation", "any_probe"),
+        results / "agents.md": ("agents",),
+        results / "designs.md": ("search", "designs", "codesign"),
+        results / "fronts.md": ("tradeoff", "fidelity"),
+        results / "study.md": ("study",),
+        results / "speed.md": ("bench", "environments", "presets"),
+        DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
+        DOCS / "cluster.md": ("scaling",),
+    }

@@ -1,0 +1,34 @@
+"""The site: Sphinx, Furo and MyST. Built by ``make docs``, with warnings as errors."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))  # from_code
+
+project = "probe-env"
+html_title = "probe-env"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon", "from_code"]
+
+# Markdown: headings have the anchors that they have on a forge
+myst_heading_anchors = 4
+
+# what the code says of itself, with types; the libraries of the extra "agents" need not be there
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_member_order = "bysource"
+autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "sb3_contrib") if find_spec(name) is None]
+autosummary_generate = False
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_attr_annotations = False
+python_display_short_literal_types = True
+
+# it opens from disk and asks nothing from outside: no fonts, no scripts, no search summaries by request
+html_theme = "furo"
+html_show_copyright = False
+html_show_search_summary = False
+html_copy_source = False
+html_permalinks_icon = "#"

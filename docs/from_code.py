@@ -1,0 +1,168 @@
+"""What pages take from the code at build time: docstrings, fields with their ranges, methods, presets.
+
+A line ``<!-- from code: WHAT NAME -->`` of a page is replaced by what the function ``WHAT`` says of ``NAME``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from typing import Any, Final
+
+import numpy.typing as npt
+from sphinx.application import Sphinx
+from sphinx.util.typing import stringify_annotation
+
+from probe_env import Scene
+from probe_env.fidelity import PRESETS
+from probe_env.physics.methods import METHODS
+from probe_env.settings import Model
+
+PLACE: Final = re.compile(r"^<!-- from code: (\w+)(?: ([\w.]+))? -->$", re.MULTILINE)
+NDARRAY: Final = re.compile(
+    r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(~[\w.]+)(?:\[~typing\.Any\])?\]\]"
+)
+ARRAY_LIKE: Final = stringify_annotation(npt.ArrayLike, "smart")
+"""How autodoc writes types of arrays, which are short in the source."""
+
+
+def docstring(name: str) -> str:
+    """A docstring in Markdown, its headings one level below those of the page's sections."""
+    return re.sub(r"^##", "###", inspect.getdoc(_found(name)) or "", flags=re.MULTILINE)
+
+
+def fields(name: str) -> str:
+    """The fields of a model: default, unit and accepted range."""
+    model = _found(name)
+    rows = []
+    for field, info in model.model_fields.items():
+        default = info.default
+        shown = f"`{type(default).__name__}()`" if isinstance(default, Model) else f"`{_short(default)}`"
+        low, high, unit = _range(info.metadata)
+        rows.append((f"`{field}`", shown, unit, f"{low:g} to {high:g}" if low < high else _kind(info.annotation)))
+    return _table(("field", "default", "unit", "accepted"), rows)
+
+
+def methods() -> str:
+    """Order, steps and lanes of every method, for table 2's probe."""
+    scene, rows = Scene(), []
+    for method in METHODS.values():
+        stable, contact = (limit(scene, 4) for limit in (method.stable_step, method.contact_step))
+        steps = [f"{step:.2g} s" if math.isfinite(step) else "any" for step in (stable, contact)]
+        least = f"{method.least_step:g} s" if method.least_step else "-"
+        rows.append(
+            (f"`{method.name}`", str(method.order), f"{method.usual_step:g} s", *steps, least, str(method.width))
+        )
+    header = (
+        "method",
+        "order",
+        "usual step",
+        "known to hold up to",
+        "contact allows",
+        "at least",
+        "probes side by side",
+    )
+    return _table(header, rows)
+
+
+def presets() -> str:
+    """What the names of a fidelity stand for."""
+    rows = (
+        (f"`{name}`", f"`{f.method}`", f"{f.time_step:g} s", str(f.nodes_per_pitch), f"{f.time_lapse:g}")
+        for name, f in PRESETS.items()
+    )
+    return _table(("preset", "method", "time step", "nodes a pitch", "time-lapse"), rows)
+
+
+MAKERS: Final[dict[str, Callable[..., str]]] = {f.__name__: f for f in (docstring, fields, methods, presets)}
+
+_kept: dict[str, list[str]] = {}
+"""Docstrings of attributes as they are in the source."""
+
+
+def _found(name: str) -> Any:
+    module, _, attribute = name.rpartition(".")
+    return getattr(import_module(module), attribute)
+
+
+def _range(metadata: Iterable[Any]) -> tuple[float, float, str]:
+    """Bounds and unit of a quantity; (0, 0, "") where there is none."""
+    for entry in metadata:
+        known = inspect.getclosurevars(entry.func).nonlocals if hasattr(entry, "func") else {}
+        if "low" in known:
+            return known["low"], known["high"], known["unit"] or "-"
+    low, high = (next((getattr(e, name) for e in metadata if hasattr(e, name)), None) for name in ("ge", "le"))
+    return (low, high, "-") if low is not None and high is not None else (0.0, 0.0, "-")
+
+
+def _kind(annotation: Any) -> str:
+    """What is accepted where no range is: choices, or a type."""
+    choices = getattr(annotation, "__args__", ())
+    if choices and all(isinstance(choice, str) for choice in choices):
+        return ", ".join(f"`{choice}`" for choice in choices)
+    if inspect.isclass(annotation) and not choices:
+        return f"`{annotation.__name__}`"
+    return f"`{annotation}`".replace("typing.", "").replace("|", "or")
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_short, value))})"
+    return f"{value:.4g}" if isinstance(value, float) else repr(value)
+
+
+def _table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    names = list(header)
+    lines = [names, ["---"] * len(names), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _expand(app: Sphinx, document: str, source: list[str]) -> None:
+    """Replace the placeholders of a page."""
+
+    def made(match: re.Match[str]) -> str:
+        what, name = match.groups()
+        if what not in MAKERS:
+            raise ValueError(f"{document}: {what!r} is not one of {', '.join(MAKERS)}")
+        return MAKERS[what](name) if name else MAKERS[what]()
+
+    source[0], count = PLACE.subn(made, source[0])
+    if count:
+        app.env.note_reread()
+
+
+def _signature(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Models take their fields by name, whose ranges stand in tables; aliases of types are named as in the source."""
+    if inspect.isclass(obj) and issubclass(obj, Model):
+        return "(**fields)", None
+    return _plain(signature), _plain(returns)
+
+
+def _plain(text: str | None) -> str | None:
+    return NDARRAY.sub(r"~numpy.typing.NDArray[\1]", text.replace(ARRAY_LIKE, "ArrayLike")) if text else text
+
+
+def _keep(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Before Napoleon, which takes what is before a colon in an attribute's docstring for its type."""
+    if what in ("attribute", "property"):
+        _kept[name] = lines[:]
+
+
+def _put_back(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """After Napoleon."""
+    if name in _kept:
+        lines[:] = _kept.pop(name)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Take part in the build."""
+    app.connect("source-read", _expand)
+    app.connect("autodoc-process-signature", _signature)
+    app.connect("autodoc-process-docstring", _keep, priority=400)
+    app.connect("autodoc-process-docstring", _put_back, priority=600)
+    return {"parallel_read_safe": True}

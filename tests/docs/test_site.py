@@ -1,0 +1,92 @@
+"""The site opens from disk: nothing comes from outside, and every link leads somewhere."""
+
+import os
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from links import problems
+
+ROOT = Path(__file__).parents[2]
+SITE = "PROBE_ENV_SITE"
+"""Environment variable that names a site that is built already; `make docs` sets it."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if SITE in os.environ:
+        return ROOT / os.environ[SITE]
+    if find_spec("sphinx") is None or find_spec("furo") is None or find_spec("myst_parser") is None:
+        pytest.skip("Sphinx, Furo and MyST are not installed here (the extra docs): `make docs` runs this")
+    folder = tmp_path_factory.mktemp("site")
+    build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(ROOT / "docs"), str(folder)]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_every_link_leads_somewhere_and_nothing_comes_from_outside(site):
+    assert problems(site) == []
+
+
+def test_every_page_is_built_and_what_stands_for_code_is_filled_in(site):
+    pages = [path.relative_to(ROOT / "docs") for path in (ROOT / "docs").rglob("*.md")]
+    assert len(pages) > 20
+    for page in pages:
+        text = (site / page.with_suffix(".html")).read_text()
+        assert "from code:" not in text, page
+    assert "Episode End" in (site / "learning/environments.html").read_text()
+    assert "contact_stiffness" in (site / "api/environments.html").read_text()
+    assert "known to hold up to" in (site / "simulation/methods.html").read_text()
+
+
+GOOD = '<html><body><h1 id="top">A</h1><a href="b.html#place">b</a><a href="https://example.org">out</a></body></html>'
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ('<a href="c.html">', "c.html, which is not there"),
+        ('<a href="b.html#nowhere">', "b.html has no such place"),
+        ('<a href="#nowhere">', "a.html has no such place"),
+        ('<a href="/b.html">', "not relative"),
+        ('<a href="../outside.html">', "not there"),
+        ('<img src="picture.png">', "picture.png, which is not there"),
+        ('<img src="https://example.org/picture.png">', "from outside"),
+        ('<img srcset="//example.org/picture.png 2x">', "from outside"),
+        ('<script src="https://example.org/code.js"></script>', "from outside"),
+        ('<script>fetch("https://example.org/data.json")</script>', "asks outside"),
+        ('<link rel="stylesheet" href="https://example.org/style.css">', "from outside"),
+        ('<link rel="preconnect" href="https://example.org">', "from outside"),
+        ("<style>@import 'https://example.org/style.css';</style>", "from outside"),
+        ('<p style="background: url(https://example.org/picture.png)">', "from outside"),
+        ('<iframe src="https://example.org"></iframe>', "from outside"),
+    ],
+)
+def test_what_is_wrong_is_noticed(tmp_path, wrong, told):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "outside.html").write_text(GOOD)
+    (tmp_path / "site/b.html").write_text('<p id="place">')
+    (tmp_path / "site/a.html").write_text(GOOD)
+    assert problems(tmp_path / "site") == []
+    (tmp_path / "site/a.html").write_text(GOOD.replace("</body>", f"{wrong}</body>"))
+    found = problems(tmp_path / "site")
+    assert len(found) == 1
+    assert re.search(re.escape(told), found[0])
+
+
+@pytest.mark.parametrize(
+    "style", ["@font-face { src: url('//example.org/font.woff2'); }", "p { background: url(gone.png) }"]
+)
+def test_a_style_sheet_is_read_too(tmp_path, style):
+    (tmp_path / "a.html").write_text(GOOD.replace("b.html#place", "#top"))
+    assert problems(tmp_path) == []
+    (tmp_path / "style.css").write_text(style)
+    assert len(problems(tmp_path)) == 1
+
+
+def test_a_folder_without_pages_is_no_site(tmp_path):
+    assert problems(tmp_path) == [f"{tmp_path}: no pages"]
