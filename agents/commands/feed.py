@@ -27,7 +27,7 @@ class Evaluate:
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of contexts."""
     limit: int = 0
-    """Take so many contexts of the list only, evenly spread; 0: all."""
+    """Take so many contexts of the list only, the first of it, which are balanced; 0: all."""
     seeds: int = 1
     """Seeds of sensor noise and start for every context."""
     fidelity: str = "standard"
@@ -74,7 +74,7 @@ class Tradeoff:
     beside: tuple[str, ...] = ()
     """Single policies to draw beside the fronts: schedules, agents."""
     limit: int = 12
-    """Take so many contexts of the list only, evenly spread; 0: all."""
+    """Take so many contexts of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
     """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
 

@@ -125,7 +125,7 @@ def design_problem(feed: str, full: bool, contexts: int, fidelity: str) -> Desig
     Args:
         feed: "best-constant", a schedule, or with ``full`` any policy.
         full: whole insertions.
-        contexts: so many tubes, evenly spread.
+        contexts: so many tubes, the first of the training list.
         fidelity: preset, or "auto".
 
     Raises:

@@ -57,7 +57,7 @@ class Validation(Model):
 
     contexts: Split = "validation"
     limit: Annotated[int, Field(ge=0)] = 12
-    """So many contexts, evenly spread; 0: all."""
+    """So many contexts, the first of the list; 0: all."""
     fidelity: str | Fidelity = "fast"
 
 
