@@ -13,11 +13,10 @@ from matplotlib.axes import Axes
 from agents.chart.smooth import cases
 from agents.records.drawing import GREY, GRID, save
 from probe_env.physics.bare_chains import LAPACK
+from probe_env.physics.methods import METHODS
 
-COLOURS = {
-    "newmark": "#1f5fa8", "wilson": "#7d3c98", "imex": "#c0392b", "imex32": "#ec7aa5", "implicit": "#d68910",
-    "explicit": "#1e8449", LAPACK: "#5dade2",
-}  # fmt: skip
+PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")
+COLOURS = dict(zip((*METHODS, LAPACK), PALETTE, strict=False))
 SHOWN = {
     "radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_share": "lift-off share",
     "axial_peak_hz": "axial peak frequency",

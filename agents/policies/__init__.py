@@ -1,4 +1,23 @@
 """Policies: observations enter, actions leave; fixed laws, schedules, the vibration map, trained networks.
 
-``catalogue`` finds one by its name or file. Imports rollouts and records; torch for trained networks and for fitting the map alone.
+``catalogue`` finds one by its name or file. Imports rollouts and records; torch for trained networks and the map's fit.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+    from agents.policies.bundle import Agent
+    from probe_env.envs.task import TaskConfig
+
+__all__ = ["from_sb3"]
+
+
+def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
+    """A model of Stable-Baselines3 as a policy, see ``agents.policies.sb3``."""
+    from agents.policies.sb3 import from_sb3 as policy_of  # and with it torch
+
+    return policy_of(model, config)

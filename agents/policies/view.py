@@ -29,12 +29,14 @@ class View(Model):
     the memory that a controller needs to guess friction from noisy windows. Feed speed spans a factor of 20, so equal
     steps of an action are equal ratios of speed. The agent's air action spans what the task allows, but nothing below
     ``least_air_supply_rate`` [m3/s]: too little air loses the drive, which is rare enough for training to miss.
+    Without ``logarithmic_feed`` a feed action is the task's own.
     """
 
     observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
     averages: Annotated[tuple[TimeConstant, ...], Field(max_length=16)] = (5.0, 20.0)
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
+    logarithmic_feed: bool = True
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
@@ -100,7 +102,8 @@ class View(Model):
         """(N, 2) actions of the environment for the agent's: its feed action is of the logarithm."""
         low, high = config.feed_speeds
         share = share_of(np.asarray(actions, dtype=np.float64))
-        linear = action_of(share_between(low * (high / low) ** share[:, 0], config.feed_speeds))
+        feed = low * (high / low) ** share[:, 0] if self.logarithmic_feed else low + share[:, 0] * (high - low)
+        linear = action_of(share_between(feed, config.feed_speeds))
         floor = self._air_floor(config)
         blown = floor + (1.0 - floor) * share[:, 1]
         acted: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
@@ -111,7 +114,7 @@ class View(Model):
         low, high = config.feed_speeds
         share = share_of(np.asarray(actions, dtype=np.float64))
         feed = low + share[:, 0] * (high - low)
-        logarithmic = action_of(np.log(feed / low) / np.log(high / low))
+        logarithmic = action_of(np.log(feed / low) / np.log(high / low)) if self.logarithmic_feed else actions[:, 0]
         floor = self._air_floor(config)
         blown = (share[:, 1] - floor) / (1.0 - floor)
         acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
