@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from probe_env import Scene
-from probe_env.physics.chain import build_chain, element_blocks, element_stiffness
+from probe_env.physics import bare_chains
+from probe_env.physics.chain import element_blocks, element_stiffness
 from probe_env.physics.drive import Drive
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import workspace
@@ -11,25 +11,8 @@ from probe_env.physics.state import at_rest
 
 
 def plain_chain(elements, **changes):
-    """A straight, frictionless, undamped chain of table 2's cable with no contact, drag or inertia terms."""
-    scene = Scene.model_validate({"tube": {"helix_length": 1000.0}, "carrier_length": 0.1})
-    nodes = elements + 1
-    base = build_chain(scene)._replace(
-        cos_phi=1.0,
-        sin_phi=0.0,
-        damping_time=0.0,
-        curvature=0.0,
-        couple_length=0.0,
-        frame_inertia=0.0,
-        friction=0.0,
-        contact_stiffness=np.zeros(nodes),
-        outer_gap=np.full(nodes, np.inf),
-        lever=np.zeros(nodes),
-        drag=np.zeros(nodes),
-        support_stiffness=np.zeros((nodes, 3)),
-        load=np.zeros((nodes, 3)),
-    )
-    return base._replace(**changes)
+    """A straight chain of table 2's cable with nothing but elasticity: no damping either."""
+    return bare_chains.plain_chain(elements, **({"damping_time": 0.0} | changes))
 
 
 def bent(chain, helix_diameter=1.2):
