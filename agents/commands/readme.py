@@ -14,6 +14,8 @@ class Readme:
 
     def run(self) -> None:
         """Rewrite or check."""
+        from agents.commands.publishing import check_checkout
         from agents.pages.rewrite import check_readme, rewrite_readme
 
+        check_checkout("readme")
         check_readme() if self.check else rewrite_readme()

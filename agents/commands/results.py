@@ -22,9 +22,11 @@ class Results:
 
     def run(self) -> None:
         """Say what is stale, run it, publish it."""
+        from agents.commands.publishing import check_checkout
         from agents.records.confirm import confirm_results
         from agents.records.stages import run_results
 
+        check_checkout("results")
         if self.confirm:
             confirm_results(self.stages)
         else:

@@ -79,7 +79,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
     header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()))
     rows = ((policy, *cells) for policy, cells in kpi_cells(table))
-    print_table("Means with 95 % intervals over the contexts", header, rows, least_width=160)
+    print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
         print(
             f"{name}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"
