@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from agents.processes.interrupts import heard, tell
+
+AGENTS: Final = ("cmaes", "moocore", "optuna", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
+"""Modules of the extra "agents", which commands import when they need them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,12 +23,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    from agents.commands.registry import COMMANDS, first_page
+
+    name = arguments[0] if arguments else ""
+    if name in ("", "-h", "--help"):
+        print(first_page())
+        return 0 if name else 2
+    if name == "--version":
+        from importlib.metadata import version
+
+        print(f"probe-env {version('probe-env')}")
+        return 0
+    if name not in COMMANDS:
+        return _fail(f"command = {name!r} is not one of {', '.join(COMMANDS)}; probe-env --help tells what they do")
+    return _run_command(name, arguments[1:])
+
+
+def _run_command(name: str, arguments: Sequence[str]) -> int:
     import warnings
 
     from pydantic import ValidationError
 
     from agents.publishing.places import in_its_place
-    from agents.terminal.command_line import parsed
     from agents.terminal.notices import said_when_compiling
     from probe_env import SimulationError
     from probe_env.settings import explain
@@ -33,16 +52,27 @@ def _run(arguments: Sequence[str]) -> int:
     try:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
         _show_choices()
-        command = parsed(_commands(arguments), arguments, __doc__)
+        command = _command(name, arguments)
         with said_when_compiling():
             in_its_place(command).run()
     except ValidationError as error:
         return _fail(explain(error))
     except FileNotFoundError as error:
-        return _fail(f"no such file: {error.filename}")
+        hint = getattr(error, "hint", "")
+        return _fail(f"no such file: {error.filename}" + (f" - {hint}" if hint else ""))
+    except ImportError as error:
+        module = _missing(error)
+        if module not in AGENTS:
+            raise
+        return _fail(f'this command needs {module}, which is not installed: pip install "probe-env[agents]"')
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
         return _fail(str(error))
     return 0
+
+
+def _missing(error: ImportError) -> str:
+    """The module that an import did not find; Stable-Baselines3 tells it in words that begin with the name alone."""
+    return (error.name or str(error)).replace(".", " ").partition(" ")[0]
 
 
 def _show_choices() -> None:
@@ -54,49 +84,17 @@ def _show_choices() -> None:
     logger.setLevel(logging.INFO)
 
 
-def _commands(arguments: Sequence[str]) -> Any:
-    """The subcommands; the scene file named on the command line gives the defaults of --scene options."""
-    from pathlib import Path
-    from typing import Annotated, Union
+def _command(name: str, arguments: Sequence[str]) -> Any:
+    """The command with its arguments; the scene that is named gives the defaults of --scene options."""
+    from importlib import import_module
 
-    import tyro
+    from agents.commands.registry import COMMANDS
+    from agents.terminal.command_line import parsed, positional
 
-    from agents.commands.design import Compare, DesignSearch
-    from agents.commands.feed import Evaluate, Map, Optimise, Render, Report, Tradeoff, Train
-    from agents.commands.readme import Readme
-    from agents.commands.results import Results
-    from agents.commands.study import Bench, Chart, Peers, Scaling, Simulate, Stability, Study, Timelapse
-    from probe_env import Scene
-
-    simulate = tyro.conf.subcommand("simulate")
-    if arguments[:1] == ["simulate"]:
-        files = [argument for argument in arguments[1:] if argument.endswith(".toml")]
-        if files:
-            simulate = tyro.conf.subcommand("simulate", default=Simulate(Path(files[0]), Scene.from_toml(files[0])))
-    others = (
-        Annotated[kind, tyro.conf.subcommand(name)]
-        for name, kind in (
-            ("study", Study),
-            ("chart", Chart),
-            ("peers", Peers),
-            ("bench", Bench),
-            ("scaling", Scaling),
-            ("timelapse", Timelapse),
-            ("stability", Stability),
-            ("render", Render),
-            ("evaluate", Evaluate),
-            ("report", Report),
-            ("tradeoff", Tradeoff),
-            ("map", Map),
-            ("optimise", Optimise),
-            ("train", Train),
-            ("compare", Compare),
-            ("design", DesignSearch),
-            ("results", Results),
-            ("readme", Readme),
-        )
-    )
-    return Union[Annotated[Simulate, simulate], *others]
+    module, _, kind = COMMANDS[name].place.partition(":")
+    made = getattr(import_module(f"agents.commands.{module}"), kind)
+    default = made.of_scene(positional(arguments)) if hasattr(made, "of_scene") else None
+    return parsed(name, made, arguments, COMMANDS[name].example, default)
 
 
 def _fail(message: str, status: int = 2) -> int:

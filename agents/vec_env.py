@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, spaces_of, task_config
+from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, scene_of, spaces_of, task_config
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.starts import Contexts, Probes
 from probe_env.envs.task import TaskConfig
@@ -43,7 +43,7 @@ class ProbeVecEnv(VecEnv):
         env_id: str = "probe_env/Insertion-v0",
         num_envs: int = 16,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | None = None,
+        scene: Scene | Mapping[str, Any] | None = None,
         fidelity: str | Fidelity | Mapping[str, Any] = "standard",
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
@@ -56,7 +56,7 @@ class ProbeVecEnv(VecEnv):
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         self.config = task_config(ENVIRONMENTS[env_id].defaults, config)
         self.episodes = Episodes(
-            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, threads
+            num_envs, self.config, scene_of(scene), fidelity, contexts, feed_speed, air_supply_rate, probes, threads
         )
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))

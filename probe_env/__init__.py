@@ -6,6 +6,8 @@
 (501, 2)
 """
 
+from importlib.metadata import PackageNotFoundError, version
+
 import gymnasium
 
 from probe_env.machine import ensure_kernel_cache
@@ -38,12 +40,18 @@ __all__ = [
     "TaskConfig",
     "Tube",
     "Window",
+    "__version__",
     "choose_fidelity",
     "load_contexts",
     "spread_contexts",
 ]
 
-for _name in ("Insertion", "Snapshot"):  # no max_episode_steps: the environments keep their own time limit
+try:
+    __version__ = version("probe-env")
+except PackageNotFoundError:  # sources on the path that nobody has installed
+    __version__ = "unknown"
+
+for _name in ("Insertion", "Snapshot"):  # no max_episode_steps by default: the tasks keep their own time limit
     gymnasium.register(
         id=f"probe_env/{_name}-v0",
         entry_point=f"probe_env.envs.env:{_name}Env",

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 MEBI: Final = 1 << 20
+FLAGS: Final = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+"""Of opening, where the system has them: a pipe would wait for its other end, between a look and its opening too."""
 LONGEST_LINE: Final = 2000
 """Characters of an error."""
 DEEPEST_KEY: Final = 16
@@ -54,8 +56,7 @@ def open_regular(path: str | Path, most: int) -> BinaryIO:
         FileError: a folder, pipe or device, too large, or not to be read.
     """
     try:
-        # a pipe would wait for its other end, also between a look at it and its opening
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        handle = os.open(path, FLAGS)
     except FileNotFoundError:
         raise
     except OSError as error:

@@ -34,22 +34,34 @@ class Tube(Model):
     """Helical tube, modelled as a circle in a plane."""
 
     helix_diameter: Annotated[float, quantity(0.3, 1e4, "m")] = 1.2
+    """Of the tube's axis [m]."""
     inner_diameter: Annotated[float, quantity(5e-3, 0.1, "m")] = 24.2e-3
+    """Of the tube [m]."""
     helix_length: Annotated[float, quantity(0.1, 1e3, "m")] = 60.0
+    """Along the tube's axis [m]."""
 
 
 class Probe(Model):
     """Cable with equally spaced floats: carrier behind the sensor, guide ahead of it."""
 
     cable_diameter: Annotated[float, quantity(1e-3, 0.05, "m")] = 8.35e-3
+    """Of the cable between its floats [m]."""
     line_density: Annotated[float, quantity(0.01, 10.0, "kg/m")] = 0.111
+    """Of cable with floats [kg/m]."""
     tensile_rigidity: Annotated[float, quantity(1e2, 1e8, "N")] = 1.1e5
+    """EA of the cable [N]."""
     flexural_rigidity: Annotated[float, quantity(1e-5, 1e2, "N m2")] = 4.8e-2
+    """EI of the cable [N m2]."""
     damping_time: Annotated[float, quantity(0.0, 1e-2, "s")] = 5.0e-5
+    """Damping over stiffness of the cable [s]."""
     float_pitch: Annotated[float, quantity(0.01, 1.0, "m")] = 0.1
+    """Between two floats [m]."""
     carrier_float_diameter: Annotated[float, quantity(2e-3, 0.1, "m")] = 19e-3
+    """Floats behind the sensor [m]."""
     guide_float_diameter: Annotated[float, quantity(2e-3, 0.1, "m")] = 19e-3
+    """Floats ahead of the sensor [m]."""
     guide_length: Annotated[float, quantity(0.0, 1e3, "m")] = 2.5
+    """Cable ahead of the sensor [m]."""
 
 
 class Contact(Model):
@@ -59,15 +71,20 @@ class Contact(Model):
     """
 
     stiffness: Annotated[float, quantity(1e2, 1e8, "N/m")] = 1e5
+    """Of the wall under a float [N/m]."""
     friction: Annotated[float, quantity(0.0, 1.0, "")] = 0.15
+    """Coulomb's coefficient [-]."""
     walls: Literal["both", "inner"] = "both"
+    """Walls that floats touch."""
 
 
 class Air(Model):
     """Air that drags the floats along."""
 
     density: Annotated[float, quantity(0.01, 100.0, "kg/m3")] = 1.023
+    """Of the air [kg/m3]."""
     drag_coefficient: Annotated[float, quantity(0.0, 10.0, "")] = 0.44
+    """Of a float [-]."""
 
 
 class Scene(Model):
@@ -78,8 +95,11 @@ class Scene(Model):
     contact: Contact = Contact()
     air: Air = Air()
     feed_speed: Annotated[float, AfterValidator(_not_returning), quantity(0.0, 2.0, "m/s")] = 0.2
+    """At which the cable is fed in [m/s]."""
     air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 63.0 / 3600.0
+    """Of air behind the probe [m3/s]; 1 m3/h is 2.78e-4 m3/s."""
     carrier_length: Annotated[float, quantity(0.0, 1e3, "m")] = 50.0
+    """Cable between entrance and sensor [m]."""
 
     @property
     def inserted_length(self) -> float:

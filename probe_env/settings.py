@@ -7,9 +7,9 @@ accepted.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
@@ -73,10 +73,26 @@ def explain(error: ValidationError, within: str = "") -> str:
     for item in found[:ERRORS_TOLD]:
         field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
-        message = "there is no such field" if item["type"] == "extra_forbidden" else item["msg"]
+        message = _no_such_field(error.title, item["loc"]) if item["type"] == "extra_forbidden" else item["msg"]
         lines.append(f"{field}: {message}{value}" if field else message)
     more = [f"and {len(found) - ERRORS_TOLD} more"] if len(found) > ERRORS_TOLD else []
     return "; ".join(lines + more)
+
+
+def _no_such_field(title: str, place: tuple[int | str, ...]) -> str:
+    """That a field is not known, and which are: those of the model at this place of the model of this title."""
+    model = next((kind for kind in _models(Model) if kind.__name__ == title), None)
+    for part in place[:-1]:
+        inner = model.model_fields[str(part)].annotation if model and part in model.model_fields else None
+        kinds = (inner, *get_args(inner))  # a model, or one among others
+        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Model)), None)
+    return "there is no such field" + (f"; accepted: {', '.join(model.model_fields)}" if model else "")
+
+
+def _models(kind: type[Model]) -> Iterator[type[Model]]:
+    for model in kind.__subclasses__():
+        yield model
+        yield from _models(model)
 
 
 def _short(value: Any) -> str:

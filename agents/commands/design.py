@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import sys
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,15 +17,16 @@ class Compare:
     """Compare probe designs on the same tubes under one feed: KPIs with intervals, changes against the first."""
 
     designs: tyro.conf.Positional[tuple[Path, ...]]
-    """Design files (TOML), see configs/design/."""
+    """Design files (TOML), or names of designs that ship: original, improved, ..."""
     feed: str = "constant"
-    """A schedule over inserted length: constant, best-constant, best-schedule or a file; with --full any policy."""
+    """A schedule over inserted length: constant, best-constant, best-schedule, example or a file; with --full any
+    policy."""
     full: bool = False
     """Whole insertions instead of sections of constant length."""
     contexts: Literal["train", "validation", "test"] = "test"
-    """Shipped list of contexts."""
+    """Shipped list of tubes."""
     limit: int = 0
-    """Take so many contexts of the list only, evenly spread; 0: all."""
+    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/compare")
@@ -33,18 +35,20 @@ class Compare:
     def run(self) -> None:
         """Run what is missing, store, print."""
         from agents.design.compare import Comparison, compare, print_comparison
+        from agents.records.shipped import file_or_shipped
         from agents.terminal.names import checked_name, name_of
         from probe_env import Design
         from probe_env.envs.contexts import spread_contexts
         from probe_env.fidelity import resolve_fidelity
 
-        stems = [name_of(path) for path in self.designs]
+        paths = [file_or_shipped("design", design) for design in self.designs]
+        stems = [name_of(path) for path in paths]
         names = [
             checked_name(stem if stems.count(stem) == 1 else f"{path.parent.name}/{stem}", "design", "rename the file")
-            for path, stem in zip(self.designs, stems, strict=True)
+            for path, stem in zip(paths, stems, strict=True)
         ]
-        designs = {name: Design.from_toml(path) for name, path in zip(names, self.designs, strict=True)}
-        if len(designs) != len(self.designs):
+        designs = {name: Design.from_toml(path) for name, path in zip(names, paths, strict=True)}
+        if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         chosen = spread_contexts(self.contexts, self.limit)
         comparison = Comparison(designs, chosen, self.feed, self.full, resolve_fidelity(self.fidelity))
@@ -54,16 +58,18 @@ class Compare:
 
 @dataclass(frozen=True)
 class DesignSearch:
-    """Search for probes: vibration, inspection time and drive margin at once, on training tubes."""
+    """Search for probes: vibration, inspection time and drive margin at once, on the same tubes."""
 
     feed: str = "best-constant"
-    """best-constant searches feed speed and air with the probe; else a schedule, or with --full an agent's bundle."""
+    """best-constant searches feed speed and air with the probe; else a schedule, or with --full any policy."""
     full: bool = False
     """Whole insertions instead of sections of constant length."""
     trials: int = 240
     """Designs tried."""
-    contexts: int = 6
-    """Training tubes that each is tried in."""
+    contexts: Literal["train", "validation", "test"] | int = "train"
+    """Shipped list of tubes that designs are tried in. A number is what --limit is called now."""
+    limit: int = 6
+    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/design")
@@ -78,6 +84,12 @@ class DesignSearch:
         """Search, store, print."""
         from agents.design.problem import design_problem
         from agents.design.search import run_design_search
+        from probe_env.envs.contexts import spread_contexts
 
-        problem = design_problem(self.feed, self.full, self.contexts, self.fidelity)
+        if isinstance(self.contexts, int):
+            print(f"probe-env: note: --contexts {self.contexts} is now --limit {self.contexts}", file=sys.stderr)
+            tubes = spread_contexts("train", self.contexts)
+        else:
+            tubes = spread_contexts(self.contexts, self.limit)
+        problem = replace(design_problem(self.feed, self.full, len(tubes), self.fidelity), contexts=tubes)
         run_design_search(problem, self.trials, self.output, self.storage, self.seed, self.workers)

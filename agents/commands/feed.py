@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,23 +14,23 @@ from agents.processes.workers import Workers
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Evaluate policies on the same contexts: KPIs with intervals, paired differences, a table and a report."""
+    """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report."""
 
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
-    """Built-in policies, schedule files (.csv, .toml) or agents' bundles (.npz); NAME=FILE names one, NAME@K=FILE the
-    training seeds of one method."""
+    """Policies and trained agents by name (probe-env agents lists them; ppo@2 is another training seed), schedule files
+    (.csv, .toml) or agents' bundles (.npz). NAME=FILE names one, NAME@K=FILE the training seeds of one method."""
     probes: Literal["scene", "random"] = "scene"
-    """scene: the study's probe; random: one for every context and seed, drawn from the design space."""
+    """scene: the study's probe; random: one for every tube and seed, drawn from the design space."""
     against: str | None = None
     """Policy that the others are compared with; default: the first."""
     output: Path = Path("output/evaluation")
     """Folder of the tables and the report; what is there already is not run again."""
     contexts: Literal["train", "validation", "test"] = "test"
-    """Shipped list of contexts."""
+    """Shipped list of tubes."""
     limit: int = 0
-    """Take so many contexts of the list only, the first of it, which are balanced; 0: all."""
+    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     seeds: int = 1
-    """Seeds of sensor noise and start for every context."""
+    """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
@@ -45,6 +46,22 @@ class Evaluate:
             self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity,
             self.against, self.workers, self.probes,
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Agents:
+    """List the trained agents that ship: name, what each sees, what it was trained for, training seeds."""
+
+    def run(self) -> None:
+        """Print."""
+        from agents.policies.catalogue import NAMES
+        from agents.policies.trained import print_agents
+        from agents.records.shipped import shipped_names
+        from agents.terminal.tables import print_terms
+
+        print_agents()
+        print("Other policies")
+        print_terms({"by name": ", ".join(NAMES), "schedules": ", ".join(shipped_names("schedules"))})
 
 
 @dataclass(frozen=True)
@@ -70,11 +87,11 @@ class Tradeoff:
     output: Path = Path("output/tradeoff")
     """Folder of the tables and the figure; what is there already is not run again."""
     contexts: Literal["train", "validation", "test"] = "test"
-    """Shipped list of contexts."""
+    """Shipped list of tubes."""
     beside: tuple[str, ...] = ()
     """Single policies to draw beside the fronts: schedules, agents."""
     limit: int = 12
-    """Take so many contexts of the list only, the first of it, which are balanced; 0: all."""
+    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
     """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
 
@@ -98,6 +115,8 @@ class Map:
 
     def run(self) -> None:
         """Run what is missing, fit, store."""
+        import_module("torch")  # for the fit, which comes after half an hour of simulation
+
         from agents.policies.vibration_map import make_map
 
         target = self.target or self.output / "vibration-map.npz"
@@ -141,7 +160,7 @@ class Train:
     """Train agents with Stable-Baselines3: checkpoints, validation, the best agent of each seed as a bundle."""
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), see configs/train/."""
+    """Training file (TOML), or the name of one that ships: ppo, ppo-no-tension, ppo-any-probe."""
     output: Path | None = None
     """Folder of the runs, seed-K in it; default: output/train/NAME-OF-THE-FILE."""
     seeds: tuple[int, ...] = ()
@@ -154,8 +173,9 @@ class Train:
         """Train, print the learning curves."""
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
+        from agents.records.shipped import file_or_shipped
 
-        training = Training.from_toml(self.config_file)
+        training = Training.from_toml(file_or_shipped("train", self.config_file))
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         output = self.output or Path("output/train") / self.config_file.stem
@@ -172,15 +192,15 @@ class Render:
     env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
     """Which environment."""
     policy: str = "constant"
-    """Built-in policy, schedule file or agent's bundle."""
+    """Policy or trained agent by name, schedule file or agent's bundle."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (for Insertion-v0 alone) or auto."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
-    """Where the tube's properties are drawn from."""
+    """Shipped list that the tube is drawn from; random: from the ranges that the lists were drawn from."""
     every: int = 4
-    """Control periods a frame."""
+    """Control periods a frame: of 1 s in Insertion-v0, 0.1 s in Snapshot-v0."""
     seed: int = 0
-    """Of the context and the sensors' noise."""
+    """Of the tube and the sensors' noise."""
 
     def run(self) -> None:
         """Simulate, draw, write."""

@@ -15,5 +15,7 @@ class Readme:
     def run(self) -> None:
         """Rewrite or check."""
         from agents.pages.rewrite import check_readme, rewrite_readme
+        from agents.publishing.places import check_checkout
 
+        check_checkout("readme")
         check_readme() if self.check else rewrite_readme()

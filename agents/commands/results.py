@@ -23,8 +23,10 @@ class Results:
     def run(self) -> None:
         """Say what is stale, run it, publish it."""
         from agents.publishing.confirm import confirm_results
+        from agents.publishing.places import check_checkout
         from agents.publishing.stages import run_results
 
+        check_checkout("results")
         if self.confirm:
             confirm_results(self.stages)
         else:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
+from agents.records.shipped import file_or_shipped, shipped_folder
 from probe_env import Scene, Simulator
+from probe_env.physics.methods import METHODS, method_named
 
 
 @dataclass(frozen=True)
@@ -16,15 +18,18 @@ class Simulate:
     """Simulate one scene: statistics as a table; scene, results, signals and figures in a folder."""
 
     scene_file: tyro.conf.Positional[Path]
-    """Scene file (TOML); single fields can be changed with the --scene options."""
+    """Scene file (TOML), or the name of one that ships: fig11_l10, ...; single fields can be changed with the --scene
+    options."""
     scene: Scene = field(default_factory=Scene)
-    method: Literal["newmark", "wilson"] = "newmark"
-    time_step: float = 1e-4
-    """Time step [s]."""
+    method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
+    """newmark and wilson are the study's, imex is the fast scheme, imex32 the same in single precision, implicit holds
+    with any step, explicit is central differences."""
+    time_step: float | None = None
+    """Time step [s]; default: the one that the study's probe is simulated with by this method."""
     nodes_per_pitch: int = 4
     """Nodes in one float pitch."""
     solver: Literal["ticm", "banded", "transfer-matrix"] = "ticm"
-    """Linear solver of a step."""
+    """Linear solver of a step of newmark and wilson."""
     duration: float = 8.0
     """Simulated time [s]."""
     statistics_from: float = 2.0
@@ -32,17 +37,31 @@ class Simulate:
     output: Path | None = None
     """Output folder; default: output/NAME-OF-THE-SCENE."""
 
+    @classmethod
+    def of_scene(cls, given: str | None) -> Simulate | None:
+        """The command for a scene file or the name of one, whose fields options change; None if none is given.
+
+        Raises:
+            FileNotFoundError: no such file, nor a scene of this name that ships.
+            ValueError: not a scene.
+        """
+        if given is None:
+            return None
+        path = file_or_shipped("scenes", given)
+        if path.suffix != ".toml":
+            raise ValueError(f"scene_file = {given!r} is not a scene file, which is TOML (.toml)")
+        return cls(path, Scene.from_toml(path))
+
     def run(self) -> None:
         """Simulate, store and print."""
         from agents.study.simulate import print_statistics, simulate_scene
 
-        if self.scene_file.suffix != ".toml":
-            raise ValueError(f"scene_file = {str(self.scene_file)!r} is not a scene file, which is TOML (.toml)")
         name = self.scene_file.stem
         output = self.output or Path("output") / name
-        simulator = Simulator(self.scene, self.method, self.time_step, self.nodes_per_pitch, solver=self.solver)
+        step = method_named(self.method).usual_step if self.time_step is None else self.time_step
+        simulator = Simulator(self.scene, self.method, step, self.nodes_per_pitch, solver=self.solver)
         print(
-            f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {self.time_step:g} s"
+            f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s"
             f" (known to hold up to {simulator.stable_time_step:.2g} s)"
         )
         statistics = simulate_scene(simulator, self.duration, self.statistics_from, output, name)
@@ -54,8 +73,8 @@ class Simulate:
 class Study:
     """Run the study's scenes and print its claims beside what was found. Stored runs are not repeated."""
 
-    scenes: Path = Path("configs/scenes")
-    """Folder of the scene files."""
+    scenes: Path | None = None
+    """Folder of the scene files; default: those that ship."""
     output: Path = Path("output/study")
     """Folder of ensemble.csv; runs that are stored there are not repeated, and none is dropped."""
     members: int = 1
@@ -77,8 +96,9 @@ class Study:
             if not low <= value <= high:
                 raise ValueError(f"{name} = {value!r} is outside the accepted range {low} to {high:g}")
         names = study.SUBSET if self.subset else ()
-        table = study.run_study(self.scenes, self.output, self.members, self.duration, names, self.jobs)
-        print_findings(table, self.scenes)
+        scenes = self.scenes or shipped_folder("scenes")
+        table = study.run_study(scenes, self.output, self.members, self.duration, names, self.jobs)
+        print_findings(table, scenes)
         print(f"written: {self.output}/ensemble.csv")
 
 

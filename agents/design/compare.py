@@ -115,7 +115,7 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
         ValueError: no designs, or the feed does not fit; nothing was run.
     """
     if not comparison.designs:
-        raise ValueError("designs = none: give at least one design file (TOML), see configs/design/")
+        raise ValueError("designs = none: give at least one design file (TOML) or the name of one that ships")
     if not comparison.full:
         comparison.schedule()
     journal = trials_of(output)
@@ -187,6 +187,6 @@ HEADER = ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in 
 def print_comparison(table: pd.DataFrame) -> None:
     """The summary on the terminal."""
     title = f"Means over {table['context'].nunique()} tubes with 95 % intervals; change against the first"
-    print_table(title, HEADER, cells(summarise(table)), least_width=160)
+    print_table(title, HEADER, cells(summarise(table)))
     for name, part in table.groupby("design", sort=False):
         print(f"{name}: {int(part['lost_drive'].sum())} lost drive, {int(part['diverged'].sum())} diverged")

@@ -211,7 +211,10 @@ def reference_probes(table: pd.DataFrame, problem: DesignProblem) -> pd.DataFram
 
 def _print(front: pd.DataFrame, influence: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> None:
     names = (*axes, *OBJECTIVES)
-    rows = ([f"{row[name]:.3g}" for name in names] for row in front.to_dict("records"))
-    print_table("Designs on the front", [name.replace("_", " ") for name in names], rows, left=0, least_width=160)
+    rows = ([str(row["trial"]), *(f"{row[name]:.3g}" for name in names)] for row in front.to_dict("records"))
+    units = {name: unit for name, (_, _, unit) in axes.items()} | {"inspection_time_s": "s", "drive_margin_n": "N"}
+    labels = (name.removesuffix("_s").removesuffix("_n").replace("_", " ") for name in names)
+    header = [f"{label} [{units[n]}]" if units.get(n) else label for n, label in zip(names, labels, strict=True)]
+    print_table("Designs on the front", ["trial", *header], rows)
     for row in influence[influence["objective"] == OBJECTIVES[0]].to_dict("records"):
         print(f"vibration and {row['parameter']}: {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]")

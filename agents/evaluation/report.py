@@ -17,8 +17,7 @@ from agents.evaluation import figures
 from agents.evaluation.fidelity_check import Level, run_checks
 from agents.policies.catalogue import named_policies
 from agents.processes.workers import HERE, Workers
-from agents.records.columns import KPIS
-from agents.records.models import Compared, Evaluated, Setting
+from agents.records.models import KPIS, Compared, Evaluated, Setting
 from agents.records.provenance import write_atomically, write_json
 from agents.records.reading import FileError, read_csv, read_json, read_parquet
 from agents.records.tables import EPISODES, FRONT, PROFILE
@@ -79,7 +78,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
     header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()))
     rows = ((policy, *cells) for policy, cells in kpi_cells(table))
-    print_table("Means with 95 % intervals over the contexts", header, rows, least_width=160)
+    print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
         print(
             f"{name}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
@@ -17,7 +17,7 @@ from probe_env.envs.env import task_config
 from probe_env.envs.starts import NamedContexts, Probes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
-from probe_env.settings import Model, quantity, tuples, whole_steps
+from probe_env.settings import Model, explain, quantity, tuples, whole_steps
 
 OURS = (
     "self", "policy", "env", "policy_kwargs", "tensorboard_log", "seed", "device", "verbose", "_init_setup_model",
@@ -85,6 +85,10 @@ class Training(Model):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
+        try:
+            assert self.task
+        except ValidationError as error:  # pydantic would tell its fields as if they were this model's
+            raise PydanticCustomError("task", "{text}", {"text": explain(error, "environment.task")}) from error
         known = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
         for name in self.learning:
             if name not in known or name in OURS:

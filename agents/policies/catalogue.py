@@ -1,4 +1,4 @@
-"""All policies by name: built-in ones, those found by search, schedule files and trained agents."""
+"""All policies by name: built-in ones, those found by search, trained agents and schedules that ship, and files."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Final
 
 from agents.policies.fixed import BUILT_IN, Scheduled
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
+from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names
 from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -44,7 +45,11 @@ def name_and_spec(given: str) -> tuple[str, str]:
     if _is_file(given) or not places:
         return name_of(Path(given)) if "." in given else given, given
     splits = [(given[:place], given[place + 1 :]) for place in places]
-    return next((split for split in splits if split[1] in NAMES or _is_file(split[1])), splits[0])
+    return next((split for split in splits if _is_named(split[1]) or _is_file(split[1])), splits[0])
+
+
+def _is_named(spec: str) -> bool:
+    return spec in (*NAMES, *shipped_names("schedules")) or agent_file(spec) is not None
 
 
 def _is_file(spec: str) -> bool:
@@ -54,10 +59,13 @@ def _is_file(spec: str) -> bool:
 def make_policy(spec: str, config: TaskConfig) -> Policy:
     """A policy by its name, from a schedule file (.csv, .toml) or from an agent's bundle (.npz).
 
+    Trained agents that ship go by NAME, which is training seed 0, or NAME@SEED.
+
     Raises:
         ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
+    spec = policy_file(spec, Path(__file__).parents[1])  # a place, to which the hash of the code is blind
     for known in (BUILT_IN, MAP_POLICIES):
         if spec in known:
             kind, arguments = known[spec]
@@ -76,8 +84,8 @@ def make_policy(spec: str, config: TaskConfig) -> Policy:
 
         return load_bundle(spec, config)
     raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join(NAMES)}, nor a schedule file (.csv, .toml)"
-        " nor an agent's bundle (.npz)"
+        f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
+        " schedule file (.csv, .toml) nor an agent's bundle (.npz)"
     )
 
 

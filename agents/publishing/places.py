@@ -14,6 +14,12 @@ PUBLISHED: Final = ("results", *DATA)
 ELSEWHERE: Final = Path("output") / "unpublished"
 
 
+def check_checkout(command: str) -> None:
+    """Raise ValueError if this is no checkout of the project, which alone holds what a command reads and writes."""
+    if not (CHECKOUT / "configs" / "results.toml").exists():
+        raise ValueError(f"{command} works in a checkout of the project, and this is an installed package")
+
+
 def in_its_place(command: Any) -> Any:
     """A command (a dataclass) with its output paths led elsewhere if this code must not publish there."""
     paths = {f.name: value for f in dataclasses.fields(command) if isinstance(value := getattr(command, f.name), Path)}

@@ -43,6 +43,8 @@ def _clean(path: Path) -> None:
 
 
 def _running(process: int) -> bool:
+    if os.name == "nt":  # where signal 0 is Ctrl-C
+        return True
     try:
         os.kill(process, 0)
     except ProcessLookupError:

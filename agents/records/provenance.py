@@ -72,6 +72,8 @@ def in_history(name: str) -> bool:
 
 def _git(*arguments: str) -> str | None:
     """What git prints in the checkout; None where it fails or is not there."""
+    if not (CHECKOUT / ".git").exists():  # an installed package may stand in a repository of somebody else's
+        return None
     try:
         done = subprocess.run(["git", *arguments], cwd=CHECKOUT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):

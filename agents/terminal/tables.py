@@ -1,21 +1,24 @@
-"""Tables on the terminal."""
+"""Tables on the terminal, never wider than it: what does not fit side by side stands below, its names repeated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, Literal
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+FRAME: Final = 3
+"""Characters that a column takes besides its text."""
+WIDEST_TEXT: Final = 100
+"""Characters of a line of prose: longer ones are hard to read on any terminal."""
+
 
 def print_table(
-    title: str,
-    header: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    left: int = 1,
-    least_width: int = 0,
-    lines: bool = False,
+    title: str, header: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1, lines: bool = False
 ) -> None:
     """Print a table; texts are shown as they are, also "[s]", which rich would take for markup.
 
@@ -23,13 +26,61 @@ def print_table(
         title: above it.
         header: one text a column.
         rows: of texts.
-        left: how many of the first columns stand to the left; the others stand to the right.
-        least_width: characters that it may take even if the terminal is narrower or no terminal.
+        left: how many of the first columns are text: it stands to the left, is folded where there is no room, and is
+            repeated where the other columns, numbers to the right, do not all fit beside it.
         lines: between the rows.
     """
-    table = Table(title=escape(title), show_lines=lines)
-    for k, column in enumerate(header):
-        table.add_column(escape(column), justify="left" if k < left else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*map(escape, row))
-    Console(width=max(Console().width, least_width)).print(table)
+    console, cells = Console(), [list(row) for row in rows]
+    for number, part in enumerate(parts_of(header, cells, left, console.width)):
+        table = Table(title=None if number else escape(title), title_justify="left", show_lines=lines)
+        for k, width in part.items():
+            justify: Literal["left", "right"] = "left" if k < left else "right"
+            table.add_column(escape(header[k]), justify=justify, overflow="fold", width=width)
+        for row in cells:
+            table.add_row(*(escape(row[k]) for k in part))
+        console.print(table)
+
+
+def parts_of(
+    header: Sequence[str], cells: Sequence[Sequence[str]], left: int, width: int
+) -> list[dict[int, int | None]]:
+    """Tables that a table of texts is cut into so that its numbers fit a width unbroken.
+
+    Args:
+        header: one text a column.
+        cells: rows of texts.
+        left: how many of the first columns are text.
+        width: of the terminal [characters].
+
+    Returns:
+        for each of them its columns and their widths [characters]; None: as wide as there is room for.
+    """
+    widest = [max((cell_len(row[k]) for row in cells), default=0) for k in range(len(header))]
+    natural = [max(cell_len(name), widest[k]) for k, name in enumerate(header)]
+    if left == len(header) or sum(natural) + FRAME * len(header) < width:
+        return [dict.fromkeys(range(len(header)))]
+    beside = {k: min(natural[k], width // 3) for k in range(left)}
+    parts: list[dict[int, int]] = []
+    for k in range(left, len(header)):
+        least = max(widest[k], *map(cell_len, header[k].split() or [""]))  # a header is folded
+        if not parts or sum(parts[-1].values()) + least + FRAME * (len(parts[-1]) + 1) >= width:
+            parts.append(dict(beside))
+        parts[-1][k] = least
+    for part in parts:
+        for k in part:  # headers unfolded where there is room
+            room = width - 1 - sum(part.values()) - FRAME * len(part)
+            part[k] = natural[k] if k >= left and natural[k] - part[k] <= room else part[k]
+    return [dict(part) for part in parts]
+
+
+def print_terms(terms: Mapping[str, str], indent: int = 2) -> None:
+    """Terms and what is said of each, in lines that fit the terminal."""
+    width = max(map(len, terms), default=0) + indent + 2
+    for term, text in terms.items():
+        first = f"{'':{indent}}{term}".ljust(width)
+        print(
+            textwrap.fill(
+                text, min(Console().width, WIDEST_TEXT), initial_indent=first, subsequent_indent=" " * width,
+                break_on_hyphens=False,
+            )
+        )  # fmt: skip

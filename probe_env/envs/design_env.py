@@ -11,7 +11,7 @@ import numpy as np
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.env import Observation, task_config
+from probe_env.envs.env import Observation, scene_of, task_config
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED
 from probe_env.envs.starts import SETTLING, Contexts, Starts, drawn_context
@@ -91,7 +91,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | None = None,
+        scene: Scene | Mapping[str, Any] | None = None,
         fidelity: str | Fidelity | Mapping[str, Any] = "standard",
         contexts: Contexts = "random",
         feed: Schedule | Controller | None = None,
@@ -100,7 +100,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
     ) -> None:
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v0 with options")
-        self.config, self.scene, self.contexts = task_config({}, config), scene or Scene(), contexts
+        self.config, self.scene, self.contexts = task_config({}, config), scene_of(scene), contexts
         # an insertion settles like that of Insertion-v0; the probes are those that the action may build
         self.starts = Starts(self.config, self.scene, contexts, "random", *SETTLING)
         self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, full)

@@ -14,6 +14,7 @@ from probe_env.envs.starts import Contexts, Probes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene
+from probe_env.settings import tuples
 
 if TYPE_CHECKING:
     from probe_env.envs.render import Renderer
@@ -36,7 +37,20 @@ def task_config(defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, A
     """
     if isinstance(config, TaskConfig):
         return config
-    return TaskConfig.model_validate(dict(defaults) | dict(config or {}))
+    return TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
+
+
+def scene_of(scene: Scene | Mapping[str, Any] | None) -> Scene:
+    """What an environment simulates: table 2's scene, changed by a mapping, or a whole one.
+
+    A mapping of plain values goes through JSON, and so does the environment's ``spec``.
+
+    Raises:
+        ValueError: a field that is not known or not valid.
+    """
+    if scene is None or isinstance(scene, Scene):
+        return scene or Scene()
+    return Scene.model_validate(dict(scene))
 
 
 class ProbeEnv(gym.Env[Observation, Observation]):
@@ -48,7 +62,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | None = None,
+        scene: Scene | Mapping[str, Any] | None = None,
         fidelity: str | Fidelity | Mapping[str, Any] = "standard",
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
@@ -59,7 +73,9 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         self.config = task_config(self.defaults, config)
-        self.episodes = Episodes(1, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, 1)
+        self.episodes = Episodes(
+            1, self.config, scene_of(scene), fidelity, contexts, feed_speed, air_supply_rate, probes, 1
+        )
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
@@ -161,7 +177,8 @@ class InsertionEnv(ProbeEnv):
 
     ## Arguments
     * `config`: fields of `TaskConfig` to change, or a whole one.
-    * `scene`: what contexts and options change; default table 2 of the study.
+    * `scene`: what contexts and options change; default table 2 of the study. A `Scene`, or a mapping of what differs
+      from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
     * `fidelity`: "study", "standard", "fast" or settings of one's own, see `probe_env.fidelity`.
     * `contexts`: "random", or a shipped list: "train", "validation", "test".
     * `feed_speed`, `air_supply_rate`: of the settling, SI units.

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.env import InsertionEnv, Observation, ProbeEnv, SnapshotEnv, spaces_of, task_config
+from probe_env.envs.env import InsertionEnv, Observation, ProbeEnv, SnapshotEnv, scene_of, spaces_of, task_config
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.starts import Contexts, Probes
 from probe_env.envs.task import TaskConfig
@@ -29,7 +29,8 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
             (with ``final_obs`` and ``final_info`` in the infos) or ``DISABLED`` (``options["reset_mask"]``).
         threads: at most so many; default: all cores.
         config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes: see ``InsertionEnv``.
-        max_episode_steps: refused: the time limit is a field of ``config``.
+        max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
+            task's own time limit, a field of ``config``.
         render_mode: refused: render a single environment.
 
     Raises:
@@ -42,7 +43,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self,
         num_envs: int = 1,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | None = None,
+        scene: Scene | Mapping[str, Any] | None = None,
         fidelity: str | Fidelity | Mapping[str, Any] = "standard",
         contexts: Contexts = "random",
         feed_speed: float = 0.2,
@@ -54,13 +55,13 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if max_episode_steps is not None:
-            raise ValueError(f"max_episode_steps = {max_episode_steps!r}: set config['time_limit'] in seconds instead")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps = {max_episode_steps!r} is outside the accepted range 1 and more")
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
         self.config = task_config(self.single.defaults, config)
         self.episodes = Episodes(
-            num_envs, self.config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes, threads
+            num_envs, self.config, scene_of(scene), fidelity, contexts, feed_speed, air_supply_rate, probes, threads
         )
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -70,6 +71,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs: dict[int, np.random.Generator] = {}
         self._ended = np.zeros(num_envs, dtype=bool)
+        self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -87,7 +89,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         which = np.flatnonzero(mask).tolist()
         self._seed(seed, which)
         observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
-        self._ended[mask] = False
+        self._ended[mask], self._steps[mask] = False, 0
         merged: dict[str, Any] = {}
         for k in which:
             merged = self._add_info(merged, infos[k], k)
@@ -108,6 +110,9 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
             step = self.episodes.step(actions, ~starting)
             observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
             infos = step.infos
+            self._steps += ~starting
+            if self.max_episode_steps is not None:
+                truncated = truncated | (~starting & (self._steps >= self.max_episode_steps))
         if starting.any():  # NEXT_STEP: this step is their reset
             observation, started = self._start(np.flatnonzero(starting).tolist())
             for k, info in started.items():
@@ -127,6 +132,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         return observation, reward.copy(), terminated.copy(), truncated.copy(), merged
 
     def _start(self, which: list[int]) -> tuple[Observation, dict[int, dict[str, Any]]]:
+        self._steps[which] = 0
         return self.episodes.reset(which, self._rngs)
 
     def _seed(self, seed: int | Sequence[int | None] | None, which: list[int]) -> None:

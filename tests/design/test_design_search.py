@@ -158,8 +158,10 @@ def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, ca
 
 def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: closed_form(point))
-    arguments = ["design", "--contexts", "1", "--output", str(tmp_path / "out"), "--trials"]
+    arguments = ["design", "--limit", "1", "--output", str(tmp_path / "out"), "--trials"]
     assert main([*arguments, "30"]) == 0
+    assert main(["design", "--contexts", "1", *arguments[3:], "30"]) == 0  # as it was called before: nothing to do
+    assert "note: --contexts 1 is now --limit 1" in capsys.readouterr().err
     assert main([*arguments, "40"]) == 0
     assert len(pd.read_csv(tmp_path / "out" / "trials.csv")) == 40
     assert "Designs on the front" in capsys.readouterr().out
@@ -172,7 +174,8 @@ def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["design", "--contexts", "0"], "contexts = 0"),
+        (["design", "--limit", "-1"], "limit = -1 is outside the accepted range 0 (all) to 96"),
+        (["design", "--contexts", "validation", "--limit", "25"], "limit = 25"),
         (["design", "--trials", "1"], "trials = 1"),
         (["design", "--seed", "-1"], "seed = -1"),
         (["design", "--full"], "feed = 'best-constant' is searched in sections"),

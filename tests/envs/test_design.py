@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.policies.fixed import Constant
-from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConfig
+from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConfig, Tube
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.trials import (
@@ -28,6 +28,12 @@ from probe_env.schedule import Schedule
 ROOT = Path(__file__).parents[2]
 CONFIG = TaskConfig()
 IMPROVED = Design.from_toml(ROOT / "configs" / "design" / "improved.toml")
+
+
+def test_the_scene_may_be_a_mapping():
+    env = gym.make("probe_env/Design-v0", scene={"tube": {"inner_diameter": 0.025}})
+    assert env.unwrapped.scene == Scene(tube=Tube(inner_diameter=0.025))
+    assert '"inner_diameter": 0.025' in env.spec.to_json()
 
 
 def test_the_study_s_probes_are_what_they_are():

@@ -6,6 +6,7 @@ import pickle
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, RecordVideo, TimeLimit
 
@@ -32,6 +33,17 @@ def test_sb3_s_checker_finds_nothing(env_id, variant):
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
     sb3_check_env(gym.make(env_id, config=variant).unwrapped)
+
+
+@IDS
+def test_a_spec_goes_through_json(env_id):
+    """With a scene and a task of plain values, which JSON turns from tuples to lists."""
+    scene = {"tube": {"helix_diameter": 2.0}, "contact": {"friction": 0.2}}
+    env = gym.make(env_id, scene=scene, config={"feed_speeds": (0.05, 0.3)}, fidelity={"time_step": 2e-4})
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.config == env.unwrapped.config
+    assert again.unwrapped.episodes.starts.scene == env.unwrapped.episodes.starts.scene
+    assert again.unwrapped.episodes.starts.scene.tube.helix_diameter == 2.0
 
 
 @IDS
@@ -94,6 +106,7 @@ def test_options_fix_the_context_and_the_rest_is_drawn_alike():
         (lambda: gym.make("probe_env/Insertion-v0", contexts="exam"), "contexts = 'exam'"),
         (lambda: gym.make("probe_env/Insertion-v0", feed_speed=3.0), "feed_speed = 3.0"),
         (lambda: gym.make("probe_env/Insertion-v0", config={"time_weigth": 1.0}), "time_weigth"),
+        (lambda: gym.make("probe_env/Insertion-v0", scene={"tubes": {}}), "tubes"),
         (lambda: gym.make("probe_env/Insertion-v0", config={"ratio_cap": 0.0}), "0.0 is outside"),
         (lambda: gym.make("probe_env/Insertion-v0", config={"feed_speeds": (0.4, 0.1)}), "must ascend"),
         (lambda: gym.make("probe_env/Snapshot-v0", fidelity="fast"), "fidelity.time_lapse = 4"),

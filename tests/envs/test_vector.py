@@ -35,6 +35,24 @@ def test_the_native_batch_conforms(env_id, mode):
 
 
 @IDS
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_limit_of_steps_is_gymnasium_s(env_id, mode):
+    short = CASES[env_id] | {"max_episode_steps": 3}  # the task's own limit is five steps
+    check_vector_env(
+        lambda n: gym.make_vec(env_id, num_envs=n, **short, autoreset_mode=mode), lambda: gym.make(env_id, **short)
+    )
+
+
+@IDS
+def test_a_scene_may_be_a_mapping(env_id):
+    given = {"config": {"period": 0.1, "time_limit": 0.2, "settle_time": 0.1, "feed_speeds": (0.05, 0.3)}}
+    given["scene"] = {"tube": {"inner_diameter": 0.025}, "carrier_length": 8.0}
+    whole = probe_env.Scene(tube=probe_env.Tube(inner_diameter=0.025), carrier_length=8.0)
+    for made in (gym.make(env_id, **given), gym.make_vec(env_id, num_envs=2, **given), ProbeVecEnv(env_id, 2, **given)):
+        assert made.unwrapped.episodes.starts.scene == whole
+
+
+@IDS
 def test_the_sb3_batch_conforms(env_id):
     check_vector_env(lambda n: ProbeVecEnv(env_id, n, **CASES[env_id]), single(env_id))
 
@@ -114,8 +132,8 @@ def test_truncation_reaches_ppo_s_bootstrap():
 
 
 def test_make_vec_options_and_refusals():
-    with pytest.raises(ValueError, match="max_episode_steps = 7"):
-        gym.make_vec("probe_env/Snapshot-v0", num_envs=1, max_episode_steps=7)
+    with pytest.raises(ValueError, match="max_episode_steps = 0 is outside the accepted range 1 and more"):
+        gym.make_vec("probe_env/Snapshot-v0", num_envs=1, max_episode_steps=0)
     with pytest.raises(ValueError, match="render_mode = 'rgb_array'"):
         gym.make_vec("probe_env/Snapshot-v0", num_envs=1, render_mode="rgb_array")
     with pytest.raises(ValueError, match="num_envs = 0"):

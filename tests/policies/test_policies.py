@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.policies.catalogue import NAMES, make_policy
+from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies
 from agents.policies.fixed import PI, Constant, OnOff, SlowDown
 from probe_env.envs.task import TaskConfig
 
@@ -27,7 +27,7 @@ def feed_of(action):
     return CONFIG.targets(np.atleast_2d(action))[:, 0]
 
 
-@pytest.mark.parametrize("name", [*NAMES, "configs/schedules/example.csv", "configs/schedules/shift.toml"])
+@pytest.mark.parametrize("name", [*NAMES, "example", "configs/schedules/example.csv", "configs/schedules/shift.toml"])
 def test_predict_follows_sb3_s_protocol(name, monkeypatch):
     monkeypatch.chdir(__file__.rsplit("/", 3)[0])
     policy = make_policy(name, CONFIG)
@@ -42,6 +42,20 @@ def test_predict_follows_sb3_s_protocol(name, monkeypatch):
     fresh, _ = policy.predict(observation(50.0, 2e-4))
     assert (second[1] == fresh).all()  # a new episode starts without memory
     assert policy.describe() == make_policy(name, CONFIG).describe()
+
+
+def test_agents_and_schedules_that_ship_go_by_name(monkeypatch):
+    monkeypatch.chdir(__file__.rsplit("/", 3)[0])
+    by_name = named_policies(["ppo", "ppo@2", "mine@3=ppo-no-tension@3", "example"], CONFIG)
+    assert list(by_name) == ["ppo", "ppo@2", "mine@3", "example"]
+    files = [f"results/agents/{place}/agent.npz" for place in ("ppo/seed-0", "ppo/seed-2", "ppo-no-tension/seed-3")]
+    by_path = [make_policy(file, CONFIG) for file in (*files, "configs/schedules/example.csv")]
+    assert [policy.describe() for policy in by_name.values()] == [policy.describe() for policy in by_path]
+    assert name_and_spec("a=b=ppo@1") == ("a=b", "ppo@1")
+    with pytest.raises(ValueError, match=r"policy = 'ppo@9': the training seeds of ppo are 0, 1, 2, 3, 4"):
+        make_policy("ppo@9", CONFIG)
+    with pytest.raises(ValueError, match=r"policy = 'pppo' is not one of constant, .*, ppo, ppo-any-probe"):
+        make_policy("pppo", CONFIG)
 
 
 def test_constant_is_the_study_s():

@@ -103,7 +103,7 @@ def test_an_interrupted_search_says_how_many_designs_are_stored(tmp_path, capsys
 
     monkeypatch.setattr(DesignProblem, "value", value)
     output = tmp_path / "run"
-    assert main(["design", "--contexts", "1", "--trials", "8", "--output", str(output)]) == 130
+    assert main(["design", "--limit", "1", "--trials", "8", "--output", str(output)]) == 130
     assert f"4 of 8 designs are stored in {output}; the same command goes on" in last_line(capsys)
 
 

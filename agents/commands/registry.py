@@ -1,0 +1,96 @@
+"""All commands: where each is, what it does in a line and how it is used. Light: nothing is loaded to print this."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Entry(NamedTuple):
+    """A command.
+
+    Attributes:
+        place: module of ``agents.commands`` and dataclass in it.
+        tells: what it does, for the first page.
+        example: how it is used.
+    """
+
+    place: str
+    tells: str
+    example: str
+
+
+USERS: Final = {
+    "simulate": Entry(
+        "study:Simulate", "one scene by any method: statistics, signals and figures",
+        "probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2",
+    ),
+    "evaluate": Entry(
+        "feed:Evaluate", "feed policies on the same tubes: figures with intervals, a report",
+        "probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast",
+    ),
+    "render": Entry(
+        "feed:Render", "a film of an insertion under a policy",
+        "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
+    ),
+    "train": Entry(
+        "feed:Train", "agents after a training file, with checkpoints",
+        "probe-env train ppo --seeds 7 --output output/train/mine",
+    ),
+    "compare": Entry(
+        "design:Compare", "probe designs on the same tubes under one feed",
+        "probe-env compare original improved my-design.toml --limit 6",
+    ),
+    "design": Entry(
+        "design:DesignSearch", "a search for better probes",
+        "probe-env design --trials 100 --limit 6 --jobs 2",
+    ),
+}  # fmt: skip
+"""What the project is for."""
+MAKERS: Final = {
+    "report": Entry("feed:Report", "the report of a stored evaluation, again", "probe-env report output/evaluation"),
+    "tradeoff": Entry(
+        "feed:Tradeoff", "time against vibration, over one parameter of each policy",
+        "probe-env tradeoff constant pi --beside ppo --limit 6",
+    ),
+    "map": Entry("feed:Map", "how loud a probe is where, which policies look up", "probe-env map --seeds 1"),
+    "optimise": Entry(
+        "feed:Optimise", "the best schedules by that map", "probe-env optimise best-schedule --trials 200"
+    ),
+    "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
+    "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
+    "stability": Entry("study:Stability", "which time steps hold", "probe-env stability --output output/stability"),
+    "timelapse": Entry("study:Timelapse", "what time-lapse changes", "probe-env timelapse --output output/timelapse"),
+    "peers": Entry("study:Peers", "other packages beside this one", "probe-env peers --output output/chart"),
+    "bench": Entry("study:Bench", "the kernels' speed", "probe-env bench --repeats 3"),
+    "scaling": Entry("study:Scaling", "what more cores bring", "probe-env scaling --output output/scaling"),
+    "results": Entry("results:Results", "everything published, where it is stale", "probe-env results --plan"),
+    "readme": Entry("readme:Readme", "the documents' tables, from stored results", "probe-env readme --check"),
+}  # fmt: skip
+"""What the results and the documents are made with."""
+LISTS: Final = {
+    "agents": Entry("feed:Agents", "trained agents and other policies that have a name", "probe-env agents"),
+}
+COMMANDS: Final = USERS | LISTS | MAKERS
+
+
+def first_page() -> str:
+    """The help of ``probe-env`` itself, in lines of fewer than 80 characters."""
+    width = max(map(len, COMMANDS)) + 2
+    groups = (("For users", USERS), ("For makers of the project's own results", MAKERS))
+    lines = [
+        "usage: probe-env COMMAND [OPTIONS]",
+        "",
+        "Feed control and probe design around a fast simulator of a long cable in a tube.",
+    ]
+    for title, entries in groups:
+        lines += ["", f"{title}:", *(f"  {name:{width}s}{entry.tells}" for name, entry in entries.items())]
+    lines += [
+        "",
+        "Examples:",
+        *(f"  {USERS[name].example}" for name in ("evaluate", "simulate")),
+        "",
+        "probe-env COMMAND --help   options with their units, and an example",
+        f"probe-env agents           {LISTS['agents'].tells}",
+        "probe-env --version        the version",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,85 @@
+"""What ``probe-env`` says of itself: the first page, every command's help, and what is not a command."""
+
+from importlib.metadata import version
+
+import pytest
+
+import probe_env
+from agents.cli import main
+from agents.commands.registry import COMMANDS, MAKERS, USERS, first_page
+from agents.terminal.command_line import positional
+from probe_env.physics.methods import METHODS
+
+
+@pytest.mark.parametrize(("arguments", "status"), [([], 2), (["-h"], 0), (["--help"], 0)])
+def test_the_first_page_shows_users_their_commands_first(arguments, status, capsys):
+    assert main(arguments) == status
+    page = capsys.readouterr().out
+    assert page == first_page() + "\n"
+    assert tuple(USERS) == ("simulate", "evaluate", "render", "train", "compare", "design")
+    places = [page.index(f"\n  {name} ") for name in (*USERS, *MAKERS)]
+    assert places == sorted(places)
+    assert max(map(len, page.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_a_help_with_an_example(name, capsys):
+    with pytest.raises(SystemExit) as done:
+        main([name, "--help"])
+    assert done.value.code == 0
+    assert f"Example: {COMMANDS[name].example}" in capsys.readouterr().out.replace("\n", " ")
+    assert COMMANDS[name].example.startswith(f"probe-env {name}")
+
+
+def test_simulate_names_all_methods_and_units(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    page = capsys.readouterr().out
+    assert f"--method {{{','.join(METHODS)}}}" in page
+    assert len(METHODS) == 6
+    for option in ("--scene.feed-speed", "--scene.probe.flexural-rigidity", "--scene.contact.stiffness"):
+        assert "[" in page[page.index(option) :].splitlines()[1].replace("[default", "")  # its unit
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_simulate_takes_every_method_with_its_usual_step(method, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("agents.study.simulate.simulate_scene", lambda *_: {})
+    monkeypatch.setattr("agents.study.simulate.print_statistics", lambda *_: None)
+    assert main(["simulate", "fig11_l10", "--method", method, "--output", str(tmp_path)]) == 0
+    assert f"{method}, time step {METHODS[method].usual_step:g} s" in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"probe-env {version('probe-env')}\n"
+    assert probe_env.__version__ == version("probe-env")
+
+
+def test_what_is_no_command_is_told_with_those_that_are(capsys):
+    assert main(["simulat"]) == 2
+    assert "command = 'simulat' is not one of simulate, evaluate" in capsys.readouterr().err
+
+
+def test_the_agents_are_told_with_what_they_know(capsys):
+    assert main(["agents"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "ppo-no-tension seeds 0, 1, 2, 3, 4" in told
+    assert "not the root tension" in told
+    assert "probe_env/Insertion-v0 with any probe of the design space in the train tubes" in told
+    assert "tension-scheduled first" in told
+    assert "schedules example, shift" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (["fig11_l10", "--duration", "1"], "fig11_l10"),
+        (["--duration", "1", "--output=x", "-h", "fig11_l10"], "fig11_l10"),
+        (["--scene.contact.friction", "-1", "--", "-x.toml"], "-x.toml"),
+        (["--help"], None),
+        (["--duration"], None),
+    ],
+)
+def test_the_scene_is_found_among_the_options(arguments, found):
+    assert positional(arguments) == found

@@ -1,0 +1,175 @@
+"""The wheel as a user gets it: built, installed outside the checkout, used by name in an empty folder.
+
+Its dependencies are those of the running environment, which a ``.pth`` file shows to it; what a user may not have
+installed is hidden by an import hook.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from agents.cli import AGENTS
+from agents.records.shipped import shipped_agents, shipped_names
+
+ROOT = Path(__file__).parents[2]
+NO_BACKEND = ("No matching distribution found for hatchling", "Failed to establish a new connection", "ConnectionError")
+HIDDEN = f"""
+import sys
+class Hidden:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in {AGENTS}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Hidden())
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel, built from the checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    here = ["--no-build-isolation"] if find_spec("hatchling") else []  # else pip gets it, from an index
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", *here, "--wheel-dir", str(folder), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    if done.returncode and any(reason in done.stdout + done.stderr for reason in NO_BACKEND):
+        pytest.skip("hatchling is not installed and cannot be had: no wheel can be built")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def python(wheel, tmp_path_factory):
+    """The interpreter of an environment with nothing of ours but the wheel."""
+    folder = tmp_path_factory.mktemp("installed")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    site = Path(subprocess.run([python, "-c", code], capture_output=True, text=True, check=True).stdout.strip())
+    (site / "dependencies.pth").write_text(  # a .pth file there, as of an editable install, is not followed
+        "\n".join({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
+    )
+    command = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return python
+
+
+@pytest.fixture
+def run(python, tmp_path, monkeypatch):
+    """Runs the installed command, or Python, in an empty folder; asserts the status, returns both streams."""
+    monkeypatch.delenv("PYTHONPATH", raising=False)  # a checkout on it would be found first
+    monkeypatch.setenv("COLUMNS", "80")
+    (tmp_path / "empty").mkdir()
+    program = {"probe-env": python.with_name("probe-env"), "python": python}
+
+    def result(name, *arguments, status=0, **environment):
+        done = subprocess.run(
+            [str(program[name]), *arguments], capture_output=True, text=True, cwd=tmp_path / "empty",
+            env=os.environ | environment,
+        )  # fmt: skip
+        assert done.returncode == status, done.stdout + done.stderr
+        return done.stdout, done.stderr
+
+    result.folder = tmp_path / "empty"
+    return result
+
+
+def test_the_wheel_holds_what_users_name(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
+    bundles = {
+        f"agents/shipped/agents/{name}/seed-{k}/agent.npz" for name, seeds in shipped_agents().items() for k in seeds
+    }
+    files = {
+        f"agents/shipped/{kind}/{name}.toml" for kind in ("scenes", "design", "train") for name in shipped_names(kind)
+    }
+    data = {
+        "probe_env/data/contexts.csv",
+        "agents/policies/data/vibration-map.npz",
+        "agents/shipped/schedules/example.csv",
+    }
+    assert bundles | files | data | {"probe_env/py.typed", "agents/py.typed"} <= names
+    assert not [
+        name for name in names if name.endswith("-trials.csv") or name.startswith(("results/", "configs/", "tests/"))
+    ]
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert f"Version: {version('probe-env')}" in metadata
+    assert "License-Expression: MIT" in metadata
+
+
+def test_by_name_in_an_empty_folder(run, python):
+    out, _ = run("python", "-c", "import probe_env, agents; print(probe_env.__file__); print(agents.__file__)")
+    site = python.parents[1]
+    assert all(Path(line).is_relative_to(site) for line in out.splitlines())
+    assert run("probe-env", "--version")[0] == f"probe-env {version('probe-env')}\n"
+    assert "ppo-no-tension" in run("probe-env", "agents")[0]
+    before = installed_files(site)
+
+    policies = ["ppo", "pi"] if find_spec("torch") else ["pi"]
+    evaluated = ["evaluate", *policies, "--limit", "1", "--fidelity", "fast", "--output", "out"]
+    assert "pi: 1 of 1 complete" in run("probe-env", *evaluated)[0]
+    assert pd.read_csv(run.folder / "out" / "episodes.csv")["policy"].tolist() == policies
+    assert (run.folder / "out" / "report.html").stat().st_size > 100_000
+    assert json.loads((run.folder / "out" / "provenance.json").read_text())["commit"] == "unknown"
+
+    run("probe-env", "simulate", "fig11_l10", "--method", "imex32", "--duration", "0.3", "--statistics-from", "0.1")
+    assert (run.folder / "output" / "fig11_l10" / "signals.npz").exists()
+    assert {path.name for path in run.folder.iterdir()} == {"out", "output"}
+    assert installed_files(site) == before  # nothing was written there
+
+
+def test_without_the_extra_one_line_names_it(run, tmp_path):
+    (tmp_path / "hidden").mkdir()
+    (tmp_path / "hidden" / "sitecustomize.py").write_text(HIDDEN)
+    for arguments, missing in (
+        (["train", "ppo"], "torch"),
+        (["design"], "moocore"),
+        (["optimise"], "cmaes"),
+        (["tradeoff"], "moocore"),
+        (["map"], "torch"),
+        (["evaluate", "pi", "ppo"], "torch"),
+    ):
+        told = run("probe-env", *arguments, status=2, PYTHONPATH=str(tmp_path / "hidden"))
+        line = f'this command needs {missing}, which is not installed: pip install "probe-env[agents]"'
+        assert told == ("", f"probe-env: error: {line}\n"), arguments
+    assert list(run.folder.iterdir()) == []
+
+
+def test_an_environment_loads_nothing_that_commands_alone_need(run):
+    code = (
+        "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v0').reset(seed=0); print(*sys.modules)"
+    )
+    loaded = set(run("python", "-c", code)[0].split())
+    assert not loaded & {
+        "agents",
+        "imageio",
+        "jinja2",
+        "joblib",
+        "matplotlib",
+        "pandas",
+        "pyarrow",
+        "rich",
+        "tyro",
+        *AGENTS,
+    }
+
+
+def test_what_needs_a_checkout_says_so(run):
+    told = "probe-env: error: results works in a checkout of the project, and this is an installed package\n"
+    assert run("probe-env", "results", "--plan", status=2) == ("", told)
+
+
+def installed_files(site):
+    """Files of an environment with their times, but compiled ones."""
+    files = (path for path in site.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return {path: path.stat().st_mtime_ns for path in files}

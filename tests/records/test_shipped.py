@@ -1,0 +1,72 @@
+"""What ships is found by name, in a checkout as in an installed package; a path that exists wins."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from agents.policies.catalogue import NAMES
+from agents.records import shipped
+from agents.records.shipped import agent_file, file_or_shipped, policy_file, shipped_agents, shipped_names
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """The folder of a package as it is installed, with little in it."""
+    package = tmp_path / "site" / "agents"
+    for source, target in (
+        ("results/agents/ppo/seed-0/agent.npz", "agents/ppo/seed-0/agent.npz"),
+        ("results/agents/ppo/seed-3/agent.npz", "agents/ppo/seed-3/agent.npz"),
+        ("configs/scenes/fig11_l10.toml", "scenes/fig11_l10.toml"),
+        ("configs/schedules/example.csv", "schedules/example.csv"),
+    ):
+        place = package / "shipped" / target
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / source, place)
+    return package
+
+
+def test_a_checkout_ships_what_it_holds():
+    assert shipped_agents() == {"ppo": (0, 1, 2, 3, 4), "ppo-any-probe": (0, 1, 2), "ppo-no-tension": (0, 1, 2, 3, 4)}
+    assert shipped_names("train") == ("ppo", "ppo-any-probe", "ppo-no-tension")  # each is how its agents were made
+    assert {"original", "improved"} <= set(shipped_names("design"))
+    assert agent_file("ppo") == ROOT / "results" / "agents" / "ppo" / "seed-0" / "agent.npz"
+    assert agent_file("ppo@2") == ROOT / "results" / "agents" / "ppo" / "seed-2" / "agent.npz"
+    assert file_or_shipped("scenes", "fig11_l10") == ROOT / "configs" / "scenes" / "fig11_l10.toml"
+
+
+def test_no_name_stands_for_two_policies():
+    names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
+    assert len(set(names)) == len(names)
+
+
+def test_an_installed_package_ships_its_own(installed):
+    assert shipped_agents(installed) == {"ppo": (0, 3)}
+    assert policy_file("ppo@3", installed) == str(installed / "shipped" / "agents" / "ppo" / "seed-3" / "agent.npz")
+    for given in ("example", "example.csv"):
+        assert policy_file(given, installed) == str(installed / "shipped" / "schedules" / "example.csv")
+    assert policy_file("pi", installed) == "pi"
+    with pytest.raises(ValueError, match="policy = 'ppo@1': the training seeds of ppo are 0, 3"):
+        policy_file("ppo@1", installed)
+
+
+def test_a_path_that_exists_wins_and_a_folder_is_none(installed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("fig11_l10").mkdir()
+    assert file_or_shipped("scenes", "fig11_l10", installed).parent == installed / "shipped" / "scenes"
+    for name in ("fig11_l10.toml", "example.csv"):
+        Path(name).touch()
+    assert file_or_shipped("scenes", "fig11_l10.toml", installed) == Path("fig11_l10.toml")
+    assert policy_file("example.csv", installed) == "example.csv"
+
+
+def test_what_is_neither_is_told_with_the_names(installed):
+    with pytest.raises(FileNotFoundError) as caught:
+        file_or_shipped("scenes", "fig11", installed)
+    assert (caught.value.filename, caught.value.hint) == ("fig11", "scenes that ship, by name: fig11_l10")
+
+
+def test_the_default_seed_is_there_for_every_agent():
+    assert all(shipped.DEFAULT_SEED in seeds for seeds in shipped_agents().values())
