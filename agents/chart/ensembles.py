@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
-from agents.records.work import Work, announce
 from agents.study.cases import PERTURBATION
+from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.physics.signals import dominant_frequencies
 

@@ -13,8 +13,8 @@ from tqdm import tqdm
 from agents.chart.ensembles import SAMPLE_PERIOD, member_statistics
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
-from agents.records.work import Work, announce
 from agents.study.cases import PERTURBATION
+from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch
 
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
-from agents.records.work import Work, announce
+from agents.terminal.work import Work, announce
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.physics import closed_forms, methods

@@ -19,9 +19,9 @@ from agents.records.code_hash import class_hash, code_hash
 from agents.records.journal import Journal
 from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
-from agents.records.work import Work, announce
 from agents.rollouts.statistics import Interval, mean_interval
 from agents.terminal.tables import print_table
+from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import judge, try_insertions, try_sections

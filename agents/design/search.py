@@ -27,10 +27,10 @@ from agents.design.database import open_study
 from agents.design.problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.records.work import Work, announce
 from agents.rollouts.statistics import bootstrap_ends
 from agents.terminal.masking import masked
 from agents.terminal.tables import print_table
+from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig, metre_cost

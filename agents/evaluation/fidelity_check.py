@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.stats import kendalltau
 
 from agents.policies.fixed import Scheduled
-from agents.records.models import KPIS
+from agents.records.columns import KPIS
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_parquet
 from agents.records.tables import PROFILE

@@ -17,7 +17,8 @@ from agents.evaluation import figures
 from agents.evaluation.fidelity_check import Level, run_checks
 from agents.policies.catalogue import named_policies
 from agents.processes.workers import HERE, Workers
-from agents.records.models import KPIS, Compared, Evaluated, Setting
+from agents.records.columns import KPIS
+from agents.records.models import Compared, Evaluated, Setting
 from agents.records.provenance import write_atomically, write_json
 from agents.records.reading import FileError, read_csv, read_json, read_parquet
 from agents.records.tables import EPISODES, FRONT, PROFILE

@@ -33,9 +33,9 @@ from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import FileError, read_csv, read_json
 from agents.records.tables import CURVE as CURVE_COLUMNS
-from agents.records.work import Work, announce
 from agents.rollouts.plan import Plan, run_plan
 from agents.terminal.tables import print_table
+from agents.terminal.work import Work, announce
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.contexts import spread_contexts
 from probe_env.fidelity import resolve_fidelity

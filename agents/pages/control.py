@@ -10,7 +10,8 @@ from agents.evaluation.report import compared_with, kpi_cells
 from agents.learning import results as agent_results
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
-from agents.records.models import KPIS, Made, Quality
+from agents.records.columns import KPIS
+from agents.records.models import Made, Quality
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
 from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise

@@ -82,6 +82,7 @@ def confirm(stage: Stage) -> None:
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
     with checked_out(made["commit"]) as tree:
+        put_inputs(stage, tree)  # what the results were made from may have been published after the commit
         _run(sampled(made["command"], stage.sample), tree, folders["before"], stage.name)
     _run(sampled(stage.command, stage.sample), CHECKOUT, folders["now"], stage.name)
     difference = first_difference(folders["before"], folders["now"])
@@ -113,6 +114,21 @@ def checked_out(name: str) -> Iterator[Path]:
         yield tree
     finally:
         subprocess.run([*git, "remove", "--force", str(tree)], check=True, capture_output=True)
+
+
+def put_inputs(stage: Stage, tree: Path) -> None:
+    """Put the stage's inputs, as they are here, in the place of those of a tree, where they may have another folder.
+
+    Raises:
+        RuntimeError: a file has no place there, or several.
+    """
+    for path in sorted(path for pattern in stage.reads for path in CHECKOUT.glob(pattern)):
+        places = [tree / path.relative_to(CHECKOUT)]
+        if not places[0].exists():
+            places = [place for place in tree.rglob(path.name) if place.is_file()]
+        if len(places) != 1:
+            raise RuntimeError(f"stage {stage.name}: {path.name} has {len(places)} places in {tree}")
+        shutil.copyfile(path, places[0])
 
 
 def _run(command: str, tree: Path, folder: Path, stage: str) -> None:

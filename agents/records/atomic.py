@@ -8,7 +8,7 @@ import re
 import tempfile
 from pathlib import Path
 
-from agents.records.work import note_file
+from agents.terminal.work import note_file
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

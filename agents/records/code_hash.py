@@ -26,7 +26,7 @@ ALL: Final = "all"
 ASIDE: Final = (
     "agents.design.database", "agents.learning.checkpoints", "agents.records.arrays", "agents.records.atomic",
     "agents.records.code_hash", "agents.records.models", "agents.records.provenance",
-    "agents.records.reading", "agents.records.store", "agents.records.tables", "agents.records.work",
+    "agents.records.reading", "agents.records.store", "agents.records.tables", "agents.terminal.work",
     "agents.terminal.tables", "probe_env.errors", "probe_env.files",
 )  # fmt: skip
 """Modules that read, write and tell: no result depends on them. With the modules in them."""

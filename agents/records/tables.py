@@ -19,7 +19,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.records.models import CARRIED, ENDINGS, KPIS
+from agents.records.columns import CARRIED, KPIS
+from agents.records.models import ENDINGS
 from agents.terminal.names import name_problem
 from probe_env.envs.contexts import Context
 from probe_env.files import MEBI, FileError, read_bytes, read_text

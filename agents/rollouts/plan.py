@@ -23,10 +23,11 @@ from tqdm import tqdm
 from agents.processes.workers import HERE, Workers
 from agents.records import reading as stored
 from agents.records.code_hash import class_hash, code_hash
+from agents.records.columns import CARRIED
 from agents.records.journal import Journal
-from agents.records.models import CARRIED, Episode, Setting
+from agents.records.models import Episode, Setting
 from agents.records.provenance import commit, provenance, write_atomically, write_json
-from agents.records.work import Work, announce
+from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import bootstrap, trim_mean
 
-from agents.records.models import KPIS
+from agents.records.columns import KPIS
 
 CONFIDENCE: Final = 0.95
 

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from agents.records.code_hash import code_hash
 from agents.records.store import Store, stored_rows
-from agents.records.work import Work, announce
+from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.physics.signals import point_statistics
 

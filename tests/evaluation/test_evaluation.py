@@ -12,7 +12,7 @@ from scipy.stats import trim_mean
 
 from agents.evaluation.report import evaluate, write_report
 from agents.policies.fixed import Constant, SlowDown
-from agents.records.models import KPIS
+from agents.records.columns import KPIS
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
 from agents.rollouts.statistics import (
     Interval,

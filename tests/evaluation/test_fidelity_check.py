@@ -12,7 +12,7 @@ from agents.evaluation.fidelity_check import (
     report_checks,
 )
 from agents.policies.fixed import Constant
-from agents.records.models import KPIS
+from agents.records.columns import KPIS
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig

@@ -14,9 +14,9 @@ from agents.cli import main
 from agents.design.problem import DesignProblem
 from agents.policies.fixed import Constant
 from agents.processes import interrupts
-from agents.records.work import Work
 from agents.rollouts.plan import Plan, run_plan
 from agents.study import cases as study
+from agents.terminal.work import Work
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -156,8 +156,8 @@ def test_the_entry_point_loads_no_packages_before_it_hears_signals():
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT).stdout.split()
     ours = [name for name in loaded if name.partition(".")[0] in ("agents", "probe_env")]
     assert sorted(ours) == [
-        "agents", "agents.cli", "agents.processes", "agents.processes.interrupts", "agents.records",
-        "agents.records.work",
+        "agents", "agents.cli", "agents.processes", "agents.processes.interrupts", "agents.terminal",
+        "agents.terminal.work",
     ]  # fmt: skip
     assert not {"numpy", "tyro", "pydantic", "typing_extensions"} & set(loaded)
 
@@ -188,7 +188,7 @@ SLOW = """
 """
 UNCOUNTABLE = """
     import threading
-    from agents.records.work import Work, announce
+    from agents.terminal.work import Work, announce
     agents.processes.interrupts.TELLING = 0.1
     announce(Work("run", 3, lambda: threading.Event().wait(), "x"), quiet=True)
     class Finalised:

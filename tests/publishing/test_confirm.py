@@ -121,6 +121,24 @@ def test_results_are_kept_under_the_new_hash_where_the_sample_agrees(stage, monk
     assert "numbers: up to date" in capsys.readouterr().out
 
 
+def test_both_samples_have_the_inputs_of_today(stage, tmp_path):
+    """They may have moved, and may have been published after the commit that the results name."""
+    one = stage[0].model_copy(update={"reads": ("data/*.npz", "agents/*/agent.npz")})
+    tree = tmp_path / "tree"
+    for name, text in {"data/map.npz": "new", "agents/a/agent.npz": "a", "agents/b/agent.npz": "b"}.items():
+        for place in (tmp_path / name, tree / name.replace("data/", "elsewhere/")):
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(text if place.is_relative_to(tmp_path / "data") else "old")
+    (tmp_path / "agents/b/agent.npz").write_text("b")
+    confirm.put_inputs(one, tree)
+    assert (tree / "elsewhere" / "map.npz").read_text() == "new"
+    assert (tree / "agents" / "b" / "agent.npz").read_text() == "b"
+    (tree / "third").mkdir()
+    (tree / "third" / "map.npz").write_text("old")
+    with pytest.raises(RuntimeError, match=r"map.npz has 2 places"):
+        confirm.put_inputs(one, tree)
+
+
 def test_a_difference_keeps_them_stale(stage, monkeypatch):
     _, path, _ = stage
     text = path.read_text()
