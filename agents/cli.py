@@ -20,6 +20,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(sys.argv[1:] if arguments is None else list(arguments))
         except KeyboardInterrupt as error:
             return tell(error)
+        except BrokenPipeError:  # whoever read what is printed has enough, as head does
+            import os
+
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+            return 1
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -65,6 +70,8 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         if module not in AGENTS:
             raise
         return _fail(f'this command needs {module}, which is not installed: pip install "probe-env[agents]"')
+    except BrokenPipeError:
+        raise
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
         return _fail(str(error))
     return 0

@@ -32,8 +32,8 @@ class Simulate:
     """Linear solver of a step of newmark and wilson."""
     duration: float = 8.0
     """Simulated time [s]."""
-    statistics_from: float = 2.0
-    """Start of the statistics [s]; before it the start's transient decays."""
+    statistics_from: float | None = None
+    """Start of the statistics [s]; None: after a quarter of the duration."""
     output: Path | None = None
     """Output folder; default: output/NAME-OF-THE-SCENE."""
 
@@ -64,8 +64,9 @@ class Simulate:
             f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s"
             f" (known to hold up to {simulator.stable_time_step:.2g} s)"
         )
-        statistics = simulate_scene(simulator, self.duration, self.statistics_from, output, name)
-        print_statistics(statistics, f"{name}, t = {self.statistics_from:g} to {self.duration:g} s")
+        begin = 0.25 * self.duration if self.statistics_from is None else self.statistics_from
+        statistics = simulate_scene(simulator, self.duration, begin, output, name)
+        print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")
         print(f"written: {output}/ (scene.toml, results.json, signals.npz, figures)")
 
 

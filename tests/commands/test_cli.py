@@ -1,6 +1,8 @@
 """The probe-env command as a user meets it: outputs, overrides, resumption and errors."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +44,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
     [
         (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
         (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a scene file, which is TOML"),
-        (["simulate", SCENE, "--duration", "1"], "statistics_from = 2.0"),
+        (["simulate", SCENE, "--duration", "1", "--statistics-from", "2"], "statistics_from = 2.0"),
         (["simulate", SCENE, "--duration", "3.00005"], "duration = 3.00005"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
         (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
@@ -97,3 +99,12 @@ def test_render_writes_a_film(name, tmp_path, capsys):
     assert main(["render", *arguments]) == 0
     assert "share_within_limit" in capsys.readouterr().out
     assert output.stat().st_size > 20_000
+
+
+def test_a_reader_that_has_enough_is_no_error():
+    """Such as head: what is left to print goes nowhere, without a word."""
+    done = subprocess.run(
+        f"{sys.executable} -m agents.cli agents | head -1", shell=True, cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.stdout == "ppo\n"
+    assert done.stderr == ""
