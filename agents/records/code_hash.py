@@ -112,7 +112,9 @@ def _texts(roots: tuple[str, ...]) -> Iterator[str]:
                 else:
                     parts.append(member)
         names = _names_of_ours(found, parts)
-        yield f"{found.name} " + " ".join(filter(None, (_canonical(part, names) for part in parts)))
+        yield f"{found.name} " + " ".join(
+            filter(None, ("" if _is_place(part) else _canonical(part, names) for part in parts))
+        )
         for part in parts:
             attributes, targets = _uses(part, found.module)
             names_used |= attributes
@@ -154,15 +156,12 @@ def _walk(node: ast.AST, counts: bool = True) -> Iterator[tuple[ast.AST, bool]]:
 
 
 def _is_wording(node: ast.AST) -> bool:
-    """Imports, docstrings and other bare strings, raised errors, checks, warnings, what is logged or printed, places.
+    """Imports, docstrings and other bare strings, raised errors, checks, warnings, what is logged or printed.
 
-    A check (``check_...`` or ``within``, its value not used) raises or does nothing. What ``__file__`` leads to is an
-    input, to be hashed as one.
+    A check (``check_...`` or ``within``, its value not used) raises or does nothing.
     """
     if isinstance(node, ast.Import | ast.ImportFrom | ast.Raise):
         return True
-    if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-        return any(isinstance(part, ast.Name) and part.id == "__file__" for part in ast.walk(node.value))
     if not isinstance(node, ast.Expr):
         return False
     if isinstance(node.value, ast.Constant):
@@ -178,6 +177,16 @@ def _names_of_ours(found: Definition, parts: Iterable[ast.AST]) -> dict[str, tup
     """What the names in a definition that are imported stand for."""
     imported = {name: target for name, target in _module(found.module).items() if isinstance(target, tuple)}
     return imported | _imports([node for part in parts for node in ast.walk(part)])
+
+
+def _is_place(part: ast.AST) -> bool:
+    """Whether a constant of a module or class is made of ``__file__``: an input, to be hashed as one.
+
+    Within a function ``__file__`` is code like any other.
+    """
+    if not isinstance(part, ast.Assign | ast.AnnAssign) or part.value is None:
+        return False
+    return any(isinstance(inner, ast.Name) and inner.id == "__file__" for inner in ast.walk(part.value))
 
 
 def _canonical(node: object, names: Mapping[str, tuple[str, str | None]]) -> str:

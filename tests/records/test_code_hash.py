@@ -75,7 +75,6 @@ SAME = {
     "constant that is not used": ("parts", "UNUSED = 7", "UNUSED = 8"),
     "method that is not used": ("parts", "return 0", "return 1"),
     "import": ("work", "import probe_env.tools as tools", "import math\nimport probe_env.tools as tools"),
-    "name of a place": ("parts", "UNUSED = 7", "UNUSED = 7\nPLACE = Path(__file__).parents[2]"),
 }
 OTHER = {
     "constant": ("parts", "SCALE = 2.0", "SCALE = 2.5"),
@@ -122,6 +121,21 @@ def test_a_definition_may_be_imported_by_itself_or_under_another_name(hash_of):
     body = body.replace("tools.offset", "offset").replace("* SCALE", "* K").replace(": Machine", ": Engine")
     assert hash_of(PROGRAM | {"work": f"{by_itself}\n\n{body}"}) == hash_of(PROGRAM)
     assert hash_of(PROGRAM | {"work": f"{by_itself}\n\n{body.replace('* K', '* 2')}"}) != hash_of(PROGRAM)
+
+
+def test_a_place_changes_nothing_but_what_a_function_does_with_one_counts(hash_of):
+    """A constant made of ``__file__`` leads to an input; nothing else can be hidden by naming it."""
+
+    def tools(place):
+        return PROGRAM | {"tools": place + "\ndef offset():\n    return float(PLACE.name)\n"}
+
+    def within(place):
+        return PROGRAM | {"tools": f"def offset():\n    place = {place}\n    return float(place.name)\n"}
+
+    here, above = "Path(__file__).parent", "Path(__file__).parents[1]"
+    assert hash_of(tools(f"PLACE = {here}")) == hash_of(tools(f"PLACE: Final = {above}"))
+    assert hash_of(tools(f"PLACE = {here}")) != hash_of(tools("PLACE = Path('other')"))
+    assert hash_of(within(here)) != hash_of(within(above))
 
 
 def test_the_form_is_the_same_for_every_python(hash_of):
