@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from agents.publishing.stages import MADE, WORK, Stage, load_stages
-from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_atomically, write_json
+from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_json
 from agents.terminal.tables import print_table
 
 COMPARED: Final = (".csv", ".npz", ".toml")
@@ -162,13 +162,7 @@ def _equal(one: Path, other: Path) -> bool:
 
 
 def _keep(stage: Stage, made: dict[str, Any]) -> None:
-    """Write the new code's hash where the old one stands: in the record, and in what the stage published."""
+    """Write the new code's hash into the record; what was published stays as it was made."""
     state = stage.state()
-    for name in made["files"]:
-        path = CHECKOUT / name
-        if path.suffix in (".csv", ".json") and path.exists():
-            text = path.read_text()
-            if made["code"] in text:
-                write_atomically(path, text.replace(made["code"], state["code"]))
     shown = {"from": made["code"], "made_by": made["commit"], "confirmed_at": commit(), "sample": stage.sample}
     write_json(MADE / f"{stage.name}.json", made | state | {"confirmed": [*made.get("confirmed", ()), shown]})
