@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, scene_of, spaces_of, task_config
+from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of, task_config
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.starts import EpisodeSettings
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import Fidelity
-from probe_env.scene import Scene
 
 ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
     "probe_env/Insertion-v0": InsertionEnv,
@@ -32,7 +30,9 @@ class ProbeVecEnv(VecEnv):
         env_id: "probe_env/Insertion-v0" or "probe_env/Snapshot-v0".
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         threads: at most so many; default: all cores.
-        config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes: see ``InsertionEnv``.
+        max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
+            task's own time limit, a field of ``config``.
+        config, settings: see ``InsertionEnv``.
 
     Raises:
         ValueError: an argument is not valid.
@@ -43,25 +43,21 @@ class ProbeVecEnv(VecEnv):
         env_id: str = "probe_env/Insertion-v0",
         num_envs: int = 16,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | Mapping[str, Any] | None = None,
-        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
-        contexts: Contexts = "random",
-        feed_speed: float = 0.2,
-        air_supply_rate: float = 63.0 / 3600.0,
-        probes: Probes = "scene",
         *,
         threads: int | None = None,
+        max_episode_steps: int | None = None,
+        **settings: Unpack[EpisodeSettings],
     ) -> None:
         if env_id not in ENVIRONMENTS:
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
+        check_episode_steps(max_episode_steps)
         self.config = task_config(ENVIRONMENTS[env_id].defaults, config)
-        self.episodes = Episodes(
-            num_envs, self.config, scene_of(scene), fidelity, contexts, feed_speed, air_supply_rate, probes, threads
-        )
+        self.episodes = Episodes(num_envs, self.config, threads=threads, **settings)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))
         self._rngs: dict[int, np.random.Generator] = {}
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
+        self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
     @property
     def kernel_seconds(self) -> float:
@@ -75,6 +71,7 @@ class ProbeVecEnv(VecEnv):
             if self._seeds[k] is not None or k not in self._rngs:
                 self._rngs[k] = gym.utils.seeding.np_random(self._seeds[k])[0]
         observation, infos = self.episodes.reset(list(every), self._rngs, dict(enumerate(self._options)))
+        self._steps[:] = 0
         self.reset_infos = [infos[k] for k in every]
         self._reset_seeds()
         self._reset_options()
@@ -87,14 +84,18 @@ class ProbeVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """One control period of all environments."""
         step = self.episodes.step(self._actions)
-        done = step.terminated | step.truncated
+        self._steps += 1
+        late = self._steps >= self.max_episode_steps if self.max_episode_steps else np.zeros_like(step.truncated)
+        truncated = step.truncated | (late & ~step.terminated)
+        done = step.terminated | truncated
         observation, infos = step.observation, step.infos
         for k, info in enumerate(infos):
-            info["TimeLimit.truncated"] = bool(step.truncated[k])
+            info["TimeLimit.truncated"] = bool(truncated[k])
         ended = np.flatnonzero(done).tolist()
         if ended:
             for k in ended:
                 infos[k]["terminal_observation"] = step.observation[k].copy()
+            self._steps[ended] = 0
             observation, started = self.episodes.reset(ended, self._rngs)
             for k in ended:
                 self.reset_infos[k] = started[k]

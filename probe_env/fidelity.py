@@ -124,11 +124,11 @@ def measured() -> tuple[Measured, ...]:
         Measured(
             Fidelity(
                 method=row["method"],
-                time_step=float(row["time_step"]),
+                time_step=float(row["time_step_s"]),
                 time_lapse=float(row["time_lapse"]),
             ),
-            float(row["length"]) if row["length"] else None,
-            float(row["stiffness"]), row["output"], float(row["error"]), float(row["cost_s"]),
+            float(row["carrier_length_m"]) if row["carrier_length_m"] else None,
+            float(row["contact_stiffness_n_per_m"]), row["output"], float(row["error"]), float(row["cost_s"]),
         )
         for row in csv.DictReader(text.splitlines())
     )  # fmt: skip

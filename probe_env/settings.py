@@ -7,7 +7,7 @@ accepted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self, get_args
 
@@ -113,6 +113,13 @@ def within(name: str, value: float, low: float, high: float, unit: str, exclude_
         excluded = " (excluded)" if exclude_low else ""
         unit = unit and f" {unit}"
         raise ValueError(f"{name} = {value!r}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
+
+
+def check_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise TypeError, as Python does, where a keyword argument is not one of those that there are."""
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise TypeError(f"{what}() has no argument {', '.join(unknown)}; accepted are {', '.join(known)}")
 
 
 def whole_steps(name: str, value: float | None, time_step: float) -> int:

@@ -70,7 +70,7 @@ def _steps_per_second() -> dict[str, float]:
 def _share_outside_kernel() -> float:
     """Share of a step's time that is not spent in the kernels, for a batch of 16 on one thread."""
     config = {"period": 1.0, "time_limit": 80.0}
-    batch = ProbeVecEnv(ENV_ID, 16, config, Scene(carrier_length=LENGTH), threads=1)
+    batch = ProbeVecEnv(ENV_ID, 16, config, scene=Scene(carrier_length=LENGTH), threads=1)
     batch.reset()
     action = np.zeros((16, 2), dtype=np.float32)
     batch.step(action)

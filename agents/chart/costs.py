@@ -21,7 +21,7 @@ REPEATS = 5
 
 
 def run_costs(output: Path) -> pd.DataFrame:
-    """Rows of method, nodes_per_pitch, length, ns_per_node_step in costs.csv; the best of ``REPEATS`` counts.
+    """Rows of method, nodes_per_pitch, carrier_length_m, ns_per_node_step in costs.csv; the best of ``REPEATS`` counts.
 
     Always measured anew as a whole, since only ratios within one run mean something.
     """
@@ -41,7 +41,7 @@ def run_costs(output: Path) -> pd.DataFrame:
             spent.append(time.process_time() - begin)
         node_steps = probes * steps * (length + 2.5) / 0.1 * nodes
         rows.append((method, nodes, length, min(spent) / node_steps * 1e9))
-    table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "length", "ns_per_node_step"])
+    table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
     write_json(output / "costs-provenance.json", provenance())
     return table
@@ -49,8 +49,8 @@ def run_costs(output: Path) -> pd.DataFrame:
 
 def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
     """Processor time [s] of one probe for a simulated second, for rows with the columns of a ``Setting``."""
-    keys = ["method", "nodes_per_pitch", "length"]
+    keys = ["method", "nodes_per_pitch", "carrier_length_m"]
     node_step = settings[keys].merge(costs, how="left", on=keys)["ns_per_node_step"].to_numpy()
-    nodes = (settings["length"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
-    seconds: pd.Series = nodes / settings["time_step"] * node_step * 1e-9
+    nodes = (settings["carrier_length_m"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
+    seconds: pd.Series = nodes / settings["time_step_s"] * node_step * 1e-9
     return seconds

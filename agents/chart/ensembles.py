@@ -29,6 +29,8 @@ STATISTICS = (
     "radial_acceleration_rms_m_per_s2", "tension_mean_n",
 )  # fmt: skip
 PEAK = "axial_peak_hz"
+COLUMNS = {"time_step": "time_step_s", "length": "carrier_length_m", "stiffness": "contact_stiffness_n_per_m"}
+"""How fields with a unit are called in tables."""
 CODE = ("agents.chart.ensembles:run_setting",)
 
 
@@ -56,7 +58,7 @@ class Setting:
     @property
     def key(self) -> dict[str, Any]:
         """Everything but the number of members, as columns."""
-        return {name: value for name, value in asdict(self).items() if name != "members"}
+        return {COLUMNS.get(name, name): value for name, value in asdict(self).items() if name != "members"}
 
     def batch(self, count: int, threads: int | None = None) -> SimulatorBatch:
         """So many runs of it, from slightly different starts."""

@@ -60,11 +60,12 @@ def constant_length(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
 
 def _reference(setting: Mapping[Any, Any]) -> dict[str, Any]:
     """The setting that one is compared with: its own scene, finely; for a changed model table 2's at the same step."""
-    plain = Setting().key | {"length": setting["length"], "time_step": MODEL_STEP}
+    plain = Setting(time_step=MODEL_STEP, length=setting["carrier_length_m"]).key
     changed = [name for name in ("nodes_per_pitch", "walls", "friction") if setting[name] != plain[name]]
-    if changed or setting["stiffness"] not in STIFFNESSES:
+    stiffness = setting["contact_stiffness_n_per_m"]
+    if changed or stiffness not in STIFFNESSES:
         return plain
-    return plain | {"stiffness": setting["stiffness"], "time_step": REFERENCE_STEP}
+    return Setting(time_step=REFERENCE_STEP, length=setting["carrier_length_m"], stiffness=stiffness).key
 
 
 def insertion(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
@@ -73,11 +74,11 @@ def insertion(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     A member's value in a band is the root mean square (of an rms) or the mean over its stretches.
     """
     rows = []
-    keys = ["method", "time_step", "time_lapse"]
+    keys = list(REFERENCE.key)
     for low, high in BANDS:
         band = members[members["from_m"].between(low, high, inclusive="left")]
         of_member = band.groupby([*keys, "member"])[list(OUTPUTS)].agg(_pooled).reset_index()
-        chosen = (of_member[keys] == [REFERENCE.method, REFERENCE.time_step, REFERENCE.time_lapse]).all(axis=1)
+        chosen = (of_member[keys] == list(REFERENCE.key.values())).all(axis=1)
         for key, part in of_member.groupby(keys):
             row: dict[str, Any] = dict(zip(keys, key, strict=True)) | {
                 "from_m": low,
@@ -97,7 +98,7 @@ def insertion_cost(row: Mapping[Any, Any], costs: pd.DataFrame) -> float:
     """Processor time of a whole insertion of one probe [s], from the cost of a node-step."""
     node_step = costs[(costs["method"] == row["method"]) & (costs["nodes_per_pitch"] == 4)]["ns_per_node_step"].mean()
     nodes = np.arange(START, END, STRETCH) + 0.5 * STRETCH
-    steps = STRETCH / FEED_SPEED / row["time_lapse"] / row["time_step"]
+    steps = STRETCH / FEED_SPEED / row["time_lapse"] / row["time_step_s"]
     return float((nodes / 0.1 * 4 * steps).sum() * node_step * 1e-9)
 
 

@@ -69,9 +69,9 @@ def _curve(axis: Axes, part: pd.DataFrame, cost: str, top: float, method: str) -
 
 def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
     """Ratio of ensemble means to the reference's with intervals, over cost: 30 m, 50 m, two bands of the insertion."""
-    table2 = constant[(constant["stiffness"] == 1e5) & (constant["nodes_per_pitch"] == 4)]
+    table2 = constant[(constant["contact_stiffness_n_per_m"] == 1e5) & (constant["nodes_per_pitch"] == 4)]
     table2 = table2[(table2["walls"] == "both") & (table2["friction"] == 0.15)]
-    panels = [(f"l = {length:g} m", table2[table2["length"] == length]) for length in (30.0, 50.0)]
+    panels = [(f"l = {length:g} m", table2[table2["carrier_length_m"] == length]) for length in (30.0, 50.0)]
     panels += [
         (f"insertion, {low:g} to {high:g} m", part) for (low, high), part in inserted.groupby(["from_m", "to_m"])
     ]
@@ -109,10 +109,10 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
 
 
 def model(rows: pd.DataFrame, path: Path) -> None:
-    """What each choice changes in the radial rms, with intervals; columns choice, length, ratio, low, high, cost."""
+    """What each choice changes in the radial rms, with intervals; ``rows``: of ``tables.choices``."""
     choices = list(dict.fromkeys(rows["choice"]))
     figure, axes = plt.subplots(1, 2, figsize=(12, 0.36 * len(choices) + 1.4), layout="constrained", sharey=True)
-    for axis, (length, part) in zip(axes, rows.groupby("length"), strict=True):
+    for axis, (length, part) in zip(axes, rows.groupby("carrier_length_m"), strict=True):
         place = [len(choices) - choices.index(choice) for choice in part["choice"]]
         spread = np.abs([part["ratio"] - part["low"], part["high"] - part["ratio"]])
         axis.errorbar(part["ratio"], place, xerr=spread, fmt="o", color=COLOURS["newmark"], capsize=2, ms=5)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart.ensembles import SAMPLE_PERIOD, member_statistics
+from agents.chart.ensembles import COLUMNS, SAMPLE_PERIOD, member_statistics
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
 from agents.study.cases import PERTURBATION
@@ -31,6 +31,11 @@ class Insertion:
     time_lapse: float = 1.0
     members: int = 8
 
+    @property
+    def key(self) -> dict[str, Any]:
+        """Everything but the number of members, as columns."""
+        return {COLUMNS.get(name, name): value for name, value in asdict(self).items() if name != "members"}
+
 
 INSERTIONS = (
     *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
@@ -49,13 +54,11 @@ def run_insertions(output: Path) -> pd.DataFrame:
     Raises:
         RuntimeError: a probe diverged.
     """
-    keys = ("method", "time_step", "time_lapse")
-    columns = (*keys, "member", "from_m")
+    columns = (*REFERENCE.key, "member", "from_m")
     store = Store(output / "insertions.csv", columns, lambda row: code_hash(CODE, row["method"]))
 
     def stored(insertion: Insertion) -> bool:
-        key = tuple(asdict(insertion)[name] for name in keys)
-        return store.has(*key, insertion.members - 1, END - STRETCH)
+        return store.has(*insertion.key.values(), insertion.members - 1, END - STRETCH)
 
     announce(Work("setting", len(INSERTIONS), lambda: sum(map(stored, INSERTIONS)), store.path))
     for insertion in INSERTIONS:
@@ -79,7 +82,6 @@ def _insert(insertion: Insertion) -> list[dict[str, Any]]:
         if window.diverged.any():
             raise RuntimeError(f"{name}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
         for member in range(insertion.members):
-            row = {key: value for key, value in asdict(insertion).items() if key != "members"}
-            row |= {"member": member, "from_m": float(stretch)}
-            rows.append(row | member_statistics(window, member))
+            place = {"member": member, "from_m": float(stretch)}
+            rows.append(insertion.key | place | member_statistics(window, member))
     return rows

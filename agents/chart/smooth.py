@@ -22,8 +22,8 @@ from agents.terminal.work import Work, announce
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.physics import closed_forms, methods
-from probe_env.physics.bare_chains import AXIAL, LAPACK, RADIAL, bent_chain, plain_chain, run_chain
-from probe_env.physics.chain import Chain, air_speed, build_chain, sensor_node
+from probe_env.physics.bare_chains import AXIAL, LAPACK, RADIAL, Driven, bent_chain, plain_chain, run_chain
+from probe_env.physics.chain import air_speed, build_chain, sensor_node
 from probe_env.physics.state import State, at_rest
 
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
@@ -43,16 +43,13 @@ class Case:
     """A scene before chaos; ``exact`` gives the observed displacement at the sample times, None: two references."""
 
     title: str
-    chain: Chain
+    driven: Driven
     duration: float
     sample_period: float
     point: tuple[int, int]
     """Node and component that are observed."""
     exact: Callable[[FloatArray], FloatArray] | None
     time_steps: tuple[float, ...] = LONG
-    sensor: int = 0
-    feed: float = 0.0
-    air: float = 0.0
     d: FloatArray | None = None
     v: FloatArray | None = None
     a: FloatArray | None = None
@@ -60,7 +57,7 @@ class Case:
 
     def start(self, method: str, time_step: float) -> State:
         """State at t = 0; the velocities of ``explicit`` live half a step earlier."""
-        state = at_rest(self.chain.node_count)
+        state = at_rest(self.driven.chain.node_count)
         for target, values in zip((state.d, state.v, state.memory), (self.d, self.v, self.a), strict=True):
             if values is not None:
                 target[:-1] = values
@@ -82,7 +79,7 @@ def _linear(consistent: bool) -> Case:
     a = -load / np.array([chain.mass, chain.mass, chain.inertia])  # what the load held back
     return Case(
         "linear chain, smooth start" if consistent else "linear chain, printed start",
-        chain, 0.05, 1e-3, (0, RADIAL),
+        Driven(chain), 0.05, 1e-3, (0, RADIAL),
         lambda times: closed_forms.linear_chain(chain, times, load, 0.0 * load)[:, 0, RADIAL],
         d=shape, a=a if consistent else None,
     )  # fmt: skip
@@ -96,9 +93,8 @@ def _step_load() -> Case:
     load = np.zeros((elements, 3))
     load[::4, AXIAL] = force
     return Case(
-        "axial step load", chain, 0.05, 1e-3, (0, AXIAL),
+        "axial step load", Driven(chain, air=wind), 0.05, 1e-3, (0, AXIAL),
         lambda times: closed_forms.linear_chain(chain, times, 0.0 * load, load)[:, 0, AXIAL],
-        air=wind,
     )  # fmt: skip
 
 
@@ -108,7 +104,7 @@ def _impact() -> Case:
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e6)
     chain = plain_chain(1, contact_stiffness=np.array([stiffness, 0.0]), coupling_compliance=0.0, **free)
     return Case(
-        "impact on the wall's spring", chain, 4e-3, 4e-4, (0, RADIAL),
+        "impact on the wall's spring", Driven(chain), 4e-3, 4e-4, (0, RADIAL),
         lambda times: closed_forms.impact(chain.mass, stiffness, height, speed, times),
         time_steps=(4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6),
         d=np.array([[0.0, height, 0.0]]), v=np.array([[0.0, -speed, 0.0]]),
@@ -119,10 +115,8 @@ def _contact() -> Case:
     """The study's scene at l = 10 m, the first 0.2 s."""
     scene = Scene(carrier_length=10.0)
     sensor = sensor_node(scene, 4)
-    return Case(
-        "contact and friction, l = 10 m", build_chain(scene), 0.2, 1e-3, (sensor, AXIAL), None,
-        sensor=sensor, feed=scene.feed_speed, air=air_speed(scene, scene.air_supply_rate),
-    )  # fmt: skip
+    driven = Driven(build_chain(scene), sensor, scene.feed_speed, air_speed(scene, scene.air_supply_rate))
+    return Case("contact and friction, l = 10 m", driven, 0.2, 1e-3, (sensor, AXIAL), None)
 
 
 @lru_cache
@@ -145,10 +139,8 @@ def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | N
     steps, every = round(case.duration / time_step), round(case.sample_period / time_step)
     used, fastest = 0.0, float("inf")
     while used < LEAST_TIMED:
-        run = run_chain(
-            method, case.chain, time_step, case.start(method, time_step), steps, every,
-            node=case.point[0], sensor=case.sensor, feed=case.feed, air=case.air,
-        )  # fmt: skip
+        start = case.start(method, time_step)
+        run = run_chain(method, case.driven, time_step, start, steps, every, case.point[0])
         if not run.held:
             return None, float("nan"), float("nan")
         used, fastest = used + run.cpu, min(fastest, run.cpu)

@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import linregress
 
-from agents.chart.ensembles import CHOICES, MODEL_STEP, Setting
+from agents.chart.ensembles import CHOICES, MODEL_STEP, STIFFNESSES, Setting
 from agents.chart.errors import OUTPUTS, bound, insertion_cost
 from agents.chart.figures import resolved
+from agents.chart.insertions import Insertion
 from agents.chart.smooth import METHODS, REFERENCES, cases
 from probe_env.fidelity import PRESETS
 from probe_env.physics.bare_chains import LAPACK
@@ -51,14 +52,14 @@ def choices(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
     """What each mesh and model choice changes in the radial rms at 30 and 50 m; cost relative to table 2's mesh."""
     rows = []
     for length in (30.0, 50.0):
-        plain = Setting(time_step=MODEL_STEP, length=length).key
-        cost = float(_rows(constant, plain)["cpu_s"].iloc[0])
+        plain = Setting(time_step=MODEL_STEP, length=length)
+        cost = float(_rows(constant, plain.key)["cpu_s"].iloc[0])
         told = CHOICES | {"step 2e-4 s": {"time_step": 2e-4}, "step 2.5e-4 s": {"time_step": 2.5e-4}}
         for choice, change in told.items():
-            for row in _rows(constant, plain | change).to_dict("records"):
+            for row in _rows(constant, replace(plain, **change).key).to_dict("records"):
                 rows.append(_choice(choice, length, row, row["cpu_s"] / cost))
         band = inserted[(inserted["from_m"] <= length) & (length < inserted["to_m"])]
-        band = band[(band["method"] == "imex32") & (band["time_step"] == 2e-4)]
+        band = band[(band["method"] == "imex32") & (band["time_step_s"] == 2e-4)]
         whole = float(band[band["time_lapse"] == 1.0]["cpu_s"].iloc[0])
         for row in band[band["time_lapse"] > 1.0].to_dict("records"):
             name = f"time-lapse {row['time_lapse']:g} (insertion)"
@@ -67,7 +68,7 @@ def choices(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
 
 
 def _choice(choice: str, length: float, row: Row, cost: float) -> dict[str, object]:
-    return {"choice": choice, "length": length, "cost": cost} | {
+    return {"choice": choice, "carrier_length_m": length, "cost": cost} | {
         part: row[f"radial_rms_m:{part}"] for part in ("ratio", "low", "high")
     }
 
@@ -80,7 +81,7 @@ def choices_markdown(rows: pd.DataFrame) -> str:
     """The same as a table."""
     lines = ["| choice | radial rms at 30 m | at 50 m | cost |", "|---|---|---|---|"]
     for choice, part in rows.groupby("choice", sort=False):
-        by_length = {row["length"]: row for row in part.to_dict("records")}
+        by_length = {row["carrier_length_m"]: row for row in part.to_dict("records")}
         cells = [_interval(by_length[length]) if length in by_length else "-" for length in (30.0, 50.0)]
         lines.append(f"| {choice} | {cells[0]} | {cells[1]} | {part['cost'].mean():.2g} |")
     return "\n".join(lines)
@@ -101,21 +102,22 @@ def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFr
     plain = (constant["nodes_per_pitch"] == 4) & (constant["walls"] == "both") & (constant["friction"] == 0.15)
     rows = []
     for row in constant[plain].to_dict("records"):
-        if row["stiffness"] in (1e4, 1e5, 1e6) and row["diverged"] == 0.0:
-            nodes = (row["length"] + 2.5) / 0.1 * 4.0
-            rows += _errors(row, 1.0, row["length"], row["stiffness"], row["cpu_s"] / nodes)
-    per_node = {(r["method"], r["time_step"]): r["cost_s"] for r in rows}
+        length, stiffness = row["carrier_length_m"], row["contact_stiffness_n_per_m"]
+        if stiffness in STIFFNESSES and row["diverged"] == 0.0:
+            nodes = (length + 2.5) / 0.1 * 4.0
+            rows += _errors(row, 1.0, length, stiffness, row["cpu_s"] / nodes)
+    per_node = {(r["method"], r["time_step_s"]): r["cost_s"] for r in rows}
     for row in inserted.to_dict("records"):
-        cost = per_node[row["method"], row["time_step"]] / row["time_lapse"]
+        cost = per_node[row["method"], row["time_step_s"]] / row["time_lapse"]
         rows += _errors(row, row["time_lapse"], float("nan"), 1e5, cost)
     table = pd.DataFrame(rows)
-    keys = ["method", "time_step", "time_lapse", "length", "stiffness", "output"]
+    keys = ["method", "time_step_s", "time_lapse", "carrier_length_m", "contact_stiffness_n_per_m", "output"]
     return table.groupby(keys, dropna=False, as_index=False).agg({"error": "max", "cost_s": "mean"})
 
 
 def _errors(row: Row, time_lapse: float, length: float, stiffness: float, cost: float) -> list[dict[str, object]]:
-    setting = {"method": row["method"], "time_step": row["time_step"], "time_lapse": time_lapse}
-    place = {"length": length, "stiffness": stiffness, "cost_s": cost}
+    setting = {"method": row["method"], "time_step_s": row["time_step_s"], "time_lapse": time_lapse}
+    place = {"carrier_length_m": length, "contact_stiffness_n_per_m": stiffness, "cost_s": cost}
     return [
         setting | place | {"output": output, "error": bound(row, output)}
         for output in OUTPUTS
@@ -130,18 +132,18 @@ def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame)
         "|---|---|---|---|---|---|---|",
     ]
     for name, preset in PRESETS.items():
-        key: dict[str, Any] = {"method": preset.method, "time_step": preset.time_step}
+        method, step = preset.method, preset.time_step
         cells = [
             _interval(_plain(row))
             for length in (30.0, 50.0)
-            for row in _rows(constant, Setting(**key, length=length).key).to_dict("records")
+            for row in _rows(constant, Setting(method, step, length=length).key).to_dict("records")
         ]
-        lapses = inserted[(inserted[list(key)] == list(key.values())).all(axis=1)]
+        lapses = _rows(inserted, {"method": method, "time_step_s": step})
         nearest = (lapses["time_lapse"] - preset.time_lapse).abs()
         rows = lapses[nearest == nearest.min()].sort_values("from_m").to_dict("records")
         note = "" if nearest.min() == 0.0 else f" (time-lapse {rows[0]['time_lapse']:g})"
         cells += [_interval(_plain(row)) + note for row in rows]
-        cost = insertion_cost(key | {"time_lapse": preset.time_lapse}, costs)
+        cost = insertion_cost(Insertion(method, step, preset.time_lapse).key, costs)
         lapse = f", time-lapse {preset.time_lapse:g}" if preset.time_lapse > 1.0 else ""
         told = f"`{name}` | {preset.method}, {preset.time_step:g} s{lapse}"
         lines.append(f"| {told} | " + " | ".join(cells) + f" | {cost:.2g} s |")
@@ -171,8 +173,8 @@ def outputs(constant: pd.DataFrame) -> str:
     names = [name.removesuffix("_m").removesuffix("_m_per_s2").replace("_", " ") for name in OUTPUTS]
     lines = ["| method | step | " + " | ".join(names) + " | CPU s/s |", "|---" * (len(OUTPUTS) + 3) + "|"]
     plain = Setting().key
-    del plain["method"], plain["time_step"]
-    rows = _rows(constant, plain).sort_values(["method", "time_step"])
+    del plain["method"], plain["time_step_s"]
+    rows = _rows(constant, plain).sort_values(["method", "time_step_s"])
     for row in rows.to_dict("records"):
         cells = [_interval({part: row[f"{name}:{part}"] for part in ("ratio", "low", "high")}) for name in OUTPUTS]
         lines.append(

@@ -40,12 +40,10 @@ class Evaluate:
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
-        from agents.evaluation.report import evaluate
+        from agents.evaluation.report import evaluate, plan_of
 
-        evaluate(
-            self.policies, self.output, self.contexts, self.limit, self.seeds, self.fidelity, self.check_fidelity,
-            self.against, self.workers, self.probes,
-        )  # fmt: skip
+        plan = plan_of(self.policies, self.contexts, self.limit, self.seeds, self.fidelity, self.probes)
+        evaluate(plan, self.output, self.check_fidelity, self.against, self.workers)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import judge, try_insertions, try_sections
+from probe_env.envs.trials import Candidate, judge, try_insertions, try_sections
 from probe_env.schedule import Schedule
 
 KPIS: dict[str, tuple[str, float, str]] = {
@@ -91,16 +91,13 @@ class Comparison:
         self, pairs: Sequence[tuple[Design, Context]], seeds: Sequence[int], threads: int | None = None
     ) -> list[dict[str, float]]:
         """KPIs and reward of some pairs, side by side."""
-        designs, contexts = [d for d, _ in pairs], [c for _, c in pairs]
-        if self.full:
-            controllers = [make_policy(self.feed, self.config) for _ in pairs]
-            trial = try_insertions(
-                designs, contexts, controllers, self.config, self.fidelity, seeds=seeds, threads=threads
-            )
-        else:
-            feeds = [self.schedule()] * len(pairs)
-            trial = try_sections(designs, contexts, feeds, self.config, self.fidelity, seeds=seeds, threads=threads)
-        terms, kpis = judge(designs, trial, self.config)
+        candidates = [
+            Candidate(design, context, make_policy(self.feed, self.config) if self.full else self.schedule(), seed)
+            for (design, context), seed in zip(pairs, seeds, strict=True)
+        ]
+        tried = try_insertions if self.full else try_sections
+        trial = tried(candidates, self.config, self.fidelity, threads=threads)
+        terms, kpis = judge([design for design, _ in pairs], trial, self.config)
         rewards = np.sum(list(terms.values()), axis=0)
         return [
             {"reward": float(rewards[k])} | {name: float(values[k]) for name, values in kpis.items()}

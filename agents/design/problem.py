@@ -21,7 +21,7 @@ from probe_env import Context, Design
 from probe_env.design import RANGES
 from probe_env.envs.contexts import spread_contexts
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import SPAN, judge, try_sections
+from probe_env.envs.trials import SPAN, Candidate, judge, try_sections
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.schedule import Schedule
 
@@ -107,12 +107,10 @@ class DesignProblem:
         seeds, contexts = [place for place, _ in tubes], [context for _, context in tubes]
         if self.feed == "best-constant":
             feed = Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
-            count = len(tubes)
-            trial = try_sections(
-                [design] * count, contexts, [feed] * count, self.config, self.fidelity, seeds=seeds, threads=threads
-            )  # fmt: skip
-            _, found = judge([design] * count, trial, self.config)
-            rows = [{name: float(values[k]) for name, values in found.items()} for k in range(count)]
+            candidates = [Candidate(design, context, feed, place) for place, context in tubes]
+            trial = try_sections(candidates, self.config, self.fidelity, threads=threads)
+            _, found = judge([design] * len(tubes), trial, self.config)
+            rows = [{name: float(values[k]) for name, values in found.items()} for k in range(len(tubes))]
         else:
             comparison = Comparison({"": design}, contexts, self.feed, self.full, self.fidelity, self.config)
             rows = comparison.run([(design, context) for context in contexts], seeds, threads)

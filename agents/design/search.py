@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import moocore
 import numpy as np
@@ -49,16 +49,28 @@ class RepeatableNSGAII(NSGAIISampler):
         return sorted(super().select_parent(study, generation), key=lambda trial: trial.number)
 
 
+class Kept(NamedTuple):
+    """Where the trials of a search are kept.
+
+    Attributes:
+        storage: URL of any storage that Optuna knows; one search at a time in a study.
+        name: of the study in it.
+        place: what it is called in messages; default: ``storage``, without its password.
+    """
+
+    storage: str
+    name: str
+    place: Path | None = None
+
+
 def search(
     axes: dict[str, tuple[float, float, str]],
     value: Callable[[dict[str, float]], Values],
     trials: int,
-    storage: str,
-    name: str,
+    kept: Kept,
     population: int = 24,
     seed: int = 0,
     starts: Sequence[Mapping[str, float]] = (),
-    place: Path | None = None,
 ) -> optuna.Study:
     """Run a search, or what is left of it, and return the study.
 
@@ -66,15 +78,13 @@ def search(
         axes: name -> lowest, highest, unit.
         value: objectives of a point, by ``DIRECTIONS``.
         trials: to be complete at the end.
-        storage: URL of any storage that Optuna knows; one search at a time in a study.
-        name: of the study in it.
+        kept: where they are.
         population: designs in a generation.
         seed: of the search.
         starts: points to begin with, part of the first generation.
-        place: what is called the place of the trials; default: ``storage``, without its password.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = open_study(storage, name, DIRECTIONS, axes)
+    study = open_study(kept.storage, kept.name, DIRECTIONS, axes)
     for stale in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study._storage.set_trial_state_values(stale._trial_id, TrialState.FAIL)  # of a run that was killed
 
@@ -82,8 +92,8 @@ def search(
         return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
 
     done = complete()
-    announce(Work("design", trials, complete, place or masked(storage)))
-    with tqdm(total=trials, initial=min(done, trials), desc=name, unit="design") as bar:
+    announce(Work("design", trials, complete, kept.place or masked(kept.storage)))
+    with tqdm(total=trials, initial=min(done, trials), desc=kept.name, unit="design") as bar:
         for number in range(done, min(len(starts), trials)):
             distributions: dict[str, BaseDistribution] = {
                 axis: FloatDistribution(low, high) for axis, (low, high, _) in axes.items()
@@ -168,11 +178,13 @@ def run_design_search(
     identity = problem.identity()
     if storage is None:
         output.mkdir(parents=True, exist_ok=True)
-    study = search(
-        problem.axes, partial(problem.value, workers=workers), trials, storage or f"sqlite:///{output / 'study.db'}",
-        f"{problem.feed} {identity} seed {seed}", seed=seed, starts=problem.starts(),
-        place=None if storage else output,
-    )  # fmt: skip
+    kept = Kept(
+        storage or f"sqlite:///{output / 'study.db'}",
+        f"{problem.feed} {identity} seed {seed}",
+        None if storage else output,
+    )
+    value = partial(problem.value, workers=workers)
+    study = search(problem.axes, value, trials, kept, seed=seed, starts=problem.starts())
     table = trials_table(study)
     front = table[table["on_front"]].sort_values("mean_square_ratio")
     influence = sensitivity(table, problem.axes)

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import pandas as pd
 from scipy.stats import kendalltau
 
 from agents.policies.fixed import Scheduled
+from agents.processes.workers import HERE, Workers
 from agents.records.columns import KPIS
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_parquet
@@ -22,6 +23,7 @@ from agents.records.tables import PROFILE
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import Interval, by_context, mean_interval
 from probe_env import Fidelity
+from probe_env.machine import available_cores
 from probe_env.schedule import Schedule
 
 Level = Literal["no", "half-step", "replayed", "acting", "all"]
@@ -31,7 +33,7 @@ COLUMNS: Final = ["check", "policy", "kpi", "before", "mean", "low", "high", "ra
 WORTH_A_WORD: Final = 1e-3  # of the figure before
 
 
-def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path) -> None:
+def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> None:
     """Run what a level asks for beyond half the step, store fidelity.csv and print it in words.
 
     Args:
@@ -39,25 +41,29 @@ def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path) -> N
         plan: of the evaluation.
         table: its episodes.
         output: its folder, with profile.parquet.
+        workers: who runs the episodes.
     """
     if level == "no":
         return
-    checks = [check_half_step(plan, table, output)]
+    checks = [check_half_step(plan, table, output, workers)]
     if level in ("replayed", "all"):
-        checks.append(check_replayed(plan, table, read_parquet(output / "profile.parquet", PROFILE), output))
+        profile = read_parquet(output / "profile.parquet", PROFILE)
+        checks.append(check_replayed(plan, table, profile, output, workers))
     if level in ("acting", "all"):
-        checks.append(check_acting(plan, table, output))
+        checks.append(check_acting(plan, table, output, workers))
     report_checks(checks, output)
 
 
-def check_half_step(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
+def check_half_step(plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> pd.DataFrame:
     """All episodes again at half the time step; differences to ``table``, see ``differences``."""
     half = plan.fidelity.model_copy(update={"time_step": plan.fidelity.time_step / 2.0})
-    again = run_plan(replace(plan, fidelity=half), output / "half-step")
+    again = run_plan(replace(plan, fidelity=half), output / "half-step", workers=workers)
     return differences("half step", again, table)
 
 
-def check_replayed(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> pd.DataFrame:
+def check_replayed(
+    plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path, workers: Workers = HERE
+) -> pd.DataFrame:
     """A sample replayed with the study's scheme: what each episode fed and blew over length, as a schedule.
 
     The first ``SAMPLE_POLICIES`` policies on the first ``SAMPLE_CONTEXTS`` contexts, time-lapse 4. Slow:
@@ -70,20 +76,29 @@ def check_replayed(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, outpu
         again = run_plan(
             replace(plan, policies=policies, contexts=[plan.contexts[k]], seeds=plan.seeds[:1], fidelity=STUDY),
             output / "study-replayed" / f"context-{k}",
+            **_one_by_one(workers),
         )
         parts.append(again.assign(context=k))
     return differences("study's scheme, replayed", pd.concat(parts, ignore_index=True), was)
 
 
-def check_acting(plan: Plan, table: pd.DataFrame, output: Path) -> pd.DataFrame:
+def check_acting(plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> pd.DataFrame:
     """The same sample, but the policies act by what they observe with the study's scheme."""
     names, places, was = _sample(plan, table)
     sample = replace(
         plan, policies={name: plan.policies[name] for name in names}, contexts=[plan.contexts[k] for k in places],
         seeds=plan.seeds[:1], fidelity=STUDY,
     )  # fmt: skip
-    again = run_plan(sample, output / "study-acting")
+    again = run_plan(sample, output / "study-acting", **_one_by_one(workers))
     return differences("study's scheme, acting", again.assign(context=[places[k] for k in again["context"]]), was)
+
+
+def _one_by_one(workers: Workers) -> dict[str, Any]:
+    """As many episodes at a time as cores: the study's scheme has no lanes to fill, and each is stored as it ends.
+
+    Side by side they would all end after an hour, and an interruption before that would lose them.
+    """
+    return {"batch": available_cores() if workers.here else 1, "workers": workers}
 
 
 def _sample(plan: Plan, table: pd.DataFrame) -> tuple[list[str], list[int], pd.DataFrame]:

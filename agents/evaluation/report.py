@@ -31,19 +31,25 @@ from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
 
 
+def plan_of(
+    specs: Sequence[str], contexts: Split, limit: int, seeds: int, fidelity: str, probes: Probes = "scene"
+) -> Plan:
+    """Named policies on a shipped list of contexts, the first ``limit`` of it (0: all), so many seeds each.
+
+    Raises:
+        ValueError: an argument is not valid.
+    """
+    chosen = spread_contexts(contexts, limit)
+    if not 1 <= seeds <= 1000:
+        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
+    config = TaskConfig().all_shown
+    return Plan(named_policies(specs, config), chosen, range(seeds), config, resolve_fidelity(fidelity), probes)
+
+
 def evaluate(
-    specs: Sequence[str],
-    output: Path,
-    contexts: Split,
-    limit: int,
-    seeds: int,
-    fidelity: str,
-    check_fidelity: Level = "no",
-    against: str | None = None,
-    workers: Workers = HERE,
-    probes: Probes = "scene",
+    plan: Plan, output: Path, check_fidelity: Level = "no", against: str | None = None, workers: Workers = HERE
 ) -> pd.DataFrame:
-    """Evaluate policies on a shipped list of contexts; writes the tables, summary.csv and report.html.
+    """Evaluate policies; writes the tables, summary.csv and report.html.
 
     Policies named NAME@K are training seeds of one method and are gathered in what is printed. ``against`` is the
     policy that the others are compared with; default: the first.
@@ -51,26 +57,20 @@ def evaluate(
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    chosen = spread_contexts(contexts, limit)
-    if not 1 <= seeds <= 1000:
-        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    if probes == "random" and check_fidelity not in ("no", "half-step"):
+    if plan.probes == "random" and check_fidelity not in ("no", "half-step"):
         raise ValueError(
             f"check_fidelity = {check_fidelity!r} takes a sample of the tubes, for which other probes are"
             " drawn: with probes = 'random' it must be no or half-step"
         )
-    config = TaskConfig().all_shown
-    policies = named_policies(specs, config)
-    plan = Plan(policies, chosen, range(seeds), config, resolve_fidelity(fidelity), probes)
-    methods = [method_and_seed(name)[0] for name in policies]
-    reference = method_and_seed(against)[0] if against and against in policies else against or methods[0]
+    methods = [method_and_seed(name)[0] for name in plan.policies]
+    reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
-        raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(policies)}")
+        raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(plan.policies)}")
     table = run_plan(plan, output, workers=workers)
     write_json(output / "report.json", {"against": reference})
     write_report(output)
     print_summary(grouped(table), reference)
-    run_checks(check_fidelity, plan, table, output)
+    run_checks(check_fidelity, plan, table, output, workers)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 

@@ -8,6 +8,7 @@ one, on this machine. Where all numbers agree the results are kept under the new
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -20,13 +21,11 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from agents.publishing.stages import MADE, WORK, Stage, load_stages
-from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_json
+from agents.publishing.stages import APART, MADE, WORK, Stage, load_stages
+from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_atomically, write_json
 from agents.terminal.tables import print_table
 
 COMPARED: Final = (".csv", ".npz", ".toml")
-APART: Final = ("commit", "code")
-"""Columns that say where a row comes from, not what it says."""
 
 
 def confirm_results(names: Sequence[str]) -> None:
@@ -88,7 +87,7 @@ def confirm(stage: Stage) -> None:
     difference = first_difference(folders["before"], folders["now"])
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
-    _keep(stage, made)
+    _keep(stage, made, new_hashes(*folders.values()))
 
 
 def sampled(command: str, sample: dict[str, str]) -> str:
@@ -153,7 +152,7 @@ def first_difference(before: Path, now: Path) -> str:
 
 def _equal(one: Path, other: Path) -> bool:
     if one.suffix == ".csv":
-        left, right = (pd.read_csv(path, dtype=str).drop(columns=list(APART), errors="ignore") for path in (one, other))
+        left, right = (_rows(path).drop(columns=list(APART), errors="ignore") for path in (one, other))
         return left.equals(right)
     if one.suffix == ".npz":
         with np.load(one) as left, np.load(other) as right:
@@ -161,8 +160,34 @@ def _equal(one: Path, other: Path) -> bool:
     return one.read_bytes() == other.read_bytes()
 
 
-def _keep(stage: Stage, made: dict[str, Any]) -> None:
-    """Write the new code's hash into the record; what was published stays as it was made."""
+def _rows(path: Path) -> pd.DataFrame:
+    """A table as text; the rows of a store stand in the order in which they ended, so they are sorted."""
+    table = pd.read_csv(path, dtype=str)
+    if "code" in table:
+        table = table.sort_values([name for name in table.columns if name not in APART], ignore_index=True)
+    return table
+
+
+def new_hashes(before: Path, now: Path) -> dict[str, str]:
+    """Hash of the old code -> of the new, for the rows of the stores in two folders that agree."""
+    names: dict[str, str] = {}
+    for path in sorted(before.rglob("*.csv")):
+        old, new = _rows(path), _rows(now / path.relative_to(before))
+        if "code" in old:
+            names |= dict(zip(old["code"], new["code"], strict=True))
+    return names
+
+
+def _keep(stage: Stage, made: dict[str, Any], hashes: dict[str, str]) -> None:
+    """Write the new code's hash into the record, and into rows that carry theirs; the numbers stay as they were made.
+
+    A row of a store counts as done while its hash is that of the present code.
+    """
+    for path in (CHECKOUT / name for name in made["files"] if hashes and name.endswith(".csv")):
+        text = path.read_text()
+        renewed = re.sub(r"\b[0-9a-f]{16}\b", lambda found: hashes.get(found[0], found[0]), text)
+        if renewed != text:
+            write_atomically(path, renewed)
     state = stage.state()
     shown = {"from": made["code"], "made_by": made["commit"], "confirmed_at": commit(), "sample": stage.sample}
     write_json(MADE / f"{stage.name}.json", made | state | {"confirmed": [*made.get("confirmed", ()), shown]})

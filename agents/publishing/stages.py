@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
 
+import pandas as pd
 from pydantic import Field
 
 from agents.records.code_hash import ALL, code_hash
@@ -40,6 +41,8 @@ from probe_env.settings import Model
 CONFIG: Final = CHECKOUT / "configs" / "results.toml"
 MADE: Final = CHECKOUT / "results" / "made"
 WORK: Final = CHECKOUT / "output" / "results"
+APART: Final = ("commit", "code")
+"""Columns that say where a row comes from, not what it says."""
 
 
 class Stage(Model):
@@ -70,7 +73,7 @@ class Stage(Model):
     def state(self) -> dict[str, str]:
         """What the results depend on."""
         files = {path for pattern in self.reads for path in CHECKOUT.glob(pattern)}
-        contents = sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in files)
+        contents = sorted(f"{path.name} {hashlib.sha256(content(path)).hexdigest()}\n" for path in files)
         inputs = hashlib.sha256("".join(contents).encode())  # blind to the folders that they are in
         code = code_hash(self.code, self.method)
         return {"command": self.command, "code": code, "inputs": inputs.hexdigest()[:16]}
@@ -97,6 +100,14 @@ class Stage(Model):
         if not in_history(made["commit"]):
             return f"commit {made['commit']} is not in the history"
         return "" if all((CHECKOUT / file).exists() for file in made["files"]) else "files are missing"
+
+
+def content(path: Path) -> bytes:
+    """What a file says; of a store without the columns that say where its rows come from."""
+    data = path.read_bytes()
+    if path.suffix != ".csv" or "code" not in data.partition(b"\n")[0].decode().strip().split(","):
+        return data
+    return pd.read_csv(path, dtype=str).drop(columns=list(APART)).to_csv().encode()
 
 
 class MadeStage(Made):

@@ -21,7 +21,7 @@ COLUMNS: Final[Columns] = {CODE: "text", COMMIT: "text", SUPERSEDED: "truth"}
 
 def as_csv(table: pd.DataFrame, digits: int) -> str:
     """The table with so many digits, but time steps in full: settings are told apart by them."""
-    exact = {name: table[name].map(repr) for name in ("time_step",) if name in table}
+    exact = {name: table[name].map(repr) for name in ("time_step_s",) if name in table}
     return table.assign(**exact).to_csv(index=False, float_format=f"%.{digits}g")
 
 

@@ -52,7 +52,7 @@ CURVE: Final[Columns] = {
 }  # fmt: skip
 """``learning.csv``."""
 COSTS: Final[Columns] = {
-    "method": "text", "nodes_per_pitch": "count", "length": "number", "ns_per_node_step": "number"
+    "method": "text", "nodes_per_pitch": "count", "carrier_length_m": "number", "ns_per_node_step": "number"
 }  # fmt: skip
 """``chart/costs.csv``."""
 _HINT: Final = "restore the file, or make it again"

@@ -11,12 +11,12 @@ import numpy as np
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.env import Observation, scene_of, task_config
+from probe_env.envs.env import Observation, task_config
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED
-from probe_env.envs.starts import SETTLING, Contexts, Starts, drawn_context
+from probe_env.envs.starts import SETTLING, Contexts, Starts, drawn_context, scene_of
 from probe_env.envs.task import TaskConfig, action_of, share_of
-from probe_env.envs.trials import Controller, judge, section_scenes, try_insertions, try_sections
+from probe_env.envs.trials import Candidate, Controller, judge, section_scenes, try_insertions, try_sections
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
@@ -159,14 +159,12 @@ class DesignEnv(gym.Env[Observation, Observation]):
         design = self.design_of(action)
         if self.context is None:
             raise RuntimeError("the episode has ended: call reset before step")
-        seed = [int(self.np_random.integers(2**31))]
-        shared = (self.config, self.fidelity, self.scene, seed)
+        feed = _Follow(self.feed, self.config) if self.full and isinstance(self.feed, Schedule) else self.feed
+        candidate = Candidate(design, self.context, feed, int(self.np_random.integers(2**31)))
         if self.full:
-            controller = _Follow(self.feed, self.config) if isinstance(self.feed, Schedule) else self.feed
-            trial = try_insertions([design], [self.context], [controller], *shared, threads=1)
+            trial = try_insertions([candidate], self.config, self.fidelity, self.scene, threads=1)
         else:
-            assert isinstance(self.feed, Schedule)
-            trial = try_sections([design], [self.context], [self.feed], *shared)
+            trial = try_sections([candidate], self.config, self.fidelity, self.scene)
         terms, kpis = judge([design], trial, self.config, self.scene.tube.helix_length)
         info = {
             "design": design.built.model_dump(),

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.starts import EpisodeSettings
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import Fidelity
-from probe_env.scene import Scene
 from probe_env.settings import tuples
 
 if TYPE_CHECKING:
@@ -40,17 +38,10 @@ def task_config(defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, A
     return TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
 
 
-def scene_of(scene: Scene | Mapping[str, Any] | None) -> Scene:
-    """What an environment simulates: table 2's scene, changed by a mapping, or a whole one.
-
-    A mapping of plain values goes through JSON, and so does the environment's ``spec``.
-
-    Raises:
-        ValueError: a field that is not known or not valid.
-    """
-    if scene is None or isinstance(scene, Scene):
-        return scene or Scene()
-    return Scene.model_validate(dict(scene))
+def check_episode_steps(steps: int | None) -> None:
+    """Raise ValueError if an episode could never take its first step."""
+    if steps is not None and steps < 1:
+        raise ValueError(f"max_episode_steps = {steps!r} is outside the accepted range 1 and more")
 
 
 class ProbeEnv(gym.Env[Observation, Observation]):
@@ -62,20 +53,14 @@ class ProbeEnv(gym.Env[Observation, Observation]):
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | Mapping[str, Any] | None = None,
-        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
-        contexts: Contexts = "random",
-        feed_speed: float = 0.2,
-        air_supply_rate: float = 63.0 / 3600.0,
-        probes: Probes = "scene",
+        *,
         render_mode: str | None = None,
+        **settings: Unpack[EpisodeSettings],
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         self.config = task_config(self.defaults, config)
-        self.episodes = Episodes(
-            1, self.config, scene_of(scene), fidelity, contexts, feed_speed, air_supply_rate, probes, 1
-        )
+        self.episodes = Episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None

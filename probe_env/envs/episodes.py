@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +19,11 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.kpis import Tally
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import observe
-from probe_env.envs.starts import SETTLING, Contexts, Probes, Starts
+from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, scene_of
 from probe_env.envs.task import (
     MEASURES,
     Ending,
+    Outcome,
     TaskConfig,
     air_used,
     capped_square,
@@ -31,11 +32,11 @@ from probe_env.envs.task import (
     slack,
     travel,
 )
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.batch import SimulatorBatch, Window
 from probe_env.physics.simulator import Simulator
 from probe_env.scene import Scene
-from probe_env.settings import whole_steps
+from probe_env.settings import check_known, whole_steps
 
 SAMPLE_PERIOD: Final = 1e-3  # [s]
 START_PERTURBATION: Final = 1e-7  # [m]
@@ -58,34 +59,32 @@ class Episodes:
     Args:
         count: N.
         config: the task.
-        scene: what contexts and options change; default ``Scene()`` (table 2).
-        fidelity: preset name, settings or a mapping of them, see ``fidelity.PRESETS``.
-        contexts: "random", or the shipped list ("train", "validation", "test") that every reset draws from.
-        feed_speed, air_supply_rate: of the settling before an episode [m/s], [m3/s].
-        probes: "scene", or "random": every reset draws a ``Design``.
         threads: at most so many; default: all cores.
+        settings: see ``EpisodeSettings``.
 
     Raises:
         ValueError: an argument is not valid.
+        TypeError: there is no such setting.
     """
 
     def __init__(
         self,
         count: int,
         config: TaskConfig,
-        scene: Scene | None = None,
-        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
-        contexts: Contexts = "random",
-        feed_speed: float = SETTLING[0],
-        air_supply_rate: float = SETTLING[1],
-        probes: Probes = "scene",
+        *,
         threads: int | None = None,
+        **settings: Unpack[EpisodeSettings],
     ) -> None:
+        check_known(type(self).__name__, settings, DEFAULTS)
+        given = DEFAULTS | settings
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         self.config = config
-        self.starts = Starts(config, scene or Scene(), contexts, probes, feed_speed, air_supply_rate)
-        self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, config.growing)
+        feed_speed, air_supply_rate = given["feed_speed"], given["air_supply_rate"]
+        self.starts = Starts(
+            config, scene_of(given["scene"]), given["contexts"], given["probes"], feed_speed, air_supply_rate
+        )
+        self.fidelity = resolve_fidelity(given["fidelity"], self.starts.stiffest, config.growing)
         self.start_action = config.action(feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
@@ -192,7 +191,7 @@ class Episodes:
         reached = np.where(good, after, before)  # what passed in a period that diverged was not inspected
         left = np.where(over & self.config.growing, length - reached, 0.0)
         squares, seconds = inspected * capped_square(self.config, ratio), np.full(len(self), self.config.period)
-        terms = reward_terms(self.config, inspected, squares, seconds, air, left, end.diverged, change)
+        terms = reward_terms(self.config, Outcome(inspected, squares, seconds, air, left, end.diverged), change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
         observation = self._observe(window, good)[:, None]
         late = np.concatenate([self.observed[:, 1:], observation], axis=1)

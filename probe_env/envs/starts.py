@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypedDict, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity
 from probe_env.scene import Probe, Scene
 from probe_env.settings import explain, tuples
 
@@ -23,6 +24,44 @@ SHORTEST_START: Final = 5.0  # [m] inserted
 SETTLING: Final = (0.2, 63.0 / 3600.0)
 """Feed speed [m/s] and air supply [m3/s] before an episode, unless others are given."""
 CARRIER_AT_START: Final = 2.5  # [m], at least
+
+
+class EpisodeSettings(TypedDict, total=False):
+    """What episodes share besides the task: keyword arguments of everything that plays them.
+
+    ``scene``: what contexts and options change, a mapping of what differs from table 2's, or None for that (default);
+    ``fidelity``: preset name (default "standard"), settings or a mapping of them, see ``fidelity.PRESETS``;
+    ``contexts``: "random" (default), the shipped list ("train", "validation", "test") that every reset draws from, a
+    list of one's own, or ranges;
+    ``feed_speed``, ``air_supply_rate``: of the settling before an episode [m/s], [m3/s], default ``SETTLING``;
+    ``probes``: "scene" (default), or "random": every reset draws a ``Design``.
+    """
+
+    scene: Scene | Mapping[str, Any] | None
+    fidelity: str | Fidelity | Mapping[str, Any]
+    contexts: Contexts
+    feed_speed: float
+    air_supply_rate: float
+    probes: Probes
+
+
+DEFAULTS: Final[EpisodeSettings] = {
+    "scene": None, "fidelity": "standard", "contexts": "random",
+    "feed_speed": SETTLING[0], "air_supply_rate": SETTLING[1], "probes": "scene",
+}  # fmt: skip
+
+
+def scene_of(scene: Scene | Mapping[str, Any] | None) -> Scene:
+    """What is simulated: table 2's scene, changed by a mapping, or a whole one.
+
+    A mapping of plain values goes through JSON, and so does an environment's ``spec``.
+
+    Raises:
+        ValueError: a field that is not known or not valid.
+    """
+    if scene is None or isinstance(scene, Scene):
+        return scene or Scene()
+    return Scene.model_validate(dict(scene))
 
 
 @dataclass(frozen=True)

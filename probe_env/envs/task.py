@@ -235,39 +235,47 @@ def metre_cost(config: TaskConfig, squares: FloatArray, feed: FloatArray, air: F
     return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
 
 
-def reward_terms(
-    config: TaskConfig,
-    inspected: FloatArray,
-    squares: FloatArray,
-    seconds: FloatArray,
-    air: FloatArray,
-    uninspected: FloatArray,
-    diverged: BoolArray,
-    action_change: FloatArray | None = None,
-) -> dict[str, FloatArray]:
-    """Named terms (N,) of the reward of a period or of a whole insertion; their sum is the reward.
+class Outcome(NamedTuple):
+    """What a period or a whole insertion came to, for each of N probes.
 
-    Args:
-        config: weights.
+    Attributes:
         inspected: by the sensor [m].
         squares: metres times ``capped_square`` of their vibration.
         seconds: that it took.
         air: used [m3].
         uninspected: length left [m] where the episode ends, else 0.
         diverged: whether the simulation diverged.
+    """
+
+    inspected: FloatArray
+    squares: FloatArray
+    seconds: FloatArray
+    air: FloatArray
+    uninspected: FloatArray
+    diverged: BoolArray
+
+
+def reward_terms(
+    config: TaskConfig, outcome: Outcome, action_change: FloatArray | None = None
+) -> dict[str, FloatArray]:
+    """Named terms (N,) of the reward; their sum is the reward.
+
+    Args:
+        config: weights.
+        outcome: what is rewarded.
         action_change: (N, 2) action minus the one before; None where no actions were taken.
     """
     terms = {
-        "progress": config.progress_weight * inspected,
-        "vibration": -config.vibration_weight * squares,
-        "time": -config.time_weight * seconds,
-        "air": -config.air_weight * air,
+        "progress": config.progress_weight * outcome.inspected,
+        "vibration": -config.vibration_weight * outcome.squares,
+        "time": -config.time_weight * outcome.seconds,
+        "air": -config.air_weight * outcome.air,
     }
     if action_change is not None:
         terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
     return terms | {
-        "uninspected": -config.uninspected_weight * uninspected,
-        "diverged": -config.diverged_weight * diverged,
+        "uninspected": -config.uninspected_weight * outcome.uninspected,
+        "diverged": -config.diverged_weight * outcome.diverged,
     }
 
 

@@ -17,7 +17,7 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig, capped_square, reward_terms
+from probe_env.envs.task import Outcome, TaskConfig, capped_square, reward_terms
 from probe_env.fidelity import Fidelity
 from probe_env.physics.batch import SimulatorBatch
 from probe_env.scene import Scene
@@ -66,6 +66,23 @@ class Players:
 
 
 @dataclass(frozen=True)
+class Candidate:
+    """A probe that is tried in a tube.
+
+    Attributes:
+        design: of the probe.
+        context: the tube.
+        feed: a schedule over inserted length, or for whole insertions a policy.
+        seed: of the start's perturbation; default: its place among the candidates.
+    """
+
+    design: Design
+    context: Context
+    feed: Schedule | Controller
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
 class Trial:
     """What N probes did in p places; SI units.
 
@@ -90,13 +107,10 @@ class Trial:
 
 
 def try_sections(
-    designs: Sequence[Design],
-    contexts: Sequence[Context],
-    feeds: Sequence[Schedule],
+    candidates: Sequence[Candidate],
     config: TaskConfig,
     fidelity: Fidelity | None = None,
     scene: Scene | None = None,
-    seeds: Sequence[int] | None = None,
     threads: int | None = None,
 ) -> Trial:
     """N probes at constant length, the sensor at ``POSITIONS``, all in one batch.
@@ -104,37 +118,29 @@ def try_sections(
     From the first section on that diverges or has less than the required tension, nothing counts as inspected.
 
     Args:
-        designs: N designs.
-        contexts: N tubes.
-        feeds: N schedules over inserted length.
+        candidates: N.
         config: the task, for the required tension.
         fidelity: method, step and mesh; there is no time-lapse at constant length.
         scene: what designs and contexts change; default table 2.
-        seeds: N, of the start perturbations; default 0, 1, 2, ...
         threads: at most so many; default: all cores.
 
     Raises:
-        ValueError: a schedule over time, or lists of different length.
+        ValueError: a policy, or a schedule over time.
     """
-    if not len(designs) == len(contexts) == len(feeds):
-        raise ValueError(f"{len(designs)} designs, {len(contexts)} contexts and {len(feeds)} feeds: one each is needed")
-    if any(feed.over != "inserted_length" for feed in feeds):
-        raise ValueError("feed: a schedule over time has no meaning at constant length; give one over inserted length")
     fidelity, base = fidelity or Fidelity(), scene or Scene()
-    shape = (len(designs), len(POSITIONS))
+    shape = (len(candidates), len(POSITIONS))
     scenes = [
         scene
-        for design, context, feed in zip(designs, contexts, feeds, strict=True)
-        for scene in section_scenes(design, context, feed, base)
+        for candidate in candidates
+        for scene in section_scenes(candidate.design, candidate.context, _over_length(candidate.feed), base)
     ]
     inserted, speed, air = (
         np.array([getattr(scene, name) for scene in scenes]).reshape(shape)
         for name in ("inserted_length", "feed_speed", "air_supply_rate")
     )
-    each = range(len(designs)) if seeds is None else seeds
     batch = SimulatorBatch(
         scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
-        seeds=[int(seed) for seed in each for _ in POSITIONS], perturbation=PERTURBATION,
+        seeds=[seed for seed in _seeds(candidates) for _ in POSITIONS], perturbation=PERTURBATION,
     )  # fmt: skip
     settled = batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
     window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged)
@@ -146,6 +152,18 @@ def try_sections(
     widths = np.where(reached, WIDTHS, 0.0)
     lost, broken = np.asarray(slack.any(axis=1)), np.asarray(diverged.any(axis=1))
     return Trial(widths, speed, air, rms, tension, deep & ~diverged, lost, broken)
+
+
+def _over_length(feed: Schedule | Controller) -> Schedule:
+    if not isinstance(feed, Schedule) or feed.over != "inserted_length":
+        raise ValueError(
+            "feed: a policy or a schedule over time has no meaning at constant length; give one over inserted length"
+        )
+    return feed
+
+
+def _seeds(candidates: Sequence[Candidate]) -> list[int]:
+    return [k if candidate.seed is None else int(candidate.seed) for k, candidate in enumerate(candidates)]
 
 
 def section_scenes(design: Design, context: Context, feed: Schedule, base: Scene) -> list[Scene]:
@@ -162,34 +180,34 @@ def section_scenes(design: Design, context: Context, feed: Schedule, base: Scene
 
 
 def try_insertions(
-    designs: Sequence[Design],
-    contexts: Sequence[Context],
-    controllers: Sequence[Controller],
+    candidates: Sequence[Candidate],
     config: TaskConfig,
     fidelity: Fidelity | str = "standard",
     scene: Scene | None = None,
-    seeds: Sequence[int] | None = None,
     threads: int | None = None,
 ) -> Trial:
     """N whole insertions side by side, gathered by metre of the sensor's position; arguments as ``try_sections``.
 
-    ``controllers`` are policies with SB3's ``predict``, one a probe.
+    Raises:
+        ValueError: a feed that is no policy with SB3's ``predict``.
     """
-    count = len(designs)
-    episodes = Episodes(count, config, scene, fidelity, threads=threads)
-    each = range(count) if seeds is None else seeds
+    count = len(candidates)
+    episodes = Episodes(count, config, scene=scene, fidelity=fidelity, threads=threads)
     options = {
-        k: {"context": contexts[k], "probe": designs[k].built.model_dump()} for k in range(count)
-    }  # fmt: skip
-    rngs = {k: np.random.default_rng(int(seed)) for k, seed in enumerate(each)}
+        k: {"context": candidate.context, "probe": candidate.design.built.model_dump()}
+        for k, candidate in enumerate(candidates)
+    }
+    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(_seeds(candidates))}
     observation, _ = episodes.reset(range(count), rngs, options)
     places = int(np.ceil(SPAN))
     sums = {name: np.zeros((count, places)) for name in ("travel", "seconds", "air", "square", "tension", "periods")}
     ended = {name: np.zeros(count, dtype=bool) for name in ("lost_drive", "diverged")}
-    guides = np.array([design.built.guide_length for design in designs])
+    guides = np.array([candidate.design.built.guide_length for candidate in candidates])
     players = Players(count)
-    for k, controller in enumerate(controllers):
-        players.begin(k, controller)
+    for k, candidate in enumerate(candidates):
+        if isinstance(candidate.feed, Schedule):
+            raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
+        players.begin(k, candidate.feed)
     while episodes.running.any():
         active = episodes.running.copy()
         before = np.array([tally.inspected for tally in episodes.tally])
@@ -264,7 +282,7 @@ def judge(
     inspected = trial.inspected
     if inspected is None:
         inspected = np.maximum(helix_length - guides - SENSOR_START - missed, 0.0)
-    terms = reward_terms(config, inspected, squares, time, air, missed, trial.diverged)
+    terms = reward_terms(config, Outcome(inspected, squares, time, air, missed, trial.diverged))
     length = np.maximum(covered, 1e-9)
     margin = np.where(trial.deep, trial.root_tension, np.inf).min(axis=1) - config.required_tension
     kpis = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -12,12 +12,18 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.env import InsertionEnv, Observation, ProbeEnv, SnapshotEnv, scene_of, spaces_of, task_config
+from probe_env.envs.env import (
+    InsertionEnv,
+    Observation,
+    ProbeEnv,
+    SnapshotEnv,
+    check_episode_steps,
+    spaces_of,
+    task_config,
+)
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import Contexts, Probes
+from probe_env.envs.starts import EpisodeSettings
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import Fidelity
-from probe_env.scene import Scene
 
 
 class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
@@ -28,7 +34,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         autoreset_mode: when an ended episode starts anew: ``AutoresetMode.NEXT_STEP`` (default), ``SAME_STEP``
             (with ``final_obs`` and ``final_info`` in the infos) or ``DISABLED`` (``options["reset_mask"]``).
         threads: at most so many; default: all cores.
-        config, scene, fidelity, contexts, feed_speed, air_supply_rate, probes: see ``InsertionEnv``.
+        config, settings: see ``InsertionEnv``.
         max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
             task's own time limit, a field of ``config``.
         render_mode: refused: render a single environment.
@@ -43,26 +49,18 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self,
         num_envs: int = 1,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | Mapping[str, Any] | None = None,
-        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
-        contexts: Contexts = "random",
-        feed_speed: float = 0.2,
-        air_supply_rate: float = 63.0 / 3600.0,
-        probes: Probes = "scene",
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
+        **settings: Unpack[EpisodeSettings],
     ) -> None:
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps = {max_episode_steps!r} is outside the accepted range 1 and more")
+        check_episode_steps(max_episode_steps)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
         self.config = task_config(self.single.defaults, config)
-        self.episodes = Episodes(
-            num_envs, self.config, scene_of(scene), fidelity, contexts, feed_speed, air_supply_rate, probes, threads
-        )
+        self.episodes = Episodes(num_envs, self.config, threads=threads, **settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.single.metadata | {"autoreset_mode": self.autoreset_mode}

@@ -22,6 +22,15 @@ LAPACK = "newmark (LAPACK)"
 AXIAL, RADIAL = 0, 1
 
 
+class Driven(NamedTuple):
+    """A chain, its sensor's node, and the constant feed speed and air speed [m/s] that it is driven with."""
+
+    chain: Chain
+    sensor: int = 0
+    feed: float = 0.0
+    air: float = 0.0
+
+
 class ChainRun(NamedTuple):
     """Whether a run held; samples (k, 4) of x, y, theta and V of a node; sweeps; processor time of its thread [s]."""
 
@@ -65,19 +74,10 @@ def masses(chain: Chain) -> FloatArray:
 
 
 def run_chain(
-    method: str,
-    chain: Chain,
-    time_step: float,
-    state: State,
-    steps: int,
-    every: int,
-    *,
-    node: int = 0,
-    sensor: int = 0,
-    feed: float = 0.0,
-    air: float = 0.0,
+    method: str, driven: Driven, time_step: float, state: State, steps: int, every: int, node: int = 0
 ) -> ChainRun:
-    """Advance a state in place by a method (or ``LAPACK``) at constant feed speed and air speed [m/s]."""
+    """Advance a state in place by a method (or ``LAPACK``), a node sampled every so many steps."""
+    chain, sensor, feed, air = driven
     scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
     advance = method_named(scheme).build(chain, time_step, sensor, 4, solver_named(solver))
     inputs = Drive(feed, air).inputs_of_steps(steps, time_step, chain.element_length, 0)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from probe_env.physics.methods import method_named
 from probe_env.physics.methods.lane_group import Lane, advance_group
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.signals import window_statistics
-from probe_env.physics.simulator import STEPS_PER_CALL, Simulator
+from probe_env.physics.simulator import STEPS_PER_CALL, Options, Simulator
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
 
@@ -63,7 +63,7 @@ class SimulatorBatch:
         nodes_per_pitch: nodes in one float pitch.
         threads: at most so many; default: the cores of this process.
         seeds: of each probe's start perturbation; default 0, 1, 2, ...
-        options: further arguments of ``Simulator``: growing, time_lapse, ramp, air_lag, perturbation.
+        options: of ``Simulator``, the same for all.
 
     ``kernel_seconds`` adds up what the kernels took, over all threads.
 
@@ -80,7 +80,7 @@ class SimulatorBatch:
         *,
         threads: int | None = None,
         seeds: Sequence[int] | None = None,
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         if len(scenes) == 0:
             raise ValueError("scenes is empty: a batch needs at least one")

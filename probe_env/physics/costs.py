@@ -15,5 +15,5 @@ def node_step_seconds() -> dict[str, float]:
     times: dict[str, list[float]] = {}
     for row in csv.DictReader(text.splitlines()):
         if float(row["time_lapse"]) == 1.0:
-            times.setdefault(row["method"], []).append(float(row["cost_s"]) * float(row["time_step"]))
+            times.setdefault(row["method"], []).append(float(row["cost_s"]) * float(row["time_step_s"]))
     return {method: median(values) for method, values in times.items()}

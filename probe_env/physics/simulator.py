@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, TypedDict, Unpack
 
 import numpy as np
 from tqdm import tqdm
@@ -25,13 +25,29 @@ from probe_env.physics.run import Run, point_name, shapes_of
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
-from probe_env.settings import whole_steps, within
+from probe_env.settings import check_known, whole_steps, within
 
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
 MOST_SAMPLES: Final = 2**31
 """Bytes that the samples of one call may take."""
 CHANNELS: Final = 4
+
+
+class Options(TypedDict, total=False):
+    """How a probe starts and is fed; see ``Simulator`` for what they mean."""
+
+    solver: str
+    growing: bool
+    time_lapse: float
+    ramp: float
+    air_lag: float
+    perturbation: float
+
+
+DEFAULTS: Final[Options] = {
+    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0
+}  # fmt: skip
 
 
 class Simulator:
@@ -48,18 +64,20 @@ class Simulator:
         time_step: [s], > 0, for imex32 at least 5e-5. Beyond ``stable_time_step`` a ``StabilityWarning`` is given,
             nothing refused.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
-        solver: of the linear system of a step: "ticm", "banded" (LAPACK) or "transfer-matrix".
-        growing: feed the probe in: nodes are appended at the root as cable enters, up to the helix's end.
-        time_lapse: length fed in per length travelled, >= 1: the length grows faster than the clock while the
-            dynamics keep the true speed; 1 is the truth.
-        ramp: greatest change of the feed speed [m/s2].
-        air_lag: time constant with which the air supply follows its target [s].
-        perturbation: standard deviation of a random radial start displacement of all nodes [m], to get
-            independent members of an ensemble; 0 is the study's start.
         seed: of the perturbation.
+        options: ``solver`` of the linear system of a step: "ticm" (default), "banded" (LAPACK) or "transfer-matrix";
+            ``growing`` (default False): feed the probe in: nodes are appended at the root as cable enters, up to the
+            helix's end;
+            ``time_lapse`` (default 1, the truth): length fed in per length travelled, >= 1: the length grows faster
+            than the clock while the dynamics keep the true speed;
+            ``ramp`` (default: none): greatest change of the feed speed [m/s2];
+            ``air_lag`` (default 0): time constant with which the air supply follows its target [s];
+            ``perturbation`` (default 0, the study's start): standard deviation of a random radial start displacement of
+            all nodes [m], to get independent members of an ensemble.
 
     Raises:
         ValueError: an argument is not valid; names it, its value and what is accepted.
+        TypeError: there is no such option.
     """
 
     def __init__(
@@ -69,32 +87,19 @@ class Simulator:
         time_step: float = 1e-4,
         nodes_per_pitch: int = 4,
         *,
-        solver: str = "ticm",
-        growing: bool = False,
-        time_lapse: float = 1.0,
-        ramp: float = math.inf,
-        air_lag: float = 0.0,
-        perturbation: float = 0.0,
         seed: int = 0,
+        **options: Unpack[Options],
     ) -> None:
-        within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
-        method_named(method).check_step(time_step)
-        within("time_lapse", time_lapse, 1.0, 1000.0, "")
-        within("ramp", ramp, 0.0, math.inf, "m/s2", exclude_low=True)
-        within("air_lag", air_lag, 0.0, 1e3, "s")
-        within("perturbation", perturbation, 0.0, 1e-3, "m")
-        if (
-            isinstance(nodes_per_pitch, bool)
-            or nodes_per_pitch != int(nodes_per_pitch)
-            or not 1 <= nodes_per_pitch <= 64
-        ):
-            raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
-        self.scene, self.method, self.solver = scene, method, solver
+        check_known(type(self).__name__, options, DEFAULTS)
+        given = DEFAULTS | options
+        _check_numbers(method, time_step, nodes_per_pitch, given)
+        self.scene, self.method, self.solver = scene, method, given["solver"]
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
-        self.growing, self.time_lapse, self.ramp, self.air_lag = growing, time_lapse, ramp, air_lag
-        self.perturbation, self.seed = perturbation, seed
+        self.growing, self.time_lapse = given["growing"], given["time_lapse"]
+        self.ramp, self.air_lag = given["ramp"], given["air_lag"]
+        self.perturbation, self.seed = given["perturbation"], seed
         h = scene.probe.float_pitch / self.nodes_per_pitch
-        longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if growing else scene.inserted_length
+        longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if self.growing else scene.inserted_length
         self.chain = build_chain(scene, self.nodes_per_pitch, longest)
         self._start_root = round(scene.inserted_length / h)
         self.sensor = sensor_node(scene, self.nodes_per_pitch)
@@ -395,6 +400,18 @@ class Simulator:
         if any(later <= earlier for earlier, later in itertools.pairwise(whole)):
             raise ValueError(f"snapshots = {list(snapshots)!r} s must ascend")
         return whole
+
+
+def _check_numbers(method: str, time_step: float, nodes_per_pitch: int, options: Options) -> None:
+    """Raise ValueError where a step, a mesh or an option is out of range."""
+    within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+    method_named(method).check_step(time_step)
+    within("time_lapse", options["time_lapse"], 1.0, 1000.0, "")
+    within("ramp", options["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
+    within("air_lag", options["air_lag"], 0.0, 1e3, "s")
+    within("perturbation", options["perturbation"], 0.0, 1e-3, "m")
+    if isinstance(nodes_per_pitch, bool) or nodes_per_pitch != int(nodes_per_pitch) or not 1 <= nodes_per_pitch <= 64:
+        raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
 
 
 def _check_size(rows: int, points: int) -> None:

@@ -98,7 +98,7 @@ def test_stored_errors_are_found_again(scene, method, time_step):
     # 0.1 % of what the method is off, and rounding: a displacement's last digit is 4 eps / dt^2 in the acceleration of
     # a step, which n steps sum twice, for every node that a sweep passes: 5 % of the least error here
     steps = case.duration / time_step
-    rounding = 4.0 * steps**2 * np.finfo(float).eps * case.chain.node_count
+    rounding = 4.0 * steps**2 * np.finfo(float).eps * case.driven.chain.node_count
     assert error == pytest.approx(row["error"].iloc[0], rel=1e-3, abs=rounding)
     assert rounding < 0.1 * row["error"].iloc[0]
     assert sweeps == pytest.approx(row["sweeps"].iloc[0])
@@ -167,7 +167,7 @@ def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
     table = run_ensembles(tmp_path)
     assert len(ran) == 3  # nothing twice
     assert len(table) == 6
-    assert table.groupby("time_step")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
+    assert table.groupby("time_step_s")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
     run_ensembles(tmp_path)
     assert len(ran) == 3  # no short decimal tells a seventh of a millisecond, and it is found again
 
@@ -191,5 +191,6 @@ def test_every_setting_of_the_chart_is_stored():
     for setting in (*ensembles.step_settings(), *ensembles.model_settings()):
         assert store.has(*setting.key.values(), setting.members - 1)
     assert len(inserted) == 2 * len(insertions.INSERTIONS)
-    beyond = constant[(constant["method"] == "imex") & (constant["time_step"] >= 5e-4) & (constant["stiffness"] == 1e5)]
+    beyond = constant[(constant["method"] == "imex") & (constant["time_step_s"] >= 5e-4)]
+    beyond = beyond[beyond["contact_stiffness_n_per_m"] == 1e5]
     assert (beyond["diverged"] == 1.0).all()

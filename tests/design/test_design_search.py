@@ -10,7 +10,7 @@ from kills import killed_at
 from agents.cli import main
 from agents.design.compare import Comparison, compare, print_comparison, summarise
 from agents.design.problem import OBJECTIVES, DesignProblem, design_problem
-from agents.design.search import search, sensitivity, trials_table
+from agents.design.search import Kept, search, sensitivity, trials_table
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.trials import SPAN
@@ -28,7 +28,7 @@ def closed_form(point):
 
 def run(path, trials, seed=0, value=closed_form, population=8):
     storage = f"sqlite:///{path}/study.db"
-    return trials_table(search(AXES, value, trials, storage, "known", population=population, seed=seed))
+    return trials_table(search(AXES, value, trials, Kept(storage, "known"), population=population, seed=seed))
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from probe_env.envs.trials import (
     SETTLE,
     SPAN,
     WIDTHS,
+    Candidate,
     Trial,
     judge,
     try_insertions,
@@ -145,13 +146,14 @@ def test_bad_actions_and_schedules_are_named():
         Design.from_unit(np.zeros(3))
     over_time = Schedule("time", "linear", (0.0,), (0.2,), (0.02,))
     with pytest.raises(ValueError, match="schedule over time"):
-        try_sections([Design()], [Context()], [over_time], CONFIG)
+        try_sections([Candidate(Design(), Context(), over_time)], CONFIG)
 
 
 def test_a_section_is_the_simulator_s_own_run():
     """The second section (sensor at 20 m) of the second of two probes, against a Simulator."""
     tube = Context(friction=0.2, helix_diameter=1.4)
-    trial = try_sections([Design(), IMPROVED], [Context(), tube], [STUDY_FEED] * 2, CONFIG, seeds=[5, 6])
+    other = Candidate(Design(), Context(), STUDY_FEED, 5)
+    trial = try_sections([other, Candidate(IMPROVED, tube, STUDY_FEED, 6)], CONFIG)
     base = tube.apply(Scene()).model_copy(update={"probe": IMPROVED.probe(), "carrier_length": 20.0})
     alone = SimulatorBatch([base], Fidelity().method, seeds=[6], perturbation=PERTURBATION)
     alone.advance(None, None, SETTLE)
@@ -193,7 +195,7 @@ def test_what_is_not_reached_costs_the_most():
 def test_lost_drive_ends_the_inspection():
     """With 30 m3/h small floats and a fast feed have hardly any pull left."""
     weak = Schedule("inserted_length", "linear", (5.0,), (0.4,), (20.0 / 3600.0,))
-    trial = try_sections([IMPROVED], [Context()], [weak], CONFIG)
+    trial = try_sections([Candidate(IMPROVED, Context(), weak)], CONFIG)
     _, kpis = judge([IMPROVED], trial, CONFIG)
     assert kpis["lost_drive"][0] == 1.0
     assert kpis["drive_margin_n"][0] < 0.0
@@ -203,7 +205,7 @@ def test_lost_drive_ends_the_inspection():
 def test_whole_insertions_are_judged_over_the_same_span():
     coarse = Fidelity(time_lapse=20.0)
     designs = [Design(), IMPROVED]
-    trial = try_insertions(designs, [Context()] * 2, [Constant(CONFIG)] * 2, CONFIG, coarse)
+    trial = try_insertions([Candidate(d, Context(), Constant(CONFIG)) for d in designs], CONFIG, coarse)
     terms, kpis = judge(designs, trial, CONFIG)
     assert trial.widths.sum(axis=1) == pytest.approx(SPAN)
     assert kpis["inspection_time_s"] == pytest.approx(SPAN / 0.2, rel=0.01)
@@ -225,7 +227,8 @@ def test_the_countermeasures_quieten_the_probe():
     """
     tubes = [Context(friction=mu, helix_diameter=d) for mu in (0.15, 0.2) for d in (1.0, 1.4)]
     both = [Design()] * 4 + [IMPROVED] * 4
-    _, kpis = judge(both, try_sections(both, tubes * 2, [STUDY_FEED] * 8, CONFIG), CONFIG)
+    tried = [Candidate(design, tube, STUDY_FEED) for design, tube in zip(both, tubes * 2, strict=True)]
+    _, kpis = judge(both, try_sections(tried, CONFIG), CONFIG)
     original, improved = kpis["radial_rms_m"].reshape(2, 4)
     assert (improved < 0.5 * original).all()
 

@@ -53,8 +53,10 @@ def test_a_scene_may_be_a_mapping(env_id):
 
 
 @IDS
-def test_the_sb3_batch_conforms(env_id):
-    check_vector_env(lambda n: ProbeVecEnv(env_id, n, **CASES[env_id]), single(env_id))
+@pytest.mark.parametrize("limit", [{}, {"max_episode_steps": 3}], ids=["", "three steps"])
+def test_the_sb3_batch_conforms(env_id, limit):
+    given = CASES[env_id] | limit
+    check_vector_env(lambda n: ProbeVecEnv(env_id, n, **given), lambda: gym.make(env_id, **given))
 
 
 def test_other_people_s_batches_of_our_environment_conform():
@@ -138,6 +140,10 @@ def test_make_vec_options_and_refusals():
         gym.make_vec("probe_env/Snapshot-v0", num_envs=1, render_mode="rgb_array")
     with pytest.raises(ValueError, match="num_envs = 0"):
         ProbeVecEnv(num_envs=0)
+    with pytest.raises(ValueError, match="max_episode_steps = 0"):
+        ProbeVecEnv(max_episode_steps=0)
+    with pytest.raises(TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are scene, fidelity, contexts"):
+        ProbeVecEnv(fidelty="fast")
     env = gym.make_vec("probe_env/Snapshot-v0", num_envs=2, **CASES["probe_env/Snapshot-v0"])
     with pytest.raises(ValueError, match="seed has 3 entries for 2"):
         env.reset(seed=[1, 2, 3])

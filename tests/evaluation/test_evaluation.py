@@ -10,7 +10,7 @@ from kills import killed_at
 from scatter import hits_within
 from scipy.stats import trim_mean
 
-from agents.evaluation.report import evaluate, write_report
+from agents.evaluation.report import evaluate, plan_of, write_report
 from agents.policies.fixed import Constant, SlowDown
 from agents.records.columns import KPIS
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
@@ -124,7 +124,7 @@ def test_what_is_shown_and_fields_newer_than_the_results_make_no_other_setting(t
 
 def test_a_check_by_sample_would_draw_other_probes(tmp_path):
     with pytest.raises(ValueError, match=r"check_fidelity = 'acting'.*must be no or half-step"):
-        evaluate(["constant"], tmp_path, "test", 1, 1, "fast", "acting", probes="random")
+        evaluate(plan_of(["constant"], "test", 1, 1, "fast", "random"), tmp_path, "acting")
     assert not list(tmp_path.iterdir())
 
 
@@ -227,5 +227,5 @@ def test_the_report_is_one_page_without_a_network(tmp_path):
 def test_bad_arguments_are_named_and_nothing_is_written(arguments, message, tmp_path):
     specs, contexts, limit, seeds = arguments
     with pytest.raises(ValueError, match=message):
-        evaluate(specs, tmp_path / "out", contexts, limit, seeds, "fast")
+        evaluate(plan_of(specs, contexts, limit, seeds, "fast"), tmp_path / "out")
     assert not (tmp_path / "out").exists()

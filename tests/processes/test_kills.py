@@ -9,7 +9,7 @@ from kills import all_gone, hook_replace, hook_sync, kill, killed
 
 from agents.design import compare as design_compare
 from agents.design.compare import Comparison, compare
-from agents.design.search import search, trials_table
+from agents.design.search import Kept, search, trials_table
 from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.fixed import Constant
@@ -107,7 +107,7 @@ def searched(folder, value=closed_form):
     axes = {"guide_length": (1.0, 10.0, "m"), "line_density": (0.09, 0.14, "kg/m")}
     starts = [{"guide_length": 5.0, "line_density": 0.1}]
     storage = f"sqlite:///{folder}/study.db"
-    return trials_table(search(axes, value, 12, storage, "known", population=4, starts=starts))
+    return trials_table(search(axes, value, 12, Kept(storage, "known"), population=4, starts=starts))
 
 
 def search_until(folder, count):

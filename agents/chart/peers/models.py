@@ -19,7 +19,7 @@ import numpy as np
 
 from agents.chart import smooth
 from probe_env.arrays import FloatArray
-from probe_env.physics.bare_chains import RADIAL, linear_matrix, masses, plain_chain
+from probe_env.physics.bare_chains import RADIAL, Driven, linear_matrix, masses, plain_chain
 from probe_env.physics.chain import Chain
 
 LENGTH, LINE_DENSITY, EI, EA, DIAMETER = 1.0, 0.111, 4.8e-2, 1.1e5, 8.35e-3
@@ -90,7 +90,7 @@ def run_ours(method: str, elements: int, time_step: float, samples: int) -> Reco
     chain, d, linear = _our_start(elements)
     a = -(linear @ d.ravel()).reshape(d.shape)
     case = smooth.Case(
-        "cantilever", chain, samples * SAMPLE_PERIOD, SAMPLE_PERIOD, (0, RADIAL), None, d=d, a=a
+        "cantilever", Driven(chain), samples * SAMPLE_PERIOD, SAMPLE_PERIOD, (0, RADIAL), None, d=d, a=a
     )  # fmt: skip
     signal, cpu, _ = smooth.integrate(case, method, time_step)
     if signal is None:

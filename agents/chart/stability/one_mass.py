@@ -16,7 +16,7 @@ import pandas as pd
 
 from probe_env.arrays import FloatArray
 from probe_env.physics import methods
-from probe_env.physics.bare_chains import AXIAL, RADIAL, plain_chain, run_chain
+from probe_env.physics.bare_chains import AXIAL, RADIAL, Driven, plain_chain, run_chain
 from probe_env.physics.chain import Chain
 from probe_env.physics.state import at_rest
 
@@ -43,7 +43,7 @@ def _step(method: str, chain: Chain, time_step: float, start: FloatArray, compon
     """Displacement, velocity and acceleration of the mass after a step; NaN if it diverged."""
     state = at_rest(2)
     state.d[0, component], state.v[0, component], state.memory[0, component] = start
-    if not run_chain(method, chain, time_step, state, 1, 1).held:
+    if not run_chain(method, Driven(chain), time_step, state, 1, 1).held:
         return np.full(3, np.nan)
     return np.array([state.d[0, component], state.v[0, component], state.memory[0, component]])
 
@@ -83,7 +83,7 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     steps = math.ceil(BOUNCES * period / time_step)
     state = at_rest(2)
     state.d[0, component], state.v[0, component] = 0.4321 * GAP, -SPEED
-    run = run_chain(method, chain, time_step, state, steps, 1)
+    run = run_chain(method, Driven(chain), time_step, state, steps, 1)
     y = run.samples[:, component]
     if not run.held:
         return float("nan"), float("nan")

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from probe_env import Scene
-from probe_env.physics.bare_chains import bent_chain, linear_matrix, masses, run_chain
+from probe_env.physics.bare_chains import Driven, bent_chain, linear_matrix, masses, run_chain
 from probe_env.physics.chain import Chain, build_chain
 from probe_env.physics.drive import Drive
 from probe_env.physics.methods import banded, ticm, transfer_matrix
@@ -64,7 +64,7 @@ def _energy_ratio(method: str, chain: Chain, time_step: float) -> float:
     state = at_rest(ELEMENTS + 1)
     state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
     before = energy(chain, state)
-    held = run_chain(method, chain, time_step, state, STEPS, STEPS).held
+    held = run_chain(method, Driven(chain), time_step, state, STEPS, STEPS).held
     return energy(chain, state) / before if held else math.inf
 
 

@@ -11,29 +11,28 @@ from numba import njit
 
 from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.factors import explicit_factors
-from probe_env.physics.methods.imex import after_step, float_forces, inertia_forces, magnitude, product
+from probe_env.physics.methods.imex import (
+    after_step,
+    float_at,
+    float_forces,
+    inertia_forces,
+    loaded_floats,
+    loaded_wall,
+    magnitude,
+    product,
+)
 from probe_env.physics.methods.lane_group import (
     AXIAL,
-    CARRIER_DRAG,
-    CARRIER_GAP,
-    CARRIER_LEVER,
     COS,
     COUPLE,
     CURVATURE,
     DAMPING,
     FACTORS,
     FIELDS,
-    FRICTION,
-    GUIDE_DRAG,
-    GUIDE_GAP,
-    GUIDE_LEVER,
     INPUTS,
-    MASS_RATIO,
     PEAK,
     ROOT,
-    SENSOR,
     SIN,
-    STIFFNESS,
     VT,
     VX,
     VY,
@@ -72,15 +71,8 @@ def explicit_advance(
     """Steps of all lanes by central differences; the arguments are those of ``imex_advance``."""
     zero = splat(parameters, 0.0)
     delta = load(parameters, DAMPING)
-    kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
-    stiffness, coefficient, ratio = (
-        load(parameters, STIFFNESS),
-        load(parameters, FRICTION),
-        load(parameters, MASS_RATIO),
-    )
-    guide_lever, carrier_lever = load(parameters, GUIDE_LEVER), load(parameters, CARRIER_LEVER)
-    guide_gap, carrier_gap = load(parameters, GUIDE_GAP), load(parameters, CARRIER_GAP)
-    guide_drag, carrier_drag = load(parameters, GUIDE_DRAG), load(parameters, CARRIER_DRAG)
+    kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
+    floats, wall = loaded_floats(parameters), loaded_wall(parameters)
     cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
     row, due = 0, first
     for step in range(len(tops)):
@@ -106,11 +98,7 @@ def explicit_advance(
             ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, force, dt)
             if to_float == 0:
                 to_float = per_pitch
-                place = splat(parameters, float(i) - 0.5)
-                lever = where_less(place, sensor, guide_lever, carrier_lever)
-                gap = where_less(place, sensor, guide_gap, carrier_gap)
-                drag = where_less(place, sensor, guide_drag, carrier_drag)
-                cx, cy, ct = float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, forward, vt)
+                cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, forward, vt)
                 ax, ay, at = ax + cx, ay + cy, at - ct
                 height = magnitude(y)
                 peak = where_less(peak, height, height, peak)

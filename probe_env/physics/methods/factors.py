@@ -6,8 +6,10 @@ In single precision they are so rounded that what is free along the tube stays f
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain, element_blocks, element_stiffness
@@ -33,13 +35,16 @@ def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     return tip, inner, inverse @ head.T @ stiffness @ tail, inverse @ tail.T @ stiffness @ head
 
 
-def linear_weights(damping_time: float, time_step: float) -> tuple[float, float]:
+@register_jitable(inline="always")
+def linear_weights(damping_time: Any, time_step: float) -> tuple[Any, Any]:
     """Theta and tau of the linear part: w = d + tau v_theta, v_theta = (1 - theta) v* + theta v.
 
     A theta above 1/2 damps what is too fast for the step, whose velocity the midpoint rule flips undamped from
     step to step, and by (theta - 1/2) omega dt everything else. Taking that share off the cable's own damping,
     tau = delta + dt (1 - theta), keeps the damping of slow modes at delta omega / 2, and tau >= theta dt keeps
     the scheme unconditionally stable. theta - 1/2 vanishes with dt, so the linear part stays second order.
+
+    For numbers, and in kernels for the damping times of the lanes.
     """
     delta, dt = damping_time, time_step
     theta = 0.5 + 0.5 * dt * delta / (delta * delta + dt * dt)

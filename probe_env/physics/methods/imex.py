@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 
 from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
-from probe_env.physics.methods.factors import imex_factors, single_factors
+from probe_env.physics.methods.factors import imex_factors, linear_weights, single_factors
 from probe_env.physics.methods.lane_group import (
     AXIAL,
     CARRIER_DRAG,
@@ -111,8 +111,42 @@ def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn):
+def loaded_wall(parameters):
+    """Contact stiffness, coefficient of friction and mass per inertia of the lanes."""
+    return load(parameters, STIFFNESS), load(parameters, FRICTION), load(parameters, MASS_RATIO)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def loaded_floats(parameters):
+    """The sensor's node, and lever, gap and drag of the guide's and of the carrier's floats."""
+    return (
+        load(parameters, SENSOR),
+        load(parameters, GUIDE_LEVER),
+        load(parameters, CARRIER_LEVER),
+        load(parameters, GUIDE_GAP),
+        load(parameters, CARRIER_GAP),
+        load(parameters, GUIDE_DRAG),
+        load(parameters, CARRIER_DRAG),
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def float_at(i, floats):
+    """Lever, gap and drag of the float at node ``i``: the guide's up to the sensor, the carrier's beyond."""
+    sensor, guide_lever, carrier_lever, guide_gap, carrier_gap, guide_drag, carrier_drag = floats
+    place = splat(sensor, float(i) - 0.5)
+    return (
+        where_less(place, sensor, guide_lever, carrier_lever),
+        where_less(place, sensor, guide_gap, carrier_gap),
+        where_less(place, sensor, guide_drag, carrier_drag),
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def float_forces(own, wall, forward, air, y, slide, turn):
     """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
+    lever, gap, drag = own
+    stiffness, coefficient, ratio = wall
     zero = splat(y, 0.0)
     relative = air - forward
     inner = where_less(y, zero, zero - y, zero)  # depth in the inner and in the outer wall
@@ -168,19 +202,10 @@ def imex_advance(
     """Steps of all lanes by imex; see ``after_step`` for sampling and failure. Returns the steps done."""
     zero = splat(parameters, 0.0)
     last = len(factors) // FACTORS - 1
-    delta = load(parameters, DAMPING)
-    theta = 0.5 + 0.5 * dt * delta / (delta * delta + dt * dt)
-    tau = delta + dt * (1.0 - theta)
+    theta, tau = linear_weights(load(parameters, DAMPING), dt)
     drift, bounce, reflection = dt / tau, 1.0 / (tau * theta), (1.0 - theta) / theta
-    kappa, couple, sensor = load(parameters, CURVATURE), load(parameters, COUPLE), load(parameters, SENSOR)
-    stiffness, coefficient, ratio = (
-        load(parameters, STIFFNESS),
-        load(parameters, FRICTION),
-        load(parameters, MASS_RATIO),
-    )
-    guide_lever, carrier_lever = load(parameters, GUIDE_LEVER), load(parameters, CARRIER_LEVER)
-    guide_gap, carrier_gap = load(parameters, GUIDE_GAP), load(parameters, CARRIER_GAP)
-    guide_drag, carrier_drag = load(parameters, GUIDE_DRAG), load(parameters, CARRIER_DRAG)
+    kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
+    floats, wall = loaded_floats(parameters), loaded_wall(parameters)
     cosine = load(parameters, AXIAL) * load(parameters, COS)
     sine = load(parameters, AXIAL) * load(parameters, SIN)
     row, due = 0, first
@@ -201,12 +226,8 @@ def imex_advance(
             ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
             if to_float == 0:
                 to_float = per_pitch
-                place = splat(parameters, float(i) - 0.5)
-                lever = where_less(place, sensor, guide_lever, carrier_lever)
-                gap = where_less(place, sensor, guide_gap, carrier_gap)
-                drag = where_less(place, sensor, guide_drag, carrier_drag)
                 slide, turn = speed + load(state, q + GX) / tau, load(state, q + GT) / tau
-                cx, cy, ct = float_forces(lever, gap, drag, stiffness, coefficient, ratio, forward, air, y, slide, turn)
+                cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, slide, turn)
                 ax, ay, at = ax + cx, ay + cy, at - ct
                 height = magnitude(y)
                 peak = where_less(peak, height, height, peak)

@@ -24,7 +24,7 @@ TWINS = {"imex32": "imex"}
 def shape(method, time_step):
     steps, every = round(0.048 / time_step), round(1.6e-3 / time_step)
     start = CASE.start(method, time_step)
-    return run_chain(method, CASE.chain, time_step, start, steps, every).samples[:, CASE.point[1]]
+    return run_chain(method, CASE.driven, time_step, start, steps, every).samples[:, CASE.point[1]]
 
 
 @pytest.mark.parametrize("method", METHODS)
