@@ -99,9 +99,9 @@ def _command(name: str, arguments: Sequence[str]) -> Any:
     from agents.terminal.command_line import parsed, positional
 
     module, _, kind = COMMANDS[name].place.partition(":")
-    made = getattr(import_module(f"agents.commands.{module}"), kind)
-    default = made.of_scene(positional(arguments)) if hasattr(made, "of_scene") else None
-    return parsed(name, made, arguments, COMMANDS[name].example, default)
+    command_class = getattr(import_module(f"agents.commands.{module}"), kind)
+    default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
+    return parsed(name, command_class, arguments, COMMANDS[name].example, default)
 
 
 def _fail(message: str, status: int = 2) -> int:

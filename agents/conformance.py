@@ -42,10 +42,10 @@ def check_vector_env(make: Make, make_single: MakeSingle, num_envs: int = 3, ste
     assert any((o.terminated | o.truncated).any() for o in expected), (
         f"no episode ends within {steps} steps: nothing shown"
     )
-    start, found = _run(make(num_envs), seed, actions)
-    _compare(start, found, expected_start, expected, "N environments differ from N single ones")
-    again_start, again = _run(make(num_envs), seed, actions)
-    _compare(again_start, again, expected_start, expected, "the same seed gives another run")
+    start, first = _run(make(num_envs), seed, actions)
+    _compare(start, first, expected_start, expected, "N environments differ from N single ones")
+    second_start, second = _run(make(num_envs), seed, actions)
+    _compare(second_start, second, expected_start, expected, "the same seed gives another run")
     one_start, one = _run(make(1), seed, actions[:, :1])
     _compare(one_start, one, expected_start[:1], [_take(o, [0]) for o in expected], "the batch's size changes a member")
     _check_order(make, seeds, actions, expected_start, expected)
@@ -58,9 +58,9 @@ def _check_order(make: Make, seeds: Sequence[int], actions: np.ndarray, start: n
     if not isinstance(env, VectorEnv):
         return
     order = list(reversed(range(len(seeds))))
-    found_start, found = _run(env, [seeds[k] for k in order], actions[:, order])
+    permuted_start, permuted = _run(env, [seeds[k] for k in order], actions[:, order])
     expected = [_take(o, order) for o in all_]
-    _compare(found_start, found, start[order], expected, "the order of the members changes them")
+    _compare(permuted_start, permuted, start[order], expected, "the order of the members changes them")
 
 
 def _check_aliasing(make: Make, num_envs: int, seed: int, actions: np.ndarray) -> None:
@@ -165,10 +165,10 @@ def _take(outcome: Outcome, order: Sequence[int]) -> Outcome:
 
 
 def _compare(
-    start: np.ndarray, found: list[Outcome], expected_start: np.ndarray, expected: list[Outcome], claim: str
+    start: np.ndarray, outcomes: list[Outcome], expected_start: np.ndarray, expected: list[Outcome], claim: str
 ) -> None:
     assert np.array_equal(start, expected_start), f"{claim}: first observation"
-    for step, (a, b) in enumerate(zip(found, expected, strict=True)):
+    for step, (a, b) in enumerate(zip(outcomes, expected, strict=True)):
         for name in ("terminated", "truncated", "observation"):
             assert np.array_equal(getattr(a, name), getattr(b, name)), f"{claim}: {name} of step {step}"
         assert np.array_equal(a.reward.astype(np.float32), b.reward.astype(np.float32)), (

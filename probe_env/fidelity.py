@@ -180,8 +180,8 @@ def choose_fidelity(
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
         least = min(rated, default=None)
-        told = f"the least measured is {least[0]:.2g} ({_words(least[2])})" if least else "nothing measured fits it"
-        raise ValueError(f"tolerance = {tolerance:g} is not kept by any setting for this scene: {told}")
+        closest = f"the least measured is {least[0]:.2g} ({_words(least[2])})" if least else "nothing measured fits it"
+        raise ValueError(f"tolerance = {tolerance:g} is not kept by any setting for this scene: {closest}")
     error, cost, chosen = min(within, key=lambda entry: (entry[1], entry[0]))
     reason = (
         f"{_words(chosen)}: {', '.join(needed)} within {error:.2g} where measured (tolerance {tolerance:g}),"

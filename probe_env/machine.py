@@ -73,10 +73,10 @@ def _folder() -> Path:
 
 def _is_private(folder: Path) -> bool:
     """Whether a folder, not a link to one, is the user's and closed to others."""
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode):
+    entry = folder.lstat()
+    if not stat.S_ISDIR(entry.st_mode):
         return False
-    return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o077)
+    return not hasattr(os, "getuid") or (entry.st_uid == os.getuid() and not entry.st_mode & 0o077)
 
 
 def available_cores() -> int:

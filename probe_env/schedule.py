@@ -138,13 +138,13 @@ def _from_toml(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
 
 
 def _check_columns(path: Path, columns: Iterable[str]) -> None:
-    found = set(columns)
-    told = ", ".join(sorted(found)) or "none"
-    if sum(name in found for name in POSITIONS) != 1:
-        raise FileError(path, f"exactly one of the columns {', '.join(POSITIONS)} is needed; found: {told}")
+    columns_given = set(columns)
+    listed = ", ".join(sorted(columns_given)) or "none"
+    if sum(name in columns_given for name in POSITIONS) != 1:
+        raise FileError(path, f"exactly one of the columns {', '.join(POSITIONS)} is needed; found: {listed}")
     for name in (FEED, AIR):
-        if name not in found:
-            raise FileError(path, f"the column {name} is missing; found: {told}")
+        if name not in columns_given:
+            raise FileError(path, f"the column {name} is missing; found: {listed}")
 
 
 def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[str, Mapping[str, Any]]]) -> Schedule:

@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from probe_env.files import FileError, read_toml
 
-ERRORS_TOLD = 8
+MOST_ERRORS = 8
 """Errors of one file that are told, so that the line can be read."""
 
 
@@ -69,13 +69,13 @@ class Model(BaseModel):
 
 def explain(error: ValidationError, within: str = "") -> str:
     """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
-    lines, found = [], error.errors(include_url=False, include_context=False)
-    for item in found[:ERRORS_TOLD]:
+    lines, problems = [], error.errors(include_url=False, include_context=False)
+    for item in problems[:MOST_ERRORS]:
         field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
         message = _no_such_field(error.title, item["loc"]) if item["type"] == "extra_forbidden" else item["msg"]
         lines.append(f"{field}: {message}{value}" if field else message)
-    more = [f"and {len(found) - ERRORS_TOLD} more"] if len(found) > ERRORS_TOLD else []
+    more = [f"and {len(problems) - MOST_ERRORS} more"] if len(problems) > MOST_ERRORS else []
     return "; ".join(lines + more)
 
 

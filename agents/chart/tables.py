@@ -30,8 +30,8 @@ def smooth(table: pd.DataFrame) -> str:
         if method != LAPACK:
             lines.append(f"| {method} | " + " | ".join(_slope(resolved(table, name), method) for name in names) + " |")
     difference = float(table.loc[table["method"] == "references", "error"].iloc[0])
-    told = " and ".join(f"{method} at {dt:g} s" for method, dt in REFERENCES)
-    return "\n".join(lines) + f"\n\nThe references of the last column, {told}, differ by {100.0 * difference:.2g} %."
+    pair = " and ".join(f"{method} at {dt:g} s" for method, dt in REFERENCES)
+    return "\n".join(lines) + f"\n\nThe references of the last column, {pair}, differ by {100.0 * difference:.2g} %."
 
 
 def _slope(rows: pd.DataFrame, method: str) -> str:
@@ -54,8 +54,8 @@ def choices(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
     for length in (30.0, 50.0):
         plain = Setting(time_step=MODEL_STEP, length=length)
         cost = float(_rows(constant, plain.key)["cpu_s"].iloc[0])
-        told = CHOICES | {"step 2e-4 s": {"time_step": 2e-4}, "step 2.5e-4 s": {"time_step": 2.5e-4}}
-        for choice, change in told.items():
+        changes = CHOICES | {"step 2e-4 s": {"time_step": 2e-4}, "step 2.5e-4 s": {"time_step": 2.5e-4}}
+        for choice, change in changes.items():
             for row in _rows(constant, replace(plain, **change).key).to_dict("records"):
                 rows.append(_choice(choice, length, row, row["cpu_s"] / cost))
         band = inserted[(inserted["from_m"] <= length) & (length < inserted["to_m"])]
@@ -145,8 +145,8 @@ def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame)
         cells += [_interval(_plain(row)) + note for row in rows]
         cost = insertion_cost(Insertion(method, step, preset.time_lapse).key, costs)
         lapse = f", time-lapse {preset.time_lapse:g}" if preset.time_lapse > 1.0 else ""
-        told = f"`{name}` | {preset.method}, {preset.time_step:g} s{lapse}"
-        lines.append(f"| {told} | " + " | ".join(cells) + f" | {cost:.2g} s |")
+        label = f"`{name}` | {preset.method}, {preset.time_step:g} s{lapse}"
+        lines.append(f"| {label} | " + " | ".join(cells) + f" | {cost:.2g} s |")
     return "\n".join(lines) + f"\n\n{_against_newmark(constant)}"
 
 
@@ -178,7 +178,7 @@ def outputs(constant: pd.DataFrame) -> str:
     for row in rows.to_dict("records"):
         cells = [_interval({part: row[f"{name}:{part}"] for part in ("ratio", "low", "high")}) for name in OUTPUTS]
         lines.append(
-            f"| {row['method']} | {row['time_step']:.3g} s | " + " | ".join(cells) + f" | {row['cpu_s']:.2g} |"
+            f"| {row['method']} | {row['time_step_s']:.3g} s | " + " | ".join(cells) + f" | {row['cpu_s']:.2g} |"
         )
     return "\n".join(lines)
 

@@ -134,14 +134,14 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     rows: list[dict[str, Any]] = []
     for name, k in units:
         place, record = {"design": name, "context": k}, done[keys[name, k]]
-        made_at = {"commit": record.get("commit", "unknown")}
-        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | made_at)
+        origin = {"commit": record.get("commit", "unknown")}
+        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | origin)
     table = pd.DataFrame(rows)
     write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
-    made: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
-    made |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | made)
+    setting: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
+    setting |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | setting)
     return table
 
 

@@ -58,8 +58,8 @@ def open_study(
         reason = _without_password(str(getattr(error, "orig", None) or error), storage)
         if path is not None:
             raise FileError(path, f"cannot be used as a database: {reason}") from None
-        told = one_line(f"storage = {place!r} is not the URL of a database that can be used: {reason}")
-        raise ValueError(told) from None
+        message = one_line(f"storage = {place!r} is not the URL of a database that can be used: {reason}")
+        raise ValueError(message) from None
     return study
 
 

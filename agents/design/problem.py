@@ -109,8 +109,8 @@ class DesignProblem:
             feed = Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
             candidates = [Candidate(design, context, feed, place) for place, context in tubes]
             trial = try_sections(candidates, self.config, self.fidelity, threads=threads)
-            _, found = judge([design] * len(tubes), trial, self.config)
-            rows = [{name: float(values[k]) for name, values in found.items()} for k in range(len(tubes))]
+            _, figures = judge([design] * len(tubes), trial, self.config)
+            rows = [{name: float(values[k]) for name, values in figures.items()} for k in range(len(tubes))]
         else:
             comparison = Comparison({"": design}, contexts, self.feed, self.full, self.fidelity, self.config)
             rows = comparison.run([(design, context) for context in contexts], seeds, threads)

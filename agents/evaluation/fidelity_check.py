@@ -57,8 +57,8 @@ def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path, work
 def check_half_step(plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> pd.DataFrame:
     """All episodes again at half the time step; differences to ``table``, see ``differences``."""
     half = plan.fidelity.model_copy(update={"time_step": plan.fidelity.time_step / 2.0})
-    again = run_plan(replace(plan, fidelity=half), output / "half-step", workers=workers)
-    return differences("half step", again, table)
+    repeated = run_plan(replace(plan, fidelity=half), output / "half-step", workers=workers)
+    return differences("half step", repeated, table)
 
 
 def check_replayed(
@@ -69,28 +69,30 @@ def check_replayed(
     The first ``SAMPLE_POLICIES`` policies on the first ``SAMPLE_CONTEXTS`` contexts, time-lapse 4. Slow:
     an episode takes minutes.
     """
-    names, places, was = _sample(plan, table)
+    names, places, reference = _sample(plan, table)
     parts = []
     for k in places:
         policies = {name: Scheduled(plan.config, replayed(profile, name, k, plan.seeds[0])) for name in names}
-        again = run_plan(
+        repeated = run_plan(
             replace(plan, policies=policies, contexts=[plan.contexts[k]], seeds=plan.seeds[:1], fidelity=STUDY),
             output / "study-replayed" / f"context-{k}",
             **_one_by_one(workers),
         )
-        parts.append(again.assign(context=k))
-    return differences("study's scheme, replayed", pd.concat(parts, ignore_index=True), was)
+        parts.append(repeated.assign(context=k))
+    return differences("study's scheme, replayed", pd.concat(parts, ignore_index=True), reference)
 
 
 def check_acting(plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> pd.DataFrame:
     """The same sample, but the policies act by what they observe with the study's scheme."""
-    names, places, was = _sample(plan, table)
+    names, places, reference = _sample(plan, table)
     sample = replace(
         plan, policies={name: plan.policies[name] for name in names}, contexts=[plan.contexts[k] for k in places],
         seeds=plan.seeds[:1], fidelity=STUDY,
     )  # fmt: skip
-    again = run_plan(sample, output / "study-acting", **_one_by_one(workers))
-    return differences("study's scheme, acting", again.assign(context=[places[k] for k in again["context"]]), was)
+    repeated = run_plan(sample, output / "study-acting", **_one_by_one(workers))
+    return differences(
+        "study's scheme, acting", repeated.assign(context=[places[k] for k in repeated["context"]]), reference
+    )
 
 
 def _one_by_one(workers: Workers) -> dict[str, Any]:
@@ -119,15 +121,15 @@ def replayed(profile: pd.DataFrame, policy: str, context: int, seed: int) -> Sch
     return Schedule("inserted_length", "linear", position, feed, air)
 
 
-def differences(check: str, again: pd.DataFrame, before: pd.DataFrame) -> pd.DataFrame:
+def differences(check: str, repeated: pd.DataFrame, before: pd.DataFrame) -> pd.DataFrame:
     """For every policy and KPI: mean before, its change on the same contexts with interval, the rank by reward."""
-    ranks = [_ranks(frame) for frame in (again, before)]
+    ranks = [_ranks(frame) for frame in (repeated, before)]
     rows = []
-    for policy in dict.fromkeys(again["policy"]):
+    for policy in dict.fromkeys(repeated["policy"]):
         for kpi in KPIS:
-            was = by_context(before, policy, kpi)
-            change = mean_interval((by_context(again, policy, kpi) - was).to_numpy())
-            interval = (float(was.mean()), change.mean, change.low, change.high)
+            reference = by_context(before, policy, kpi)
+            change = mean_interval((by_context(repeated, policy, kpi) - reference).to_numpy())
+            interval = (float(reference.mean()), change.mean, change.low, change.high)
             rows.append((check, policy, kpi, *interval, ranks[0][policy], ranks[1][policy]))
     return pd.DataFrame(rows, columns=COLUMNS)
 

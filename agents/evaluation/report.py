@@ -116,7 +116,7 @@ def write_report(folder: Path) -> Path:
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(stored[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
     against = compared_with(folder, table)
-    made = read_json(folder / "provenance.json", Evaluated).model_dump()
+    record = read_json(folder / "provenance.json", Evaluated).model_dump()
     setting = read_json(folder / "setting.json", Setting)
     swept = folder.parent / "tradeoff" / "front.csv"
     fronts = read_csv(swept, FRONT) if swept.exists() else None
@@ -136,12 +136,12 @@ def write_report(folder: Path) -> Path:
         kpi_rows=[[policy, *cells] for policy, cells in kpi_cells(table)],
         endings=[[policy, *row[["episodes", "complete", "lost_drive", "diverged"]]] for policy, row in ends.iterrows()],
         pictures=_pictures(table, profile, fronts),
-        made=(
-            f"Command: {made['command']}. Commit {made['commit']}, {made['machine']['cores']} cores"
-            f" ({made['machine']['processor']}), {', '.join(f'{k} {v}' for k, v in made['packages'].items())}."
+        record=(
+            f"Command: {record['command']}. Commit {record['commit']}, {record['machine']['cores']} cores"
+            f" ({record['machine']['processor']}), {', '.join(f'{k} {v}' for k, v in record['packages'].items())}."
             f" Fidelity: {setting.fidelity}."
         ),
-        settings=json.dumps(made["policies"], indent=1),
+        settings=json.dumps(record["policies"], indent=1),
     )
     path = folder / "report.html"
     write_atomically(path, page)

@@ -54,7 +54,7 @@ def train_all(
         ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
     """
     folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
-    made = provenance(command)
+    origin = provenance(command)
     for folder in folders.values():
         _check_folder(training, folder, resume)
     _check_checkpoints(training, folders)
@@ -66,20 +66,20 @@ def train_all(
         )
     )  # fmt: skip
     for seed, folder in folders.items():
-        _note_run(training, seed, folder, made)
+        _note_run(training, seed, folder, origin)
     if workers.here:
-        curves = [train(training, seed, folder, made) for seed, folder in folders.items()]
+        curves = [train(training, seed, folder, origin) for seed, folder in folders.items()]
         return pd.concat(curves, ignore_index=True)
     tasks = [(seed, folder.absolute(), place) for place, (seed, folder) in enumerate(folders.items())]
     done: dict[int, pd.DataFrame] = {}
-    for task, curve in workers.map(partial(_train_task, training, made), tasks):
+    for task, curve in workers.map(partial(_train_task, training, origin), tasks):
         done[task[0]] = curve
     return pd.concat([done[seed] for seed in training.seeds], ignore_index=True)
 
 
-def _train_task(training: Training, made: dict[str, Any], task: tuple[int, Path, int]) -> pd.DataFrame:
+def _train_task(training: Training, origin: dict[str, Any], task: tuple[int, Path, int]) -> pd.DataFrame:
     seed, folder, place = task
-    return train(training, seed, folder, made, 1, place)
+    return train(training, seed, folder, origin, 1, place)
 
 
 def _phases_done(folder: Path) -> int:
@@ -92,13 +92,13 @@ def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
     write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
 
 
-def _note_run(training: Training, seed: int, folder: Path, made: dict[str, Any]) -> None:
+def _note_run(training: Training, seed: int, folder: Path, origin: dict[str, Any]) -> None:
     """Write what is run; a resumed run keeps how it began and lists how it went on."""
     path = folder / RUN
-    begun: dict[str, Any] = {"seed": seed} | made
+    begun: dict[str, Any] = {"seed": seed} | origin
     if path.exists():
         begun = json.loads(read_json(path, Run).model_dump_json())
-        begun["resumed"] = [*begun.get("resumed", []), {"command": made["command"], "commit": made["commit"]}]
+        begun["resumed"] = [*begun.get("resumed", []), {"command": origin["command"], "commit": origin["commit"]}]
     teacher = make_policy(training.imitation.teacher, training.shown_task).describe() if training.imitation else None
     write_json(path, begun | {"config": json.loads(training.model_dump_json()), "teacher": teacher})
 
@@ -144,7 +144,7 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
 
 
 def train(
-    training: Training, seed: int, folder: Path, made: dict[str, Any], threads: int | None = None, place: int = 0
+    training: Training, seed: int, folder: Path, origin: dict[str, Any], threads: int | None = None, place: int = 0
 ) -> pd.DataFrame:
     """Train one seed to its end, from its last checkpoint if there is one.
 
@@ -152,7 +152,7 @@ def train(
         training: settings.
         seed: of weights, episodes and exploration.
         folder: of checkpoint, best agent (``agent.npz``), learning curve and logs.
-        made: how the run was started, see ``provenance``.
+        origin: how the run was started, see ``provenance``.
         threads: of the simulation; default: all cores.
         place: line of the progress bar.
     """
@@ -183,7 +183,7 @@ def train(
                 model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
                 model.logger.close()
             wall = time.perf_counter() - begin
-            rows.append(_validated(training, model, seed, phase, made, folder, rows, threads))
+            rows.append(_validated(training, model, seed, phase, origin, folder, rows, threads))
             rows[-1] |= {"wall_s": wall, "kernel_s": batch.kernel_seconds - kernels}
             _save(model, rows, folder / CHECKPOINT)
             _write_curve(rows, folder)
@@ -195,7 +195,7 @@ def _validated(
     model: BaseAlgorithm,
     seed: int,
     phase: int,
-    made: dict[str, Any],
+    origin: dict[str, Any],
     folder: Path,
     rows: list[dict[str, Any]],
     threads: int | None,
@@ -203,7 +203,7 @@ def _validated(
     """Validate the model as it is, keep it if it is the best so far; the phase's row."""
     description = Description(
         algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
-        trained={"seed": seed, "phase": phase, "steps": model.num_timesteps} | made,
+        trained={"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin,
     )  # fmt: skip
     chosen = spread_contexts(training.validation.contexts, training.validation.limit)
     agent = Agent(description, model.policy, training.shown_task, f"phase {phase}")

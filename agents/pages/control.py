@@ -11,7 +11,7 @@ from agents.learning import results as agent_results
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
 from agents.records.columns import KPIS
-from agents.records.models import Made, Quality
+from agents.records.models import Quality, Record
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
 from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
@@ -98,7 +98,7 @@ def agents() -> str:
     table = grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))
     lines = [f"* {line}" for line in agent_results.verdicts(table, "ppo", BARS, "privileged")]
     curves = agent_results.load_curves(RESULTS / "agents" / "ppo")
-    run = read_json(RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json", Made).model_dump()
+    run = read_json(RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json", Record).model_dump()
     imitation = run["config"]["imitation"]
     speed = agent_results.throughput(curves, imitation["rounds"] * imitation["steps"])
     best = curves.loc[curves.groupby("seed")["reward"].idxmax()]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agents.design import compare as design_compare
 from agents.pages.sources import RESULTS, command, source
-from agents.records.models import Made
+from agents.records.models import Record
 from agents.records.reading import read_csv, read_json
 from probe_env import Design
 
@@ -36,19 +36,19 @@ def codesign() -> str:
 
 
 def _found(folder: Path) -> str:
-    influence, made = read_csv(folder / "sensitivity.csv"), read_json(folder / "provenance.json", Made).model_dump()
+    influence, record = read_csv(folder / "sensitivity.csv"), read_json(folder / "provenance.json", Record).model_dump()
     front = read_csv(folder / "front.csv")
     rows = influence[influence["objective"] == "mean_square_ratio"].to_dict("records")
     rows.sort(key=lambda row: -abs(row["coefficient"]))
-    told = ", ".join(
+    effects = ", ".join(
         f"{row['parameter'].replace('_', ' ')} {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]"
         for row in rows
     )
     design = Design.from_toml(folder / "found.toml").model_dump()
     fields = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in design.items())
     return (
-        f"{made['trials']} designs on {made['contexts']} training tubes, {len(front)} on the front. What vibration"
-        f" depends on (standardised rank regression over the trials): {told}. The design with the best reward by the"
+        f"{record['trials']} designs on {record['contexts']} training tubes, {len(front)} on the front. What vibration"
+        f" depends on (standardised rank regression over the trials): {effects}. The design with the best reward by the"
         f" task's weights (SI units): {fields}. {source(folder / 'provenance.json')}"
     )
 
@@ -60,8 +60,8 @@ def designs() -> str:
 
 def _compared(folder: Path, title: str) -> str:
     table = design_compare.cells(read_csv(folder / "summary.csv"))
-    made = read_json(folder / "provenance.json", Made).model_dump()
+    record = read_json(folder / "provenance.json", Record).model_dump()
     tubes = read_csv(folder / "designs.csv")["context"].nunique()
     lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
     lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
-    return "\n".join(lines) + f"\n\nMade by `{command(made)}` at commit {made['commit']}."
+    return "\n".join(lines) + f"\n\nMade by `{command(record)}` at commit {record['commit']}."

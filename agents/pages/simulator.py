@@ -14,7 +14,7 @@ from agents.chart.peers import comparison as others
 from agents.chart.report import error_tables
 from agents.chart.stability import map as stability_map
 from agents.pages.sources import RESULTS, source
-from agents.records.models import Made
+from agents.records.models import Record
 from agents.records.reading import read_csv, read_json
 from agents.records.store import stored_rows
 from agents.study.cases import load_rows
@@ -26,15 +26,15 @@ def study() -> str:
     folder = RESULTS / "study"
     table = load_rows(folder)
     members = int(table.groupby("case").size().max())
-    made = source(folder / "ensemble-provenance.json")
-    note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {made}"
+    origin = source(folder / "ensemble-provenance.json")
+    note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {origin}"
     return f"{markdown(table)}\n\n{note}"
 
 
 def bench() -> str:
     """Speeds as ratios within one run."""
     path = RESULTS / "bench" / "bench.json"
-    results = read_json(path, Made).model_dump()
+    results = read_json(path, Record).model_dump()
     lines = ["| solver, l = 50 m | ns a node-step | times the TICM's |", "|---|---|---|"]
     for name, row in results["solvers"].items():
         lines.append(f"| {name} | {row['ns_per_node_step']:.0f} | {row['times_ticm']:.1f} |")
@@ -64,7 +64,7 @@ def bench() -> str:
 def environments() -> str:
     """Steps a second of the environments."""
     path = RESULTS / "bench" / "bench.json"
-    results = read_json(path, Made).model_dump()
+    results = read_json(path, Record).model_dump()
     rows = results["environments"]
     rates, episode = rows["steps_per_second"], rows["episode_s_per_probe"]
     lines = ["| environments | steps/s | times the single one |", "|---|---|---|"]
@@ -99,7 +99,7 @@ def presets() -> str:
     """Error and cost of the presets."""
     costs = read_csv(RESULTS / "chart" / "costs.csv")
     table = chart.presets(*_chart_errors(), costs)
-    bench = read_json(RESULTS / "bench" / "bench.json", Made).model_dump()["fast"]["imex32, 8 lanes"]
+    bench = read_json(RESULTS / "bench" / "bench.json", Record).model_dump()["fast"]["imex32, 8 lanes"]
     table += (
         f" (Best of {REPEATS} in one run; the bench, another run, has {bench['simulated_second_ratio']:.0f} at 2e-4 s:"
         " such ratios move by as much from run to run.)"
@@ -135,11 +135,11 @@ def scaling() -> str:
     folder = RESULTS / "scaling"
     portions, jobs = (read_csv(folder / f"{name}.csv") for name in ("portions", "jobs"))
     seconds = portions.set_index("size")["seconds_an_insertion"]
-    told = ", ".join(f"{value:.1f} s in portions of {size}" for size, value in seconds.items())
+    times = ", ".join(f"{value:.1f} s in portions of {size}" for size, value in seconds.items())
     one, more = jobs.iloc[0], jobs.iloc[-1]
     return (
         f"{portioned.markdown(read_csv(folder / 'projection.csv'))}\n\n"
-        f"Measured: an insertion costs {told} (one thread);"
+        f"Measured: an insertion costs {times} (one thread);"
         f" {portioned.MEASURED} insertions take {one['seconds']:.0f} s with one worker,"
         f" {more['seconds']:.0f} s with {more['jobs']:.0f}, their start included. {source(folder / 'provenance.json')}"
     )

@@ -5,22 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agents.records.models import Made
+from agents.records.models import Record
 from agents.records.reading import read_json
 
 RESULTS = Path("results")
 
 
-def command(made: dict[str, Any]) -> str:
+def command(record: dict[str, Any]) -> str:
     """What to type to make it again."""
-    return f"probe-env results {made['stage']}" if "stage" in made else str(made["command"])
+    return f"probe-env results {record['stage']}" if "stage" in record else str(record["command"])
 
 
 def source(path: Path) -> str:
     """Command, commit and machine of stored results."""
-    made = read_json(path, Made).model_dump()
-    machine = made["machine"]
+    record = read_json(path, Record).model_dump()
+    machine = record["machine"]
     return (
-        f"Made by `{command(made)}` at commit {made['commit']}, {machine['cores']} cores"
-        f" ({machine['processor']}), numba {made['packages']['numba']}; stored in `{path.parent}/`."
+        f"Made by `{command(record)}` at commit {record['commit']}, {machine['cores']} cores"
+        f" ({machine['processor']}), numba {record['packages']['numba']}; stored in `{path.parent}/`."
     )

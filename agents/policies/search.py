@@ -145,9 +145,9 @@ def search(
     with tqdm(total=trials, desc=name, unit="trial") as bar:
         while len(points) < trials and not optimizer.should_stop():
             generation = [optimizer.ask() for _ in range(POPULATION)]
-            told = [reward(point.tolist()) for point in generation]
-            optimizer.tell([(point, -value) for point, value in zip(generation, told, strict=True)])
+            gained = [reward(point.tolist()) for point in generation]
+            optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
             points += generation
-            rewards += told
+            rewards += gained
             bar.update(POPULATION)
     return np.array(points), np.array(rewards)

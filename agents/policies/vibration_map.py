@@ -210,8 +210,8 @@ def make_map(seeds: int, output: Path, target: Path) -> VibrationMap:
     run_plan(plan, output)
     fitted, quality = fit_map(with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts))
     fitted.save(target)
-    made = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
-    write_json(target.with_suffix(".json"), provenance() | made | quality)
+    setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
+    write_json(target.with_suffix(".json"), provenance() | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
     return fitted
 

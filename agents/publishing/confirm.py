@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from agents.publishing.stages import APART, MADE, WORK, Stage, load_stages
+from agents.publishing.stages import APART, RECORDS, WORK, Stage, load_stages
 from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_atomically, write_json
 from agents.terminal.tables import print_table
 
@@ -59,10 +59,10 @@ def confirm_results(names: Sequence[str]) -> None:
 
 def _answer(stage: Stage) -> str:
     """Why there is nothing to compare; empty if there is."""
-    made, state = stage.made(), stage.state()
-    if not made:
+    record, state = stage.record(), stage.state()
+    if not record:
         return "never made"
-    changed = {name for name, value in state.items() if made.get(name) != value}
+    changed = {name for name, value in state.items() if record.get(name) != value}
     if not changed:
         return "up to date"
     if not changed <= {"code", "command"}:
@@ -76,18 +76,18 @@ def confirm(stage: Stage) -> None:
     Raises:
         RuntimeError: a run failed, or the first file in which they differ.
     """
-    made = stage.made()
+    record = stage.record()
     place = WORK / f"{stage.name}-sample"
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
-    with checked_out(made["commit"]) as tree:
+    with checked_out(record["commit"]) as tree:
         put_inputs(stage, tree)  # what the results were made from may have been published after the commit
-        _run(sampled(made["command"], stage.sample), tree, folders["before"], stage.name)
+        _run(sampled(record["command"], stage.sample), tree, folders["before"], stage.name)
     _run(sampled(stage.command, stage.sample), CHECKOUT, folders["now"], stage.name)
     difference = first_difference(folders["before"], folders["now"])
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
-    _keep(stage, made, new_hashes(*folders.values()))
+    _keep(stage, record, new_hashes(*folders.values()))
 
 
 def sampled(command: str, sample: dict[str, str]) -> str:
@@ -178,16 +178,16 @@ def new_hashes(before: Path, now: Path) -> dict[str, str]:
     return names
 
 
-def _keep(stage: Stage, made: dict[str, Any], hashes: dict[str, str]) -> None:
+def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str]) -> None:
     """Write the new code's hash into the record, and into rows that carry theirs; the numbers stay as they were made.
 
     A row of a store counts as done while its hash is that of the present code.
     """
-    for path in (CHECKOUT / name for name in made["files"] if hashes and name.endswith(".csv")):
+    for path in (CHECKOUT / name for name in record["files"] if hashes and name.endswith(".csv")):
         text = path.read_text()
-        renewed = re.sub(r"\b[0-9a-f]{16}\b", lambda found: hashes.get(found[0], found[0]), text)
+        renewed = re.sub(r"\b[0-9a-f]{16}\b", lambda match: hashes.get(match[0], match[0]), text)
         if renewed != text:
             write_atomically(path, renewed)
     state = stage.state()
-    shown = {"from": made["code"], "made_by": made["commit"], "confirmed_at": commit(), "sample": stage.sample}
-    write_json(MADE / f"{stage.name}.json", made | state | {"confirmed": [*made.get("confirmed", ()), shown]})
+    shown = {"from": record["code"], "made_by": record["commit"], "confirmed_at": commit(), "sample": stage.sample}
+    write_json(RECORDS / f"{stage.name}.json", record | state | {"confirmed": [*record.get("confirmed", ()), shown]})

@@ -2,7 +2,7 @@
 
 ``configs/results.toml`` lists the stages. A stage works in a folder of its own, named after its code, inputs and
 command, so what was interrupted goes on and nothing is mixed; when it is done, its files take the place of the
-published ones and ``results/made/STAGE.json`` says what made them.
+published ones and ``results/records/STAGE.json`` says what made them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import pandas as pd
 from pydantic import Field
 
 from agents.records.code_hash import ALL, code_hash
-from agents.records.models import Made
+from agents.records.models import Record
 from agents.records.provenance import (
     CHECKOUT,
     STAGE_VARIABLE,
@@ -39,7 +39,7 @@ from probe_env.files import read_text
 from probe_env.settings import Model
 
 CONFIG: Final = CHECKOUT / "configs" / "results.toml"
-MADE: Final = CHECKOUT / "results" / "made"
+RECORDS: Final = CHECKOUT / "results" / "records"
 WORK: Final = CHECKOUT / "output" / "results"
 APART: Final = ("commit", "code")
 """Columns that say where a row comes from, not what it says."""
@@ -84,22 +84,22 @@ class Stage(Model):
         digest = hashlib.sha256(json.dumps(self.state(), sort_keys=True).encode()).hexdigest()[:8]
         return WORK / f"{self.name}-{digest}"
 
-    def made(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """What is known of the published results; empty if nothing."""
-        path = MADE / f"{self.name}.json"
-        return read_json(path, MadeStage).model_dump() if path.exists() else {}
+        path = RECORDS / f"{self.name}.json"
+        return read_json(path, StageRecord).model_dump() if path.exists() else {}
 
     def stale(self) -> str:
         """Why the published results are not those of the present state; empty if they are."""
-        made = self.made()
-        if not made:
+        record = self.record()
+        if not record:
             return "never made"
-        changed = [name for name, value in self.state().items() if made.get(name) != value]
+        changed = [name for name, value in self.state().items() if record.get(name) != value]
         if changed:
             return f"{' and '.join(changed)} changed"
-        if not in_history(made["commit"]):
-            return f"commit {made['commit']} is not in the history"
-        return "" if all((CHECKOUT / file).exists() for file in made["files"]) else "files are missing"
+        if not in_history(record["commit"]):
+            return f"commit {record['commit']} is not in the history"
+        return "" if all((CHECKOUT / file).exists() for file in record["files"]) else "files are missing"
 
 
 def content(path: Path) -> bytes:
@@ -110,8 +110,8 @@ def content(path: Path) -> bytes:
     return pd.read_csv(path, dtype=str).drop(columns=list(APART)).to_csv().encode()
 
 
-class MadeStage(Made):
-    """``results/made/STAGE.json``."""
+class StageRecord(Record):
+    """``results/records/STAGE.json``."""
 
     code: str
     inputs: str
@@ -185,7 +185,7 @@ def _print_plan(stages: Sequence[Stage]) -> list[Stage]:
         sources = [name for name in stage.after if reasons.get(name)]
         reasons[stage.name] = stage.stale() or (f"{', '.join(sources)} will change" if sources else "")
     todo = [stage for stage in stages if reasons[stage.name]]
-    minutes = {stage.name: stage.made().get("seconds", 60.0 * stage.minutes) / 60.0 for stage in stages}
+    minutes = {stage.name: stage.record().get("seconds", 60.0 * stage.minutes) / 60.0 for stage in stages}
     rows = [(s.name, reasons[s.name] or "up to date", f"{minutes[s.name]:.0f}" if s in todo else "") for s in stages]
     print_table("Published results", ("stage", "state", "minutes"), rows, left=2)
     hours = sum(minutes[stage.name] for stage in todo) / 60.0
@@ -219,7 +219,7 @@ def _run(stage: Stage) -> None:
     if status.returncode:
         raise RuntimeError(f"stage {stage.name} failed (exit status {status.returncode}); it goes on when run again")
     files = _publish(stage, work)
-    write_json(MADE / f"{stage.name}.json", provenance() | state | {"seconds": round(seconds), "files": files})
+    write_json(RECORDS / f"{stage.name}.json", provenance() | state | {"seconds": round(seconds), "files": files})
 
 
 def _publish(stage: Stage, work: Path) -> list[str]:
@@ -227,12 +227,12 @@ def _publish(stage: Stage, work: Path) -> list[str]:
     files: dict[str, Path] = {}
     for folder, patterns in stage.publish.items():
         for pattern in patterns:
-            found = [path for path in work.glob(pattern) if path.is_file()]
-            if not found:
+            paths = [path for path in work.glob(pattern) if path.is_file()]
+            if not paths:
                 raise RuntimeError(f"stage {stage.name}: {work} holds no {pattern} to publish")
-            files |= {str(Path(folder) / path.relative_to(work)): path for path in found}
+            files |= {str(Path(folder) / path.relative_to(work)): path for path in paths}
     for target, path in files.items():
         write_atomically(CHECKOUT / target, path.read_bytes())
-    for gone in set(stage.made().get("files", ())) - set(files):
+    for gone in set(stage.record().get("files", ())) - set(files):
         (CHECKOUT / gone).unlink(missing_ok=True)
     return sorted(files)

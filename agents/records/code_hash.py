@@ -96,27 +96,27 @@ def _texts(roots: tuple[str, ...]) -> Iterator[str]:
     methods: dict[str, list[Definition]] = {}  # of reached classes, by name, that nothing has used yet
     seen: set[tuple[str, str]] = set()
     while todo:
-        found = todo.pop()
-        if found is None or _is_aside(found.module) or (found.module, found.name) in seen:
+        reached = todo.pop()
+        if reached is None or _is_aside(reached.module) or (reached.module, reached.name) in seen:
             continue
-        seen.add((found.module, found.name))
-        parts: list[ast.AST] = [found.node]
-        if isinstance(found.node, ast.ClassDef):
-            parts = [*found.node.decorator_list, *found.node.bases, *found.node.keywords]
-            for member in found.node.body:
+        seen.add((reached.module, reached.name))
+        parts: list[ast.AST] = [reached.node]
+        if isinstance(reached.node, ast.ClassDef):
+            parts = [*reached.node.decorator_list, *reached.node.bases, *reached.node.keywords]
+            for member in reached.node.body:
                 if isinstance(member, ast.FunctionDef) and member.name in SHOWN_BY:
                     continue
                 if isinstance(member, ast.FunctionDef) and not member.name.startswith("__"):
-                    inner = Definition(found.module, f"{found.name}.{member.name}", member)
+                    inner = Definition(reached.module, f"{reached.name}.{member.name}", member)
                     methods.setdefault(member.name, []).append(inner)
                 else:
                     parts.append(member)
-        names = _names_of_ours(found, parts)
-        yield f"{found.name} " + " ".join(
+        names = _names_of_ours(reached, parts)
+        yield f"{reached.name} " + " ".join(
             filter(None, ("" if _is_place(part) else _canonical(part, names) for part in parts))
         )
         for part in parts:
-            attributes, targets = _uses(part, found.module)
+            attributes, targets = _uses(part, reached.module)
             names_used |= attributes
             todo += targets
         for name in names_used & methods.keys():
@@ -134,8 +134,8 @@ def _uses(node: ast.AST, module: str) -> tuple[set[str], list[Definition | None]
     local = _imports(list(ast.walk(node)))
     for part, counts in _walk(node):
         if isinstance(part, ast.Name):
-            found = _find(*local[part.id]) if part.id in local else _find(module, part.id)
-            targets.append(found if counts or (found and isinstance(found.node, ast.ClassDef)) else None)
+            reached = _find(*local[part.id]) if part.id in local else _find(module, part.id)
+            targets.append(reached if counts or (reached and isinstance(reached.node, ast.ClassDef)) else None)
         elif isinstance(part, ast.Attribute) and counts:
             attributes.add(part.attr)
             if isinstance(part.value, ast.Name):
@@ -173,9 +173,9 @@ def _is_wording(node: ast.AST) -> bool:
     return isinstance(called, ast.Name) and (called.id in ("print", "within") or called.id.startswith("check_"))
 
 
-def _names_of_ours(found: Definition, parts: Iterable[ast.AST]) -> dict[str, tuple[str, str | None]]:
+def _names_of_ours(reached: Definition, parts: Iterable[ast.AST]) -> dict[str, tuple[str, str | None]]:
     """What the names in a definition that are imported stand for."""
-    imported = {name: target for name, target in _module(found.module).items() if isinstance(target, tuple)}
+    imported = {name: target for name, target in _module(reached.module).items() if isinstance(target, tuple)}
     return imported | _imports([node for part in parts for node in ast.walk(part)])
 
 

@@ -83,7 +83,7 @@ class Machine(Stored):
     cores: int
 
 
-class Made(Stored):
+class Record(Stored):
     """``provenance.json`` and its like."""
 
     command: str
@@ -92,7 +92,7 @@ class Made(Stored):
     machine: Machine
 
 
-class Evaluated(Made):
+class Evaluated(Record):
     """``provenance.json`` of an evaluation."""
 
     policies: dict[str, dict[str, Any]]
@@ -104,7 +104,7 @@ class Compared(Stored):
     against: str
 
 
-class Quality(Made):
+class Quality(Record):
     """``vibration-map.json``: how the map was made and how well it tells."""
 
     episodes: int

@@ -63,10 +63,10 @@ def file_or_shipped(kind: Kind, given: str | Path, package: Path = PACKAGE) -> P
 
 def shipped_agents(package: Path = PACKAGE) -> dict[str, tuple[int, ...]]:
     """Names of the trained agents and the training seeds of each."""
-    found: dict[str, list[int]] = {}
+    by_name: dict[str, list[int]] = {}
     for path in shipped_folder("agents", package).glob(f"*/seed-*/{AGENT_FILE}"):
-        found.setdefault(path.parts[-3], []).append(int(path.parts[-2].removeprefix("seed-")))
-    return {name: tuple(sorted(found[name])) for name in sorted(found)}
+        by_name.setdefault(path.parts[-3], []).append(int(path.parts[-2].removeprefix("seed-")))
+    return {name: tuple(sorted(by_name[name])) for name in sorted(by_name)}
 
 
 def agent_file(spec: str, package: Path = PACKAGE) -> Path | None:

@@ -65,8 +65,8 @@ class Store:
 
     def add(self, *rows: Mapping[str, Any]) -> None:
         """Add rows, which supersede those with the same keys, and write the file."""
-        made = {COMMIT: commit(), SUPERSEDED: False}
-        new = pd.DataFrame([dict(row) | {CODE: self._code(row)} | made for row in rows])
+        origin = {COMMIT: commit(), SUPERSEDED: False}
+        new = pd.DataFrame([dict(row) | {CODE: self._code(row)} | origin for row in rows])
         table = new if self._rows.empty else pd.concat([self._rows, new], ignore_index=True)
         old = table.duplicated(list(self.keys), keep="last")
         self._rows = table.assign(**{SUPERSEDED: table[SUPERSEDED].astype(bool) | old})

@@ -77,11 +77,11 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> pd.DataFram
             raise FileError(path, f"line {line}: {len(row)} values for {len(header)} columns - {_HINT}")
     lines = [line for line, _ in rows[1:]]
     cells = zip(*(row for _, row in rows[1:]), strict=True) if len(rows) > 1 else ([] for _ in header)
-    made = {
+    converted = {
         name: _converted(path, name, list(values), lines, columns[name]) if name in columns else _inferred(list(values))
         for name, values in zip(header, cells, strict=True)
     }
-    return check_table(path, pd.DataFrame(made), columns)
+    return check_table(path, pd.DataFrame(converted), columns)
 
 
 def read_parquet(path: Path, columns: Columns) -> pd.DataFrame:
@@ -144,13 +144,13 @@ def check_table(path: Path, table: pd.DataFrame, columns: Columns) -> pd.DataFra
 def _check_header(path: Path, header: list[Any], columns: Columns) -> None:
     if len(header) > MOST_COLUMNS:
         raise FileError(path, f"{len(header)} columns are more than {MOST_COLUMNS} - {_HINT}")
-    found = ", ".join(map(str, header)) or "none"
+    present = ", ".join(map(str, header)) or "none"
     for name in columns:
         if header.count(name) != 1:
             often = "is missing" if name not in header else f"is there {header.count(name)} times"
-            raise FileError(path, f"column {name!r} {often}; found: {found} - {_HINT}")
+            raise FileError(path, f"column {name!r} {often}; found: {present} - {_HINT}")
     if len(set(header)) < len(header):
-        raise FileError(path, f"a column is there twice; found: {found} - {_HINT}")
+        raise FileError(path, f"a column is there twice; found: {present} - {_HINT}")
 
 
 def _check_names(path: Path, column: str, values: list[Any], kind: Kind) -> None:

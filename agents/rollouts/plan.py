@@ -139,8 +139,8 @@ def _tables(plan: Plan, done: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFram
         record = done[plan.key(unit)]
         name, k, seed = unit
         place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
-        made = {"commit": record.get("commit", "unknown")}
-        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | made)
+        origin = {"commit": record.get("commit", "unknown")}
+        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | origin)
         profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
     return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
 

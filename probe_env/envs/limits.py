@@ -59,19 +59,19 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
     clearance = scene.tube.inner_diameter - max(probe.guide_float_diameter, probe.carrier_float_diameter)
     start = steady_sliding(scene, scene.inserted_length, scene.air_supply_rate, friction=0.0)
     end = steady_sliding(scene, longest, most_air, scene.contact.friction)
-    told = (
+    tube = (
         f"helix_diameter = {diameter:g} m with contact_stiffness = {stiffness:g} N/m and a drag coefficient of"
         f" {scene.air.drag_coefficient:g}"
     )
     if end.depth > clearance:
         raise ValueError(
-            f"{told}: at {3600.0 * most_air:g} m3/h and {longest:g} m drag presses the floats {1e3 * end.depth:.2g} mm"
+            f"{tube}: at {3600.0 * most_air:g} m3/h and {longest:g} m drag presses the floats {1e3 * end.depth:.2g} mm"
             f" into the wall, and the clearance is {1e3 * clearance:.2g} mm; {REMEDY}"
         )
     turn = max(start.slide, end.slide) * 2.0 / diameter
     if turn > MOST_TURN:
         raise ValueError(
-            f"{told}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
+            f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
         )
 

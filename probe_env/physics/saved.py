@@ -15,42 +15,47 @@ def check_format(what: str, saved: object) -> Mapping[str, Any]:
     Raises:
         ValueError: of another version, or nothing of the kind.
     """
-    found = saved.get("format") if isinstance(saved, Mapping) else None
-    if not isinstance(saved, Mapping) or found != FORMAT or isinstance(found, bool):
-        told = f"format = {found!r}" if isinstance(saved, Mapping) else f"a {type(saved).__name__} without a format"
-        raise ValueError(f"{what}: {told} cannot be read; this version reads format {FORMAT}: save it anew")
+    given = saved.get("format") if isinstance(saved, Mapping) else None
+    if not isinstance(saved, Mapping) or given != FORMAT or isinstance(given, bool):
+        description = (
+            f"format = {given!r}" if isinstance(saved, Mapping) else f"a {type(saved).__name__} without a format"
+        )
+        raise ValueError(f"{what}: {description} cannot be read; this version reads format {FORMAT}: save it anew")
     return saved
 
 
-def check_names(what: str, found: object, expected: Collection[str]) -> Mapping[str, Any]:
+def check_names(what: str, given: object, expected: Collection[str]) -> Mapping[str, Any]:
     """A mapping with exactly the expected names.
 
     Raises:
         ValueError: names one that is missing or unknown.
     """
-    if not isinstance(found, Mapping):
-        raise ValueError(f"{what} is a {type(found).__name__}, not a mapping of {', '.join(sorted(expected))}")
-    for told, names in (("is missing", set(expected) - set(found)), ("is not known", set(found) - set(expected))):
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{what} is a {type(given).__name__}, not a mapping of {', '.join(sorted(expected))}")
+    for description, names in (
+        ("is missing", set(expected) - set(given)),
+        ("is not known", set(given) - set(expected)),
+    ):
         if names:
-            raise ValueError(f"{what}: {min(names, key=str)!r} {told}; it has {', '.join(sorted(expected))}")
-    return found
+            raise ValueError(f"{what}: {min(names, key=str)!r} {description}; it has {', '.join(sorted(expected))}")
+    return given
 
 
-def check_same(what: str, found: object, expected: Mapping[str, Any], path: str = "") -> None:
+def check_same(what: str, given: object, expected: Mapping[str, Any], path: str = "") -> None:
     """Raise ValueError, with the dotted name, at the first field in which nested mappings differ."""
-    found = check_names(f"{what}: {path.rstrip('.') or 'built'}", found, expected)
+    given = check_names(f"{what}: {path.rstrip('.') or 'built'}", given, expected)
     for name, wanted in expected.items():
         if isinstance(wanted, Mapping):
-            check_same(what, found[name], wanted, f"{path}{name}.")
-        elif type(found[name]) is not type(wanted) or found[name] != wanted:
-            raise ValueError(f"{what}: {path}{name} = {found[name]!r}; here it is {wanted!r}")
+            check_same(what, given[name], wanted, f"{path}{name}.")
+        elif type(given[name]) is not type(wanted) or given[name] != wanted:
+            raise ValueError(f"{what}: {path}{name} = {given[name]!r}; here it is {wanted!r}")
 
 
-def check_types(what: str, found: Mapping[str, Any], expected: Mapping[str, type]) -> None:
+def check_types(what: str, given: Mapping[str, Any], expected: Mapping[str, type]) -> None:
     """Raise ValueError at the first field that is of another type; whole numbers must not be negative."""
     for name, wanted in expected.items():
-        value = found[name]
+        value = given[name]
         if type(value) is not wanted or (isinstance(value, int) and value < 0):
             least = " of 0 or more" if wanted is int else ""
-            told = f"= {value!r}" if isinstance(value, int | float | str | None) else f"({type(value).__name__})"
-            raise ValueError(f"{what}: {name} {told} is not {wanted.__name__}{least}")
+            description = f"= {value!r}" if isinstance(value, int | float | str | None) else f"({type(value).__name__})"
+            raise ValueError(f"{what}: {name} {description} is not {wanted.__name__}{least}")

@@ -142,7 +142,9 @@ def test_make_vec_options_and_refusals():
         ProbeVecEnv(num_envs=0)
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
         ProbeVecEnv(max_episode_steps=0)
-    with pytest.raises(TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are scene, fidelity, contexts"):
+    with pytest.raises(
+        TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are scene, fidelity, contexts"
+    ):
         ProbeVecEnv(fidelty="fast")
     env = gym.make_vec("probe_env/Snapshot-v0", num_envs=2, **CASES["probe_env/Snapshot-v0"])
     with pytest.raises(ValueError, match="seed has 3 entries for 2"):

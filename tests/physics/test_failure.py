@@ -73,7 +73,9 @@ def test_bad_constructor_arguments(arguments, message):
 
 
 def test_an_option_that_is_not_there_is_named_with_those_that_are():
-    with pytest.raises(TypeError, match=r"Simulator\(\) has no argument grown; accepted are solver, growing, time_lapse"):
+    with pytest.raises(
+        TypeError, match=r"Simulator\(\) has no argument grown; accepted are solver, growing, time_lapse"
+    ):
         Simulator(SHORT, grown=True)
 
 

@@ -12,7 +12,7 @@ from agents.publishing.confirm import confirm_results, first_difference, sampled
 from agents.publishing.stages import Stage
 
 OLD = "0123456789abcdef"
-MADE = {
+RECORD = {
     "command": "evaluate pi --limit 24 --output {work}", "commit": "abc", "packages": {},
     "machine": {"processor": "p", "cores": 2, "system": "s"}, "code": OLD, "inputs": "", "seconds": 1.0,
     "files": ["results/numbers/table.csv"],
@@ -61,12 +61,12 @@ def test_a_sample_is_the_command_with_other_options():
 def stage(tmp_path, monkeypatch):
     """A stage whose code has changed; ``outputs`` is what its samples write, before and now."""
     one = Stage(
-        name="numbers", command=MADE["command"], publish={"results/numbers": ("*.csv",)},
+        name="numbers", command=RECORD["command"], publish={"results/numbers": ("*.csv",)},
         code=("agents.study.cases:run_case",), sample={"limit": "1"}, minutes=1.0,
     )  # fmt: skip
     monkeypatch.setattr(stages, "CHECKOUT", tmp_path)
     for module in (stages, confirm):
-        monkeypatch.setattr(module, "MADE", tmp_path / "results" / "made")
+        monkeypatch.setattr(module, "RECORDS", tmp_path / "results" / "records")
     monkeypatch.setattr(confirm, "CHECKOUT", tmp_path)
     monkeypatch.setattr(confirm, "WORK", tmp_path / "output")
     monkeypatch.setattr(confirm, "load_stages", lambda: (one,))
@@ -74,11 +74,11 @@ def stage(tmp_path, monkeypatch):
     monkeypatch.setattr(confirm, "commit", lambda: "def")
     monkeypatch.setattr(confirm, "checked_out", lambda name: _Tree(tmp_path / name))
     state = one.state()
-    (tmp_path / "results" / "made").mkdir(parents=True)
+    (tmp_path / "results" / "records").mkdir(parents=True)
     (tmp_path / "results" / "numbers").mkdir()
     (tmp_path / "results" / "numbers" / "table.csv").write_text(f"a,code\n1,{OLD}\n")
-    path = tmp_path / "results" / "made" / "numbers.json"
-    path.write_text(json.dumps(MADE | {"inputs": state["inputs"]}))
+    path = tmp_path / "results" / "records" / "numbers.json"
+    path.write_text(json.dumps(RECORD | {"inputs": state["inputs"]}))
     return one, path, state
 
 
@@ -175,10 +175,10 @@ def test_a_difference_keeps_them_stale(stage, monkeypatch):
 def test_what_cannot_be_compared_is_told(stage, monkeypatch, capsys):
     one, path, _ = stage
     outputs(monkeypatch, 1.0, 1.0)
-    path.write_text(json.dumps(MADE | {"inputs": "other"}))
+    path.write_text(json.dumps(RECORD | {"inputs": "other"}))
     confirm_results(())
     assert "code and inputs changed: make it again" in capsys.readouterr().out
-    path.write_text(json.dumps(MADE | {"inputs": one.state()["inputs"]}))
+    path.write_text(json.dumps(RECORD | {"inputs": one.state()["inputs"]}))
     monkeypatch.setattr(confirm, "load_stages", lambda: (one.model_copy(update={"sample": {}}),))
     confirm_results(())
     assert "no sample is known" in capsys.readouterr().out

@@ -38,7 +38,7 @@ def checkout(tmp_path, monkeypatch):
     git(tmp_path, "commit", "-qm", "first")
     for part in (provenance, places, results):
         monkeypatch.setattr(part, "CHECKOUT", tmp_path)
-    monkeypatch.setattr(results, "MADE", tmp_path / "results" / "made")
+    monkeypatch.setattr(results, "RECORDS", tmp_path / "results" / "records")
     monkeypatch.setattr(results, "WORK", tmp_path / "output" / "results")
     monkeypatch.chdir(tmp_path)
     forget()
@@ -125,7 +125,7 @@ def test_a_stage_is_published_and_then_up_to_date(checkout, ran, monkeypatch, ca
     assert not calls
     run_results(())
     assert (checkout / "results" / "numbers" / "table.csv").read_text() == "x\n1\n"
-    made = json.loads((checkout / "results" / "made" / "numbers.json").read_text())
+    made = json.loads((checkout / "results" / "records" / "numbers.json").read_text())
     assert made["commit"] == commit()
     assert made["files"] == ["results/numbers/table.csv"]
     assert stage().stale() == ""

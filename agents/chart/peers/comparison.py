@@ -125,11 +125,11 @@ def run_peers(output: Path) -> pd.DataFrame:
             rows.append({**setting, "status": f"not installed: {reason}"})
             continue
         try:
-            found = job()
+            result = job()
         except Exception as reason:  # whatever a package raises is its answer
             text = " ".join(str(reason).split())
-            found = {"status": text if isinstance(reason, models.UnstableError) else f"fails: {text}"}
-        rows.append({**setting, **found})
+            result = {"status": text if isinstance(reason, models.UnstableError) else f"fails: {text}"}
+        rows.append({**setting, **result})
     table = pd.DataFrame(rows, columns=[*setting, "status", *_FIGURES])
     buffer = io.StringIO()
     table.to_csv(buffer, index=False, float_format="%.4g")
@@ -146,13 +146,13 @@ _FIGURES: Final = (
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    result = {}
     for name in DISTRIBUTIONS.values():
         try:
-            found[name] = version(name)
+            result[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            result[name] = "not installed"
+    return result
 
 
 def _row(peer: Peer, method: str, elements: int, time_step: float) -> dict[str, Any]:
