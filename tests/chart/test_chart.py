@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from chains import bent, matrices, plain_chain
-from scatter import CHANCE, hits_within, reach
+from oracles.chains import bent, matrices, plain_chain
+from oracles.scatter import CHANCE, hits_within, reach
 from scipy.linalg import expm
 from scipy.stats import linregress
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scatter import CHANCE, reach
+from oracles.scatter import CHANCE, reach
 
 from agents.chart.timelapse import BINS, FACTORS, summarise
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from kills import killed_at
-from scatter import hits_within
+from oracles.scatter import hits_within
 from scipy.stats import trim_mean
 
 from agents.evaluation.report import evaluate, plan_of, write_report

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scatter import hits_within
+from oracles.scatter import hits_within
 
 from agents.learning.results import (
     difference,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from chains import integrate, plain_chain
+from oracles.chains import integrate, plain_chain
 from scipy.signal import find_peaks
 
 from probe_env import Scene, Simulator

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from chains import plain_chain
+from oracles.chains import plain_chain
 from scipy.signal import detrend
 
 from probe_env import Scene, Simulator

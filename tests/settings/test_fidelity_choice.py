@@ -6,7 +6,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from scatter import apart, reach
+from oracles.scatter import apart, reach
 
 from probe_env import Fidelity, Scene, SimulatorBatch
 from probe_env.fidelity import MOST_TIME_LAPSE, PRESETS, choose_fidelity, measured, outputs, resolve_fidelity

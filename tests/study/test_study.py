@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scatter import CHANCE, apart, deviation, reach
+from oracles.scatter import CHANCE, apart, deviation, reach
 
 from agents.records.code_hash import code_hash
 from agents.study.cases import CASES, CODE, load_rows, run_case

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from chains import plain_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.chains import plain_chain
 
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import ticm

@@ -5,7 +5,7 @@ In contact, with the other methods: test_fast_methods.
 
 import numpy as np
 import pytest
-from chains import bent, integrate, matrices, plain_chain
+from oracles.chains import bent, integrate, matrices, plain_chain
 from scipy.linalg import eigh, expm
 from scipy.stats import linregress
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chains import advance, bent, energy, matrices, plain_chain
+from oracles.chains import advance, bent, energy, matrices, plain_chain
 
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, workspace

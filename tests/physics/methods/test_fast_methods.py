@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chains import plain_chain
-from orders import observed_order
-from scatter import apart, deviation, reach
+from oracles.chains import plain_chain
+from oracles.orders import observed_order
+from oracles.scatter import apart, deviation, reach
 
 from agents.chart.ensembles import Setting
 from agents.records.store import stored_rows

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from chains import bent, matrices, plain_chain
+from oracles.chains import bent, matrices, plain_chain
 
 from probe_env import Scene, Simulator
 from probe_env.physics.drive import Drive

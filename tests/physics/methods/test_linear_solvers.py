@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from dense import dense_step
+from oracles.dense import dense_step
 
 from probe_env import Scene, Simulator
 from probe_env.physics.chain import build_chain

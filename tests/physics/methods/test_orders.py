@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from orders import observed_order
+from oracles.orders import observed_order
 
 from agents.chart.smooth import cases
 from probe_env.physics.bare_chains import run_chain

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scatter import CHANCE, DEVIATIONS, deviation, hits_within, reach
 
 from agents.chart.ensembles import Setting
+from oracles.scatter import CHANCE, DEVIATIONS, deviation, hits_within, reach
 
-MEMBERS = pd.read_csv(Path(__file__).parents[1] / "results" / "chart" / "ensembles.csv")
+MEMBERS = pd.read_csv(Path(__file__).parents[2] / "results" / "chart" / "ensembles.csv")
 DRAWS = 200_000
 
 
