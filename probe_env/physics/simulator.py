@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import copy
-import itertools
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypedDict, Unpack
 
 import numpy as np
-from tqdm import tqdm
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.physics.chain import air_speed, build_chain, sensor_node
 from probe_env.physics.costs import node_step_seconds
 from probe_env.physics.drive import Drive
-from probe_env.physics.kernel_call import Sampling, check_state
+from probe_env.physics.kernel_call import CHANNELS, Sampling, check_state
 from probe_env.physics.methods import method_named, solver_named, ticm
 from probe_env.physics.methods.method import Advance
-from probe_env.physics.run import Run, point_name, shapes_of
-from probe_env.physics.saved import FORMAT, check_format, check_names, check_same, check_types
+from probe_env.physics.run import Run, check_size, point_name, shapes_of, shown, snapshot_steps
+from probe_env.physics.saved import Saved, check_names, check_types
 from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps, within
 
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
-MOST_SAMPLES: Final = 2**31
-"""Bytes that the samples of one call may take."""
-CHANNELS: Final = 4
 
 
 class Options(TypedDict, total=False):
@@ -50,7 +43,7 @@ DEFAULTS: Final[Options] = {
 }  # fmt: skip
 
 
-class Simulator:
+class Simulator(Saved):
     """Advances one probe, of constant length or growing as it is fed in.
 
     ``iterations`` and ``unconverged_steps`` count, since the start, the iterations of ``implicit`` and its steps
@@ -79,6 +72,12 @@ class Simulator:
         ValueError: an argument is not valid; names it, its value and what is accepted.
         TypeError: there is no such option.
     """
+
+    BUILT = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
+    FIXED = frozenset(BUILT) | {
+        "scene", "perturbation", "seed", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
+    }  # fmt: skip
+    REBUILT = "_advance"
 
     def __init__(
         self,
@@ -139,50 +138,16 @@ class Simulator:
         """Let the length grow with the feed, where the probe is a growing one."""
         self.drive.growth = self.time_lapse if self.growing else 0.0
 
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
-        return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
+    def _built(self) -> dict[str, Any]:
+        return super()._built() | {"scene": self.scene.model_dump()}
 
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Back to a snapshot of this simulator (or of one built alike); goes on bit for bit as it did.
-
-        Alike is all but ``perturbation`` and ``seed``, which only ``reset`` looks at.
-
-        Raises:
-            ValueError: not a snapshot, of another version, or of one built otherwise; names the field, what was found
-                and what is accepted. Nothing has been changed then.
-        """
-        self.__dict__.update(copy.deepcopy(self.checked(snapshot)))
-
-    def checked(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
-        """What ``restore`` would take from a snapshot; its errors name it ``what``."""
-        snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
-        check_same(what, snapshot["built"], self._built())
-        changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
-        check_types(what, changing, _CHANGING_TYPES)
+    def _check_changing(self, what: str, changing: Mapping[str, Any]) -> None:
+        counts = ("steps_done", "root", "iterations", "unconverged_steps")
+        check_types(what, changing, {"state": State, "drive": Drive} | dict.fromkeys(counts, int))
         check_names(f"{what}: drive", vars(changing["drive"]), vars(self.drive))
         check_state(changing["state"], changing["root"], self.chain.node_count, f"{what}: state")
         if not isinstance(changing["_error"], SimulationError | None):
             raise ValueError(f"{what}: _error = {changing['_error']!r} is not a SimulationError or None")
-        return changing
-
-    def _built(self) -> dict[str, Any]:
-        """What a state depends on, as plain values."""
-        return {name: getattr(self, name) for name in _BUILT} | {"scene": self.scene.model_dump()}
-
-    def _changing(self) -> dict[str, Any]:
-        """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
-        return {name: value for name, value in self.__dict__.items() if name not in FIXED}
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Everything but the method's closure and scratch, which are rebuilt."""
-        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "_advance"}
-
-    def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        given = dict(check_format("pickled Simulator", saved))
-        del given["format"]
-        self.__dict__.update(given)
-        self._advance = self._build()
 
     def _build(self) -> Advance:
         return method_named(self.method).build(
@@ -272,19 +237,21 @@ class Simulator:
         steps = whole_steps("duration", duration, self.time_step)
         every = whole_steps("sample_period", sample_period, self.time_step)
         nodes = np.array([self._node(point) for point in points], dtype=np.int64)
-        stops = self._snapshot_steps(snapshots, steps)
+        if self.growing and len(snapshots) > 0:
+            raise ValueError(f"snapshots = {list(snapshots)!r} s need a constant length, and this probe is growing")
+        stops = snapshot_steps(snapshots, self.time_step, self.steps_done, steps)
         self.check_targets(feed_speed, air_supply_rate)
         if self._error is not None:
             raise self._error
         self.check_fits()
         self.set_targets(feed_speed, air_supply_rate)
-        _check_size(steps // every + 1, len(nodes))
+        check_size(steps // every + 1, len(nodes))
         samples = np.zeros((steps // every + 1, len(nodes), CHANNELS))
         tension_sum = np.zeros(self.chain.node_count)
         ticm.record(self.state, self.root, nodes, samples, 0, np.zeros(self.chain.node_count))
         start, start_root, done = self.steps_done, self.root, 0
         shapes: list[tuple[float, FloatArray, FloatArray]] = []
-        with _shown(progress, self.time, steps * self.time_step) as tell:
+        with shown(progress, self.time, steps * self.time_step) as tell:
             while True:
                 if done in stops:
                     shapes.append((self.time, self.state.d.copy(), self.state.axial_force.copy()))
@@ -386,21 +353,6 @@ class Simulator:
             raise ValueError(f"points: {point!r} m from the tip is outside the inserted length 0 to {length:g} m")
         return round(point / self.chain.element_length)
 
-    def _snapshot_steps(self, snapshots: Sequence[float], steps: int) -> list[int]:
-        if self.growing and len(snapshots) > 0:
-            raise ValueError(f"snapshots = {list(snapshots)!r} s need a constant length, and this probe is growing")
-        ratios = [time / self.time_step - self.steps_done for time in snapshots]
-        for time, ratio in zip(snapshots, ratios, strict=True):
-            if not (-1e-6 <= ratio <= steps + 1e-6 and abs(ratio - round(ratio)) <= 1e-6):
-                raise ValueError(
-                    f"snapshots: {time!r} s is not on a time step of {self.time_step:g} s within this run,"
-                    f" {self.time:g} to {self.time + steps * self.time_step:g} s"
-                )
-        whole = [round(ratio) for ratio in ratios]
-        if any(later <= earlier for earlier, later in itertools.pairwise(whole)):
-            raise ValueError(f"snapshots = {list(snapshots)!r} s must ascend")
-        return whole
-
 
 def _check_numbers(method: str, time_step: float, nodes_per_pitch: int, options: Options) -> None:
     """Raise ValueError where a step, a mesh or an option is out of range."""
@@ -412,41 +364,3 @@ def _check_numbers(method: str, time_step: float, nodes_per_pitch: int, options:
     within("perturbation", options["perturbation"], 0.0, 1e-3, "m")
     if isinstance(nodes_per_pitch, bool) or nodes_per_pitch != int(nodes_per_pitch) or not 1 <= nodes_per_pitch <= 64:
         raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
-
-
-def _check_size(rows: int, points: int) -> None:
-    """Raise ValueError where the samples would take more than ``MOST_SAMPLES`` bytes."""
-    size = 8 * CHANNELS * rows * points
-    if size > MOST_SAMPLES:
-        raise ValueError(
-            f"duration, sample_period, points: {rows} samples of {points} points take {size / 2**30:.3g} GiB, more than"
-            f" {MOST_SAMPLES / 2**30:g}: sample less often or fewer points, or advance in pieces"
-        )
-
-
-@contextmanager
-def _shown(
-    progress: Callable[[float], None] | bool, start: float, duration: float
-) -> Iterator[Callable[[float], None]]:
-    """What to call with the simulated time [s]: nothing, a bar's update, or a given function."""
-    if callable(progress):
-        yield progress
-        return
-    with tqdm(total=round(duration, 6), unit="s", disable=not progress) as bar:
-
-        def tell(time: float) -> None:
-            bar.update(round(time - start, 6) - bar.n)
-
-        yield tell
-
-
-_BUILT: Final = (
-    "method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag",
-)  # fmt: skip
-FIXED: Final = frozenset(_BUILT) | {
-    "scene", "perturbation", "seed", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
-}  # fmt: skip
-"""Attributes that nothing changes after the constructor; all others are in a snapshot."""
-_CHANGING_TYPES: Final[dict[str, type]] = {
-    "state": State, "drive": Drive, "steps_done": int, "root": int, "iterations": int, "unconverged_steps": int
-}  # fmt: skip

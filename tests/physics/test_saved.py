@@ -9,7 +9,6 @@ import pytest
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch
 from probe_env.physics.drive import Drive
 from probe_env.physics.saved import FORMAT
-from probe_env.physics.simulator import FIXED
 from probe_env.physics.state import State, at_rest
 
 SCENE = Scene(carrier_length=2.0, probe={"guide_length": 0.5})
@@ -107,12 +106,12 @@ def test_seed_and_perturbation_may_differ_because_only_reset_looks_at_them():
 def test_what_is_declared_as_fixed_stays_and_all_else_is_in_a_snapshot(method):
     """A new attribute that changes is saved unless it is declared as fixed, and then this finds it."""
     simulator = Simulator(SCENE, method, growing=True, ramp=0.5, air_lag=0.1)
-    assert set(vars(simulator)) >= FIXED
-    fixed = {name: pickle.dumps(vars(simulator)[name]) for name in FIXED if name != "_advance"}
+    assert set(vars(simulator)) >= Simulator.FIXED
+    fixed = {name: pickle.dumps(vars(simulator)[name]) for name in Simulator.FIXED if name != "_advance"}
     simulator.advance(0.4, 0.03, 0.2)
     simulator.unconverged_steps += 1
     saved = simulator.snapshot()
-    assert set(saved["changing"]) == set(vars(simulator)) - FIXED
+    assert set(saved["changing"]) == set(vars(simulator)) - Simulator.FIXED
     simulator._error = SimulationError(method, 1e-4, 0.0, 0, 0.0, 0.0)
     simulator.restore(saved)
     simulator.reset()
