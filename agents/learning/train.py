@@ -53,11 +53,8 @@ def train_all(
     Raises:
         ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
     """
-    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
     made = provenance(command)
-    for folder in folders.values():
-        _check_folder(training, folder, resume)
-    _check_checkpoints(training, folders)
+    folders = prepare(training, output, resume, made)
     phases = training.phases + (training.imitation is not None)
     announce(
         Work(
@@ -65,8 +62,6 @@ def train_all(
             "the same command with --resume goes on",
         )
     )  # fmt: skip
-    for seed, folder in folders.items():
-        _note_run(training, seed, folder, made)
     if workers.here:
         curves = [train(training, seed, folder, made) for seed, folder in folders.items()]
         return pd.concat(curves, ignore_index=True)
@@ -75,6 +70,21 @@ def train_all(
     for task, curve in workers.map(partial(_train_task, training, made), tasks):
         done[task[0]] = curve
     return pd.concat([done[seed] for seed in training.seeds], ignore_index=True)
+
+
+def prepare(training: Training, output: Path, resume: bool, made: dict[str, Any]) -> dict[int, Path]:
+    """The folder of every seed with a note of what is run there, so that it can be trained.
+
+    Raises:
+        ValueError: as ``train_all``; nothing was written.
+    """
+    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
+    for folder in folders.values():
+        _check_folder(training, folder, resume)
+    _check_checkpoints(training, folders)
+    for seed, folder in folders.items():
+        _note_run(training, seed, folder, made)
+    return folders
 
 
 def _train_task(training: Training, made: dict[str, Any], task: tuple[int, Path, int]) -> pd.DataFrame:
@@ -144,7 +154,13 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
 
 
 def train(
-    training: Training, seed: int, folder: Path, made: dict[str, Any], threads: int | None = None, place: int = 0
+    training: Training,
+    seed: int,
+    folder: Path,
+    made: dict[str, Any],
+    threads: int | None = None,
+    place: int = 0,
+    watch: Callable[[dict[str, Any]], None] = lambda row: None,
 ) -> pd.DataFrame:
     """Train one seed to its end, from its last checkpoint if there is one.
 
@@ -155,6 +171,8 @@ def train(
         made: how the run was started, see ``provenance``.
         threads: of the simulation; default: all cores.
         place: line of the progress bar.
+        watch: is given the row of every phase once it is stored, those before the last checkpoint too; what it raises
+            ends the training.
     """
     torch.set_num_threads(1)
     shown = training.shown_task
@@ -163,6 +181,8 @@ def train(
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
     if rows:
         _write_curve(rows, folder)  # the checkpoint tells: the curve may be of the phase before
+    for row in rows:
+        watch(row)
     done = (imitated if rows else 0) + model.num_timesteps
     total = imitated + training.phases * training.phase_steps
     first = 0 if training.imitation else 1
@@ -187,6 +207,7 @@ def train(
             rows[-1] |= {"wall_s": wall, "kernel_s": batch.kernel_seconds - kernels}
             _save(model, rows, folder / CHECKPOINT)
             _write_curve(rows, folder)
+            watch(rows[-1])
     return pd.DataFrame(rows)
 
 
