@@ -36,6 +36,10 @@ USERS: Final = {
         "feed:Train", "agents after a training file, with checkpoints",
         "probe-env train ppo --seeds 7 --output output/train/mine",
     ),
+    "tune": Entry(
+        "feed:Tune", "a search for better hyperparameters of such a file",
+        "probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo",
+    ),
     "compare": Entry(
         "design:Compare", "probe designs on the same tubes under one feed",
         "probe-env compare original improved my-design.toml --limit 6",

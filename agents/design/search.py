@@ -23,11 +23,11 @@ from scipy.stats import rankdata
 from tqdm import tqdm
 
 from agents.design import figures
-from agents.design.database import open_study
 from agents.design.problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.statistics import bootstrap_ends
+from agents.searches.database import open_study
 from agents.terminal.masking import masked
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce

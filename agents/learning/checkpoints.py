@@ -53,9 +53,9 @@ class Phase(Stored):
 
 
 def settings_that_differ(before: Training, now: Training) -> list[str]:
-    """Names of settings that may not change in a run: more phases may come, and other seeds beside this one."""
+    """Names of settings that may not change in a run: more phases may come, other seeds beside this one, a search."""
     noted, given = (training.model_dump(mode="json") for training in (before, now))
-    return [name for name in given if noted[name] != given[name] and name not in ("seeds", "phases")]
+    return [name for name in given if noted[name] != given[name] and name not in ("seeds", "phases", "search")]
 
 
 def variables(model: BaseAlgorithm) -> list[str]:

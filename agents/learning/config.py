@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
+import tomli_w
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from agents.learning.space import axes_of
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
 from agents.policies.catalogue import make_policy
 from agents.policies.view import View
@@ -25,6 +27,14 @@ OURS = (
     "replay_buffer_class", "replay_buffer_kwargs", "optimize_memory_usage", "action_noise", "stats_window_size",
 )  # fmt: skip
 """Arguments of the algorithms that other fields set, or that a file of numbers cannot hold."""
+LIMITS: Final[dict[str, tuple[float, float]]] = {
+    **dict.fromkeys(("learning_rate", "gamma", "gae_lambda", "tau"), (0.0, 1.0)),
+    **dict.fromkeys(("clip_range", "clip_range_vf", "ent_coef", "vf_coef", "max_grad_norm", "target_kl"), (0.0, 100.0)),
+    "n_steps": (1, 1 << 20), "batch_size": (2, 1 << 20), "n_epochs": (1, 1000), "buffer_size": (1, 1 << 26),
+    "learning_starts": (0, 1 << 26), "train_freq": (1, 1 << 20), "gradient_steps": (-1, 1 << 20),
+    "target_update_interval": (1, 1 << 20),
+}  # fmt: skip
+"""Accepted values of ``learning``, both included; whole numbers alone where the bounds are."""
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -66,7 +76,8 @@ class Training(Model):
 
     ``learning`` holds arguments of SB3's algorithm by their own names (``n_steps``, ``learning_rate``, ``gamma``, ...).
     A phase is what is done between two checkpoints: all environments begin anew at its start, and at its end the agent
-    is validated. ``observations`` of the view default to all that the task shows.
+    is validated. ``observations`` of the view default to all that the task shows. ``search`` is for
+    ``probe-env tune`` alone: table -> field -> choices or a range, see ``space.axes_of``.
     """
 
     algorithm: Algorithm = "ppo"
@@ -82,6 +93,7 @@ class Training(Model):
     validation: Validation = Validation()
     phases: Annotated[int, Field(ge=0, le=100_000)] = 8
     phase_steps: Count = 16_384
+    search: Annotated[dict[str, dict[str, Any]], AfterValidator(tuples)] | None = None
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -94,6 +106,7 @@ class Training(Model):
             if name not in known or name in OURS:
                 accepted = ", ".join(key for key in known if key not in OURS)
                 raise PydanticCustomError("learning", f"learning.{name} is not one of {self.algorithm}'s: {accepted}")
+            _check_limits(name, self.learning[name])
         if self.imitation is not None and self.algorithm != "ppo":
             raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
         if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
@@ -106,16 +119,17 @@ class Training(Model):
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
         self.view.columns(self.task)
         spread_contexts(self.validation.contexts, self.validation.limit)
-        if self.learning.get("batch_size", 2) < 2:
-            raise PydanticCustomError(
-                "batch", f"learning.batch_size = {self.learning['batch_size']!r} must be 2 or more"
-            )
         if self.imitation is not None:
             try:
                 make_policy(self.imitation.teacher, self.shown_task)
             except (ValueError, FileNotFoundError) as error:
                 raise PydanticCustomError("teacher", "{text}", {"text": f"imitation.teacher: {error}"}) from error
+        axes_of(self)
         return self
+
+    def to_toml(self) -> str:
+        """The training as TOML text, with every setting but the search."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"search"}))
 
     @property
     def task(self) -> TaskConfig:
@@ -136,3 +150,13 @@ class Training(Model):
             friction_estimate=self.friction_estimate,
             least_air_supply_rate=self.least_air_supply_rate,
         )
+
+
+def _check_limits(name: str, value: float) -> None:
+    if name not in LIMITS:
+        return
+    low, high = LIMITS[name]
+    kinds, note = ((int,), ", whole numbers") if isinstance(low, int) else ((int, float), "")
+    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
+        text = f"learning.{name} = {value!r} is outside the accepted range {low:.16g} to {high:.16g}{note}"
+        raise PydanticCustomError("limits", "{text}", {"text": text})

@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from agents.records.drawing import GRID, colours, save
+from agents.records.drawing import BLUE, GREY, GRID, RED, colours, save
 
 
 def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
@@ -20,4 +20,28 @@ def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
     axis.set(xlabel="environment steps after the warm start", ylabel="reward on the validation tubes")
     axis.grid(**GRID)
     axis.legend(frameon=False)
+    return save(figure, path)
+
+
+def search_history(table: pd.DataFrame, importances: dict[str, float], path: Path) -> Path:
+    """A search for hyperparameters: the reward of every trial, the best so far, and what mattered."""
+    figure, (axis, shares) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained", width_ratios=(3, 2))
+    for state, colour, label in (
+        ("complete", BLUE, "all phases"),
+        ("pruned", "0.7", "ended early"),
+        ("failed", RED, "broke down"),
+    ):
+        part = table[table["state"] == state]
+        axis.scatter(part["trial"], part["reward"], color=colour, s=16, label=label if len(part) else None)
+    best = table["reward"].where(table["state"] == "complete").cummax()
+    axis.step(table["trial"], best, where="post", color=BLUE, linewidth=1.0, label="best so far")
+    axis.set(xlabel="trial", ylabel="reward on the validation tubes", title="Trials")
+    axis.grid(**GRID)
+    axis.legend(frameon=False, fontsize=8)
+    names = sorted(importances, key=lambda name: importances[name])
+    shares.barh(names, [importances[name] for name in names], color=BLUE)
+    shares.set(xlabel="share", title="What mattered", axisbelow=True)
+    if not importances:
+        shares.text(0.5, 0.5, "too few complete trials to tell", ha="center", color=GREY, transform=shares.transAxes)
+    shares.grid(**GRID)
     return save(figure, path)

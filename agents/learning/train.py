@@ -53,11 +53,8 @@ def train_all(
     Raises:
         ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
     """
-    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
     origin = provenance(command)
-    for folder in folders.values():
-        _check_folder(training, folder, resume)
-    _check_checkpoints(training, folders)
+    folders = prepare(training, output, resume, origin)
     phases = training.phases + (training.imitation is not None)
     announce(
         Work(
@@ -65,8 +62,6 @@ def train_all(
             "the same command with --resume goes on",
         )
     )  # fmt: skip
-    for seed, folder in folders.items():
-        _note_run(training, seed, folder, origin)
     if workers.here:
         curves = [train(training, seed, folder, origin) for seed, folder in folders.items()]
         return pd.concat(curves, ignore_index=True)
@@ -75,6 +70,21 @@ def train_all(
     for task, curve in workers.map(partial(_train_task, training, origin), tasks):
         done[task[0]] = curve
     return pd.concat([done[seed] for seed in training.seeds], ignore_index=True)
+
+
+def prepare(training: Training, output: Path, resume: bool, origin: dict[str, Any]) -> dict[int, Path]:
+    """The folder of every seed with a note of what is run there, so that it can be trained.
+
+    Raises:
+        ValueError: as ``train_all``; nothing was written.
+    """
+    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
+    for folder in folders.values():
+        _check_folder(training, folder, resume)
+    _check_checkpoints(training, folders)
+    for seed, folder in folders.items():
+        _note_run(training, seed, folder, origin)
+    return folders
 
 
 def _train_task(training: Training, origin: dict[str, Any], task: tuple[int, Path, int]) -> pd.DataFrame:
@@ -144,7 +154,13 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
 
 
 def train(
-    training: Training, seed: int, folder: Path, origin: dict[str, Any], threads: int | None = None, place: int = 0
+    training: Training,
+    seed: int,
+    folder: Path,
+    origin: dict[str, Any],
+    threads: int | None = None,
+    place: int = 0,
+    watch: Callable[[dict[str, Any]], None] = lambda row: None,
 ) -> pd.DataFrame:
     """Train one seed to its end, from its last checkpoint if there is one.
 
@@ -155,6 +171,8 @@ def train(
         origin: how the run was started, see ``provenance``.
         threads: of the simulation; default: all cores.
         place: line of the progress bar.
+        watch: is given the row of every phase once it is stored, those before the last checkpoint too; what it raises
+            ends the training.
     """
     torch.set_num_threads(1)
     shown = training.shown_task
@@ -163,6 +181,8 @@ def train(
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
     if rows:
         _write_curve(rows, folder)  # the checkpoint tells: the curve may be of the phase before
+    for row in rows:
+        watch(row)
     done = (imitated if rows else 0) + model.num_timesteps
     total = imitated + training.phases * training.phase_steps
     first = 0 if training.imitation else 1
@@ -183,35 +203,37 @@ def train(
                 model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)
                 model.logger.close()
             wall = time.perf_counter() - begin
-            rows.append(_validated(training, model, seed, phase, origin, folder, rows, threads))
+            trained = {"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin
+            rows.append(_validated(training, model, trained, folder, rows, threads))
             rows[-1] |= {"wall_s": wall, "kernel_s": batch.kernel_seconds - kernels}
             _save(model, rows, folder / CHECKPOINT)
             _write_curve(rows, folder)
+            watch(rows[-1])
     return pd.DataFrame(rows)
 
 
 def _validated(
     training: Training,
     model: BaseAlgorithm,
-    seed: int,
-    phase: int,
-    origin: dict[str, Any],
+    trained: dict[str, Any],
     folder: Path,
     rows: list[dict[str, Any]],
     threads: int | None,
 ) -> dict[str, Any]:
-    """Validate the model as it is, keep it if it is the best so far; the phase's row."""
+    """Validate the model as it is, keep it if it is the best so far; the phase's row.
+
+    ``trained``: seed, phase and steps so far, and how the run was started.
+    """
     description = Description(
-        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
-        trained={"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin,
-    )  # fmt: skip
+        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task, trained=trained
+    )
     chosen = spread_contexts(training.validation.contexts, training.validation.limit)
-    agent = Agent(description, model.policy, training.shown_task, f"phase {phase}")
+    agent = Agent(description, model.policy, training.shown_task, f"phase {trained['phase']}")
     fidelity = resolve_fidelity(training.validation.fidelity)
     begin = time.perf_counter()
     plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity, training.environment.probes)
     table = run_plan(plan, None, threads=threads)
-    row = {"seed": seed, "phase": phase, "steps": model.num_timesteps, "reward": float(table["reward"].mean())}
+    row = {name: trained[name] for name in ("seed", "phase", "steps")} | {"reward": float(table["reward"].mean())}
     row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}
     row["validation_s"] = time.perf_counter() - begin
     if all(row["reward"] > before["reward"] for before in rows):

@@ -24,10 +24,10 @@ REGISTRY: Final = "probe_env.physics.methods"
 """Lists all methods: a result depends on its own, which is added to the roots."""
 ALL: Final = "all"
 ASIDE: Final = (
-    "agents.design.database", "agents.learning.checkpoints", "agents.records.arrays", "agents.records.atomic",
+    "agents.learning.checkpoints", "agents.records.arrays", "agents.records.atomic",
     "agents.records.code_hash", "agents.records.models", "agents.records.provenance",
-    "agents.records.reading", "agents.records.store", "agents.records.tables", "agents.terminal.work",
-    "agents.terminal.tables", "probe_env.errors", "probe_env.files",
+    "agents.records.reading", "agents.records.store", "agents.records.tables", "agents.searches.database",
+    "agents.terminal.work", "agents.terminal.tables", "probe_env.errors", "probe_env.files",
 )  # fmt: skip
 """Modules that read, write and tell: no result depends on them. With the modules in them."""
 SHOWN_BY: Final = ("__repr__", "__str__", "_repr_html_")

@@ -637,7 +637,7 @@ def test_databases(damage, given, tmp_path, refused):
 
 
 def test_a_locked_database(tmp_path, refused, monkeypatch):
-    monkeypatch.setattr("agents.design.database.PATIENCE", 0.1)
+    monkeypatch.setattr("agents.searches.database.PATIENCE", 0.1)
     output = tmp_path / "design"
     output.mkdir()
     holder = sqlite3.connect(output / "study.db", isolation_level=None)
@@ -651,7 +651,7 @@ def test_a_locked_database(tmp_path, refused, monkeypatch):
 def test_a_study_of_another_search(tmp_path):
     import optuna
 
-    from agents.design.database import open_study
+    from agents.searches.database import open_study
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     storage = f"sqlite:///{tmp_path / 'study.db'}"
