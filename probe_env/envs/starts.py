@@ -29,12 +29,14 @@ CARRIER_AT_START: Final = 2.5  # [m], at least
 class EpisodeSettings(TypedDict, total=False):
     """What episodes share besides the task: keyword arguments of everything that plays them.
 
-    ``scene``: what contexts and options change, a mapping of what differs from table 2's, or None for that (default);
-    ``fidelity``: preset name (default "standard"), settings or a mapping of them, see ``fidelity.PRESETS``;
-    ``contexts``: "random" (default), the shipped list ("train", "validation", "test") that every reset draws from, a
-    list of one's own, or ranges;
-    ``feed_speed``, ``air_supply_rate``: of the settling before an episode [m/s], [m3/s], default ``SETTLING``;
-    ``probes``: "scene" (default), or "random": every reset draws a ``Design``.
+    Attributes:
+        scene: what contexts and options change, a mapping of what differs from table 2's, or None for that (default).
+        fidelity: preset name (default "standard"), settings or a mapping of them, see ``fidelity.PRESETS``.
+        contexts: "random" (default), the shipped list ("train", "validation", "test") that every reset draws from, a
+            list of one's own, or ranges.
+        feed_speed: of the settling before an episode [m/s], default 0.2.
+        air_supply_rate: of the settling [m3/s], default 63 m3/h.
+        probes: "scene" (default), or "random": every reset draws a ``Design``.
     """
 
     scene: Scene | Mapping[str, Any] | None
