@@ -35,8 +35,8 @@ class Evaluate:
     """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
-    """Repeat at half the time step; and a sample with the study's scheme, which takes half an hour: what was fed and
-    blown replayed, the policies themselves acting, or both."""
+    """Repeat at half the time step; and a sample with the study's scheme, which takes an hour and more: what was fed
+    and blown replayed, the policies themselves acting, or both."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""

@@ -89,22 +89,6 @@ def condensed(chain: Chain, modes: int) -> Pitch:
     )
 
 
-def assembled(pitch: Pitch, count: int) -> tuple[FloatArray, FloatArray]:
-    """Dense mass and stiffness of ``count`` pieces in a row from the tip, the last end held.
-
-    Unknowns: for every piece its tip-side end, then its modes.
-    """
-    step = 3 + pitch.modes
-    size = step * count
-    mass, stiffness = np.zeros((2, size + 3, size + 3))
-    for k in range(count):
-        first = k * step
-        own = np.r_[first : first + 3, first + step : first + step + 3, first + 3 : first + step]
-        mass[np.ix_(own, own)] += pitch.mass
-        stiffness[np.ix_(own, own)] += pitch.stiffness
-    return mass[:size, :size], stiffness[:size, :size]
-
-
 def _mesh(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Mass, stiffness and couple (3 (n + 1), 3 (n + 1)) of free nodes, and the elements' axial force (n, 3 (n + 1))."""
     n = chain.node_count - 1

@@ -8,7 +8,7 @@ from scipy.linalg import eigh, eigvals
 
 from probe_env import Scene
 from probe_env.physics.chain import build_chain
-from probe_env.physics.methods.superelement.pitch import ENDS, assembled, condensed
+from probe_env.physics.methods.superelement.pitch import ENDS, condensed
 
 SCENE = Scene()
 PITCH = SCENE.probe.float_pitch
@@ -18,6 +18,22 @@ CLAMPED = (4.730040745, 7.853204624, 10.99560784)
 
 def piece(elements, scene=SCENE, share=1.0):
     return build_chain(scene, round(elements / share), length=share * scene.probe.float_pitch)
+
+
+def assembled(pitch, count):
+    """Dense mass and stiffness of ``count`` pieces in a row from the tip, the last end held.
+
+    Unknowns: for every piece its tip-side end, then its modes.
+    """
+    step = 3 + pitch.modes
+    size = step * count
+    mass, stiffness = np.zeros((2, size + 3, size + 3))
+    for k in range(count):
+        first = k * step
+        own = np.r_[first : first + 3, first + step : first + step + 3, first + 3 : first + step]
+        mass[np.ix_(own, own)] += pitch.mass
+        stiffness[np.ix_(own, own)] += pitch.stiffness
+    return mass[:size, :size], stiffness[:size, :size]
 
 
 def hertz(mass, stiffness):
