@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from agents.chart.ensembles import Setting
 from agents.records.provenance import provenance, write_atomically, write_json
-from probe_env.physics.methods import METHODS
+from probe_env.physics.methods import ON_NODES as METHODS
 
 NODES = {"imex": (1, 2, 4, 8, 16)}
 LENGTHS = (10.0, 30.0, 50.0)  # [m]

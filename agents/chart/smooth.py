@@ -32,7 +32,7 @@ REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
 LAPACK_STEPS = 3
 """LAPACK's solver is five times as slow: the longest steps are enough."""
 LEAST_TIMED = 0.2  # [s] of processor time, repeats included
-METHODS = (*methods.METHODS, LAPACK)
+METHODS = (*methods.ON_NODES, LAPACK)
 CODE = ("agents.chart.smooth:cases", "agents.chart.smooth:integrate")
 BASES = {LAPACK: "banded", "references": REFERENCES[0][0]}
 """Methods whose code those rows depend on."""

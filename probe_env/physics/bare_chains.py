@@ -23,12 +23,13 @@ AXIAL, RADIAL = 0, 1
 
 
 class Driven(NamedTuple):
-    """A chain, its sensor's node, and the constant feed speed and air speed [m/s] that it is driven with."""
+    """A chain, its sensor's node, the constant feed speed and air speed [m/s] that it is driven with, nodes a pitch."""
 
     chain: Chain
     sensor: int = 0
     feed: float = 0.0
     air: float = 0.0
+    nodes_per_pitch: int = 4
 
 
 class ChainRun(NamedTuple):
@@ -77,9 +78,9 @@ def run_chain(
     method: str, driven: Driven, time_step: float, state: State, steps: int, every: int, node: int = 0
 ) -> ChainRun:
     """Advance a state in place by a method (or ``LAPACK``), a node sampled every so many steps."""
-    chain, sensor, feed, air = driven
+    chain, sensor, feed, air, per_pitch = driven
     scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
-    advance = method_named(scheme).build(chain, time_step, sensor, 4, solver_named(solver))
+    advance = method_named(scheme).build(chain, time_step, sensor, per_pitch, solver_named(solver))
     inputs = Drive(feed, air).inputs_of_steps(steps, time_step, chain.element_length, 0)
     samples, counts = np.zeros((steps // every, 1, 4)), np.zeros(2, dtype=np.int64)
     sampling = Sampling(every, every, np.array([node], dtype=np.int64), samples, np.zeros(chain.node_count), counts)

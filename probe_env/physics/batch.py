@@ -6,7 +6,7 @@ import contextlib
 import copy
 import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final, Unpack
@@ -19,7 +19,7 @@ from probe_env.errors import SimulationError
 from probe_env.machine import available_cores
 from probe_env.physics.kernel_call import Sampling, check_array, check_points
 from probe_env.physics.methods import method_named
-from probe_env.physics.methods.lane_group import Lane, advance_group
+from probe_env.physics.methods.lane_group import Lane
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.signals import window_statistics
 from probe_env.physics.simulator import STEPS_PER_CALL, Options, Simulator
@@ -179,9 +179,7 @@ class SimulatorBatch:
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
-        running.sort(key=lambda k: self.simulators[k].root)
-        width = method_named(self.method).width
-        groups = [running[start : start + width] for start in range(0, len(running), width)]
+        groups = self._groups(running)
         with ThreadPoolExecutor(self.threads) as pool:
             self.kernel_seconds += sum(
                 pool.map(lambda group: self._advance_group(group, steps, every, signals), groups)
@@ -189,6 +187,16 @@ class SimulatorBatch:
         for k in running:
             self._before[k] = signals[k, -2:].copy()
         return self._window(signals, running, every, keep_samples)
+
+    def _groups(self, running: list[int]) -> list[list[int]]:
+        """Probes that advance together: of a kind, about equally long, as many as the kernel has lanes."""
+        kernel = method_named(self.method).lanes
+        kinds: dict[Hashable, list[int]] = {}
+        for k in sorted(running, key=lambda k: self.simulators[k].root):
+            kind = kernel.kind(self.simulators[k].lane_constants()[1]) if kernel else None
+            kinds.setdefault(kind, []).append(k)
+        width = method_named(self.method).width
+        return [same[start : start + width] for same in kinds.values() for start in range(0, len(same), width)]
 
     def _check_fits(self, k: int) -> None:
         simulator = self.simulators[k]
@@ -222,7 +230,7 @@ class SimulatorBatch:
             rows = max(0, (stretch - first) // every + 1)
             for lane, simulator in zip(lanes, members, strict=True):
                 lane.inputs, lane.samples = simulator.inputs_of_steps(stretch), np.zeros((rows, 2, 4))
-            failed, spent = advance_group(kernel, lanes, self.time_step, self.nodes_per_pitch, first, every)
+            failed, spent = kernel.run(lanes, self.time_step, self.nodes_per_pitch, first, every)
             seconds += spent
             start = 2 + done // every
             for k, lane, simulator, step in zip(group, lanes, members, failed, strict=True):

@@ -6,6 +6,10 @@ import csv
 from functools import lru_cache
 from importlib.resources import files
 from statistics import median
+from typing import Final
+
+AT_MOST: Final = {"superelement": "imex", "superelement32": "imex32"}
+"""Methods that the chart has not measured yet: a step of them takes less than one of these with four nodes a pitch."""
 
 
 @lru_cache
@@ -16,4 +20,5 @@ def node_step_seconds() -> dict[str, float]:
     for row in csv.DictReader(text.splitlines()):
         if float(row["time_lapse"]) == 1.0:
             times.setdefault(row["method"], []).append(float(row["cost_s"]) * float(row["time_step_s"]))
-    return {method: median(values) for method, values in times.items()}
+    measured = {method: median(values) for method, values in times.items()}
+    return {method: measured[other] for method, other in AT_MOST.items()} | measured

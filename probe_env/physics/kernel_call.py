@@ -47,12 +47,12 @@ def check_array(name: str, array: object, shape: tuple[int, ...], dtype: type = 
         raise ValueError(f"{name} is not contiguous and writable: give a copy")
 
 
-def check_state(state: State, root: int, nodes: int, name: str = "state") -> None:
-    """Raise ValueError unless a state is that of a chain of ``nodes`` nodes, held at ``root``."""
+def check_state(state: State, root: int, nodes: int, memory: int, name: str = "state") -> None:
+    """Raise ValueError unless a state is that of a chain of ``nodes`` nodes, held at ``root``, and its method's."""
     if not isinstance(state, State):
         raise ValueError(f"{name} is a {type(state).__name__}, not a State of d, v, memory and axial_force")
-    for field in ("d", "v", "memory"):
-        check_array(f"{name}.{field}", getattr(state, field), (nodes, 3))
+    for field, width in (("d", 3), ("v", 3), ("memory", memory)):
+        check_array(f"{name}.{field}", getattr(state, field), (nodes, width))
     check_array(f"{name}.axial_force", state.axial_force, (nodes,))
     if not 1 <= root <= nodes - 1:
         raise ValueError(f"root = {root!r} is outside the accepted range 1 to {nodes - 1} of a chain of {nodes} nodes")
@@ -66,9 +66,9 @@ def check_points(points: npt.NDArray[np.int64], root: int) -> None:
         raise ValueError(f"points: {bad[0]} is not a node from the tip, 0, to the root, {root}, nor -1 for the root")
 
 
-def check_call(nodes: int, inputs: FloatArray, root: int, state: State, sampling: Sampling) -> None:
-    """Raise ValueError, naming the array, unless everything fits a chain of ``nodes`` nodes."""
-    check_state(state, root, nodes)
+def check_call(nodes: int, memory: int, inputs: FloatArray, root: int, state: State, sampling: Sampling) -> None:
+    """Raise ValueError, naming the array, unless everything fits a chain of ``nodes`` nodes and a method's memory."""
+    check_state(state, root, nodes, memory)
     check_array("inputs", inputs, (-1, INPUTS))
     appended = inputs[:, APPEND]
     if not ((appended == 0.0) | (appended == 1.0)).all():  # also NaN

@@ -115,7 +115,7 @@ class Simulator(Saved):
 
     def reset(self) -> None:
         """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
-        self.state = at_rest(self.chain.node_count)
+        self.state = at_rest(self.chain.node_count, method_named(self.method).memory)
         self.steps_done, self.root = 0, self._start_root
         self.iterations, self.unconverged_steps = 0, 0
         self.drive = Drive(
@@ -129,6 +129,9 @@ class Simulator(Saved):
         if self.perturbation > 0.0:
             noise = np.random.default_rng(self.seed).normal(size=self.root)
             self.state.d[: self.root, 1] = self.perturbation * noise
+            self.state = method_named(self.method).at_rest(
+                self.chain, self.nodes_per_pitch, self.time_step, self.root, self.state.d
+            )
 
     def hold_length(self) -> None:
         """Feed without the length growing, until ``feed_length``: a probe that settles inspects nothing."""
@@ -145,7 +148,8 @@ class Simulator(Saved):
         counts = ("steps_done", "root", "iterations", "unconverged_steps")
         check_types(what, changing, {"state": State, "drive": Drive} | dict.fromkeys(counts, int))
         check_names(f"{what}: drive", vars(changing["drive"]), vars(self.drive))
-        check_state(changing["state"], changing["root"], self.chain.node_count, f"{what}: state")
+        memory = method_named(self.method).memory
+        check_state(changing["state"], changing["root"], self.chain.node_count, memory, f"{what}: state")
         if not isinstance(changing["_error"], SimulationError | None):
             raise ValueError(f"{what}: _error = {changing['_error']!r} is not a SimulationError or None")
 
@@ -330,9 +334,9 @@ class Simulator(Saved):
 
     def check_fits(self) -> None:
         """Raise ValueError if the state is not one of this chain any more: its arrays are open to the user."""
-        check_state(self.state, self.root, self.chain.node_count)
+        check_state(self.state, self.root, self.chain.node_count, method_named(self.method).memory)
 
-    def lane_constants(self) -> tuple[FloatArray, FloatArray]:
+    def lane_constants(self) -> tuple[FloatArray, Any]:
         """Parameters and factors with which this probe runs in a lane."""
         kernel = method_named(self.method).lanes
         if kernel is None:

@@ -10,10 +10,11 @@ from probe_env.arrays import FloatArray
 
 
 class State(NamedTuple):
-    """Displacement, velocity, memory of the last step (n + 1, 3) and the axial force of each element (n + 1,).
+    """Displacement and velocity (n + 1, 3), memory of the last step (n + 1, w), axial force of each element (n + 1,).
 
     What ``memory`` is belongs to the method: the acceleration (Newmark, Wilson), the mean velocity of the last step
-    (implicit), the fields GX, GY, GT of a lane (imex); ``explicit`` has none.
+    (implicit), the fields GX, GY, GT of a lane (imex), momenta and modes in the rows of floats (superelement);
+    ``explicit`` has none. Its width w is ``Method.memory``, 3 mostly.
 
     ``axial_force[i]`` is Vbar of (8) at node i, on its root side; the last entry is unused.
     """
@@ -24,6 +25,6 @@ class State(NamedTuple):
     axial_force: FloatArray
 
 
-def at_rest(nodes: int) -> State:
-    """All zero, the study's start."""
-    return State(np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros(nodes))
+def at_rest(nodes: int, memory: int = 3) -> State:
+    """All zero, the study's start; ``memory`` of a method, see ``Method.memory``."""
+    return State(np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, memory)), np.zeros(nodes))

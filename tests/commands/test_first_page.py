@@ -37,7 +37,7 @@ def test_simulate_names_all_methods_and_units(capsys, monkeypatch):
         main(["simulate", "--help"])
     page = capsys.readouterr().out
     assert f"--method {{{','.join(METHODS)}}}" in page
-    assert len(METHODS) == 6
+    assert len(METHODS) == 8
     for option in ("--scene.feed-speed", "--scene.probe.flexural-rigidity", "--scene.contact.stiffness"):
         assert "[" in page[page.index(option) :].splitlines()[1].replace("[default", "")  # its unit
 

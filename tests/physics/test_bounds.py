@@ -68,7 +68,7 @@ def guarded(kernel, calls):
     return call
 
 
-@pytest.mark.parametrize("method", ["imex", "imex32", "explicit"])
+@pytest.mark.parametrize("method", ["imex", "imex32", "explicit", "superelement", "superelement32"])
 @pytest.mark.parametrize("count", range(1, 9))
 def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
     """Lanes are loaded by address, which numba does not check: probes of all lengths, growing to the helix's end."""

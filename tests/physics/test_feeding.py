@@ -16,7 +16,8 @@ from probe_env.physics.state import at_rest
 
 QUIET = Scene(carrier_length=5.0, contact={"friction": 0.05})
 METHODS = pytest.mark.parametrize(
-    ("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("imex32", 2e-4), ("implicit", 1e-4)]
+    ("method", "time_step"),
+    [("newmark", 1e-4), ("imex", 2e-4), ("imex32", 2e-4), ("superelement32", 2e-4), ("implicit", 1e-4)],
 )
 
 

@@ -8,7 +8,7 @@ from probe_env.physics.chain import build_chain
 from probe_env.physics.drive import APPEND, Drive
 from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods import METHODS, SOLVERS
-from probe_env.physics.state import at_rest
+from probe_env.physics.state import State, at_rest
 
 SCENE = Scene(carrier_length=1.0, probe={"guide_length": 0.5})
 CHAIN = build_chain(SCENE)
@@ -84,16 +84,20 @@ def advances():
 
 @pytest.mark.parametrize("message", BAD)
 def test_arrays_that_do_not_fit_are_named_by_every_method(message, advances):
-    for advance in advances.values():
+    for (method, _), advance in advances.items():
+        bad = dict(BAD[message])
+        memory = METHODS[method].memory
+        if isinstance(bad.get("state", REST), State) and "memory" not in message:
+            bad["state"] = bad.get("state", REST)._replace(memory=np.zeros((NODES, memory)))
         with pytest.raises(ValueError, match=message):
-            advance(*call(**BAD[message]))
+            advance(*call(**bad))
 
 
 def test_arrays_that_fit_are_advanced_by_every_method(advances):
     for kind, advance in advances.items():
         if kind[1] == "transfer-matrix":
             continue  # loses its digits on so long a chain
-        arguments = call()
+        arguments = call(state=at_rest(NODES, METHODS[kind[0]].memory))
         status, steps, node, root = advance(*arguments)
         assert (status, steps, node, root) == (0, STEPS, -1, NODES - 1)
         assert (np.abs(arguments[3].samples[:, 1, 3]) > 0.0).all()  # drag pulls at the root
@@ -138,7 +142,7 @@ UNKNOWN = {
 
 
 @pytest.mark.parametrize("message", UNKNOWN)
-@pytest.mark.parametrize("method", ["imex", "imex32", "explicit"])
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.lanes])
 def test_the_lanes_refuse_a_chain_that_they_would_simulate_in_part(message, method):
     chain = CHAIN._replace(**UNKNOWN[message])
     with pytest.raises(ValueError, match=message.format(method)):

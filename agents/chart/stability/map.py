@@ -24,7 +24,7 @@ from agents.chart.stability.one_mass import bounce, run_one_mass
 from agents.chart.stability.passive import run_digits, run_energy
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.methods import METHODS
+from probe_env.physics.methods import ON_NODES as METHODS
 
 Cell = tuple[str, float, float, float, float]
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)

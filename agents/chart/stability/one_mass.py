@@ -20,7 +20,7 @@ from probe_env.physics.bare_chains import AXIAL, RADIAL, Driven, plain_chain, ru
 from probe_env.physics.chain import Chain
 from probe_env.physics.state import at_rest
 
-METHODS: Final = tuple(name for name, method in methods.METHODS.items() if method.least_step == 0.0)
+METHODS: Final = tuple(name for name, method in methods.ON_NODES.items() if method.least_step == 0.0)
 """Those whose rounding does not show at the smallest steps."""
 SPRINGS: Final = ("elastic", "contact")
 OMEGA_DT: Final = (0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.25, 1.5, 1.8, 1.95, 2.05, 2.5, 3.0, 4.0, 6.0)

@@ -14,8 +14,11 @@ from probe_env.physics.methods.imex import IMEX, IMEX32
 from probe_env.physics.methods.implicit import IMPLICIT
 from probe_env.physics.methods.method import Method
 from probe_env.physics.methods.newmark import NEWMARK, WILSON, Solver
+from probe_env.physics.methods.superelement import SUPERELEMENT, SUPERELEMENT32
 
-METHODS: Final = {m.name: m for m in (NEWMARK, WILSON, IMEX, IMEX32, IMPLICIT, EXPLICIT)}
+METHODS: Final = {m.name: m for m in (NEWMARK, WILSON, IMEX, IMEX32, IMPLICIT, EXPLICIT, SUPERELEMENT, SUPERELEMENT32)}
+ON_NODES: Final = {name: method for name, method in METHODS.items() if method.start is None}
+"""Those whose mesh has ``nodes_per_pitch`` nodes: on the same mesh they have the same solution."""
 SOLVERS: Final[dict[str, Solver | None]] = {
     "ticm": None, "banded": banded.stepper, "transfer-matrix": transfer_matrix.stepper
 }  # fmt: skip

@@ -36,6 +36,7 @@ from probe_env.physics.methods.lane_group import (
     COUPLE,
     CURVATURE,
     DAMPING,
+    DIVERGED_RADIAL,
     FACTORS,
     FIELDS,
     FRICTION,
@@ -66,8 +67,6 @@ from probe_env.physics.methods.lane_group import (
 )  # fmt: skip
 from probe_env.physics.methods.lanes import load, splat, store, where_less
 from probe_env.physics.methods.method import lane_method
-
-DIVERGED_RADIAL = 1.0  # [m]
 
 
 @njit(nogil=True, error_model="numpy", inline="always")

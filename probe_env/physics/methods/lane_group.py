@@ -7,7 +7,7 @@ and a probe's result does not depend on the company it keeps.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ FIELDS = 10
 FACTORS = 27
 A, B, C = 0, 9, 18
 INPUTS = 4
+DIVERGED_RADIAL = 1.0  # [m]
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class LaneKernel:
     """
 
     advance: Callable[..., Any]
-    factors: Callable[[Chain, float], FloatArray]
+    factors: Callable[[Chain, float], FloatArray] | None
     precision: npt.DTypeLike
 
     @property
@@ -54,11 +55,85 @@ class LaneKernel:
         """Probes that share a group."""
         return lane_count(self.precision)
 
-    def constants(
-        self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
-    ) -> tuple[FloatArray, FloatArray]:
+    def kind(self, factors: Any) -> Hashable:
+        """Probes with the same can share a group."""
+        return None
+
+    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Any]:
         """Parameters and factors of a probe."""
+        assert self.factors is not None
         return lane_parameters(chain, sensor, nodes_per_pitch), self.factors(chain, time_step)
+
+    def run(
+        self,
+        lanes: Sequence[Lane],
+        time_step: float,
+        per_pitch: int,
+        first_sample: int,
+        sample_every: int,
+        tension_sum: FloatArray | None = None,
+    ) -> tuple[list[int], float]:
+        """Advance as many probes as the kernel has lanes, or fewer, by the rows of their inputs.
+
+        Args:
+            lanes: the probes, with equally many steps and points.
+            time_step: [s].
+            per_pitch: nodes in a float pitch.
+            first_sample: steps until the first sample.
+            sample_every: steps between samples.
+            tension_sum: (n + 1,) of the first probe, gains the axial force of every sample.
+
+        Returns:
+            for each probe the step at which it diverged, counted from 1, or 0; seconds that the kernel took.
+        """
+        steps, used, width, precision = len(lanes[0].inputs), len(lanes), self.width, self.precision
+        packed_inputs = np.zeros((steps, INPUTS, width), dtype=precision)
+        roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
+        packed_points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
+        for k, lane in enumerate(lanes):
+            packed_inputs[:, :, k] = lane.inputs
+            roots[k], failed[k] = lane.root, 0
+            packed_points[:, k] = lane.points
+        appended = (
+            np.cumsum(packed_inputs[:, APPEND, :used], axis=0) - packed_inputs[:, APPEND, :used]
+        )  # before each step
+        held = roots[:used] + appended.astype(np.int64)
+        tops, bottoms = held.max(axis=1), held.min(axis=1)
+        nodes = int(max(lane.root + lane.inputs[:, APPEND].sum() for lane in lanes)) + 2
+
+        parameters = np.zeros((PARAMETERS, width), dtype=precision)
+        parameters[DAMPING] = 1.0  # idle lanes divide by it
+        factors = np.zeros((max(len(lane.factors) for lane in lanes), FACTORS, width), dtype=precision)
+        state = np.zeros((nodes, FIELDS, width), dtype=precision)
+        for k, lane in enumerate(lanes):
+            parameters[:, k] = lane.parameters
+            parameters[ROOT, k] = lane.root
+            factors[: len(lane.factors), :, k] = lane.factors
+            factors[len(lane.factors) :, :, k] = lane.factors[-1]
+            state[: lane.root, X : T + 1, k] = lane.state.d[: lane.root]
+            state[: lane.root, VX : VT + 1, k] = lane.state.v[: lane.root]
+            state[: lane.root, GX : GT + 1, k] = lane.state.memory[: lane.root]
+            state[: lane.root, V, k] = lane.state.axial_force[: lane.root]
+        packed_samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
+        packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
+        begin = time.perf_counter()
+        self.advance(
+            parameters, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
+            tops, bottoms, time_step, per_pitch, first_sample, sample_every, packed_points, roots, packed_samples,
+            packed_tension, failed,
+        )  # fmt: skip
+        seconds = time.perf_counter() - begin
+        for k, lane in enumerate(lanes):
+            lane.root = int(roots[k])
+            lane.state.d[: lane.root] = state[: lane.root, X : T + 1, k]
+            lane.state.v[: lane.root] = state[: lane.root, VX : VT + 1, k]
+            lane.state.memory[: lane.root] = state[: lane.root, GX : GT + 1, k]
+            lane.state.axial_force[: lane.root] = state[: lane.root, V, k]
+            lane.samples[...] = packed_samples[..., k]
+        if tension_sum is not None:
+            covered = min(nodes, len(tension_sum))
+            tension_sum[:covered] += packed_tension[:covered, 0]
+        return [int(failed[k]) for k in range(used)], seconds
 
 
 @dataclass
@@ -76,7 +151,7 @@ class Lane:
     """
 
     parameters: FloatArray
-    factors: FloatArray
+    factors: Any
     state: State
     root: int
     points: npt.NDArray[np.int64]
@@ -101,74 +176,3 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[MASS_RATIO] = chain.mass / chain.inertia
     values[DAMPING] = chain.damping_time
     return values
-
-
-def advance_group(
-    kernel: LaneKernel,
-    lanes: Sequence[Lane],
-    time_step: float,
-    per_pitch: int,
-    first_sample: int,
-    sample_every: int,
-    tension_sum: FloatArray | None = None,
-) -> tuple[list[int], float]:
-    """Advance as many probes as the kernel has lanes, or fewer, by the rows of their inputs.
-
-    Args:
-        kernel: of the method.
-        lanes: the probes, with equally many steps and points.
-        time_step: [s].
-        per_pitch: nodes in a float pitch.
-        first_sample: steps until the first sample.
-        sample_every: steps between samples.
-        tension_sum: (n + 1,) of the first probe, gains the axial force of every sample.
-
-    Returns:
-        for each probe the step at which it diverged, counted from 1, or 0; seconds that the kernel took.
-    """
-    steps, used, width, precision = len(lanes[0].inputs), len(lanes), kernel.width, kernel.precision
-    packed_inputs = np.zeros((steps, INPUTS, width), dtype=precision)
-    roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
-    packed_points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
-    for k, lane in enumerate(lanes):
-        packed_inputs[:, :, k] = lane.inputs
-        roots[k], failed[k] = lane.root, 0
-        packed_points[:, k] = lane.points
-    appended = np.cumsum(packed_inputs[:, APPEND, :used], axis=0) - packed_inputs[:, APPEND, :used]  # before each step
-    held = roots[:used] + appended.astype(np.int64)
-    tops, bottoms = held.max(axis=1), held.min(axis=1)
-    nodes = int(max(lane.root + lane.inputs[:, APPEND].sum() for lane in lanes)) + 2
-
-    parameters = np.zeros((PARAMETERS, width), dtype=precision)
-    parameters[DAMPING] = 1.0  # idle lanes divide by it
-    factors = np.zeros((max(len(lane.factors) for lane in lanes), FACTORS, width), dtype=precision)
-    state = np.zeros((nodes, FIELDS, width), dtype=precision)
-    for k, lane in enumerate(lanes):
-        parameters[:, k] = lane.parameters
-        parameters[ROOT, k] = lane.root
-        factors[: len(lane.factors), :, k] = lane.factors
-        factors[len(lane.factors) :, :, k] = lane.factors[-1]
-        state[: lane.root, X : T + 1, k] = lane.state.d[: lane.root]
-        state[: lane.root, VX : VT + 1, k] = lane.state.v[: lane.root]
-        state[: lane.root, GX : GT + 1, k] = lane.state.memory[: lane.root]
-        state[: lane.root, V, k] = lane.state.axial_force[: lane.root]
-    packed_samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
-    packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
-    begin = time.perf_counter()
-    kernel.advance(
-        parameters, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
-        tops, bottoms, time_step, per_pitch, first_sample, sample_every, packed_points, roots, packed_samples,
-        packed_tension, failed,
-    )  # fmt: skip
-    seconds = time.perf_counter() - begin
-    for k, lane in enumerate(lanes):
-        lane.root = int(roots[k])
-        lane.state.d[: lane.root] = state[: lane.root, X : T + 1, k]
-        lane.state.v[: lane.root] = state[: lane.root, VX : VT + 1, k]
-        lane.state.memory[: lane.root] = state[: lane.root, GX : GT + 1, k]
-        lane.state.axial_force[: lane.root] = state[: lane.root, V, k]
-        lane.samples[...] = packed_samples[..., k]
-    if tension_sum is not None:
-        covered = min(nodes, len(tension_sum))
-        tension_sum[:covered] += packed_tension[:covered, 0]
-    return [int(failed[k]) for k in range(used)], seconds

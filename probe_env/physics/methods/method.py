@@ -11,9 +11,9 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
 from probe_env.physics.kernel_call import Sampling, check_call, check_chain, check_lane_chain
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.lane_group import Lane, LaneKernel, advance_group
+from probe_env.physics.methods.lane_group import Lane, LaneKernel
 from probe_env.physics.methods.stability import contact_step, known_step
-from probe_env.physics.state import State
+from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
 
 Advance = Callable[[FloatArray, int, State, Sampling], tuple[int, int, int, int]]
@@ -38,6 +38,8 @@ class Method:
         least_step: below which rounding shows [s].
         solved_by: the advance function with another solver of the linear system, where there can be one.
         lanes: the kernel of a method that advances several probes side by side.
+        memory: numbers a node that it keeps of its last step.
+        start: a state at rest, where displacements are not all of it; arguments of ``at_rest``.
     """
 
     name: str
@@ -49,6 +51,14 @@ class Method:
     least_step: float = 0.0
     solved_by: Callable[[Any], Prepare] | None = None
     lanes: LaneKernel | None = None
+    memory: int = 3
+    start: Callable[[Chain, int, float, int, FloatArray], State] | None = None
+
+    def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
+        """A state at rest with displacements d (n + 1, 3) [m, rad] of a chain held at ``root``."""
+        if self.start is not None:
+            return self.start(chain, nodes_per_pitch, time_step, root, d)
+        return at_rest(len(d), self.memory)._replace(d=d.copy())
 
     @property
     def width(self) -> int:
@@ -89,29 +99,22 @@ class Method:
                 )
             prepare = self.solved_by(solver)
         advance = prepare(chain, time_step, sensor, nodes_per_pitch)
-        return partial(_checked, advance, chain.node_count)
+        return partial(_checked, advance, chain.node_count, self.memory)
 
 
 def _checked(
-    advance: Advance, nodes: int, inputs: FloatArray, root: int, state: State, sampling: Sampling
+    advance: Advance, nodes: int, memory: int, inputs: FloatArray, root: int, state: State, sampling: Sampling
 ) -> tuple[int, int, int, int]:
-    check_call(nodes, inputs, root, state, sampling)
+    check_call(nodes, memory, inputs, root, state, sampling)
     return advance(inputs, root, state, sampling)
 
 
-def lane_method(
-    name: str,
-    lanes: LaneKernel,
-    order: int,
-    usual_step: float,
-    least_step: float = 0.0,
-    stable_step: Limit = known_step,
-    contact_step: Limit = contact_step,
-) -> Method:
-    """A method whose kernel advances several probes side by side; one probe is a group of one."""
-    return Method(
-        name, partial(_prepare_lane, name, lanes), order, usual_step, stable_step, contact_step, least_step, lanes=lanes
-    )
+def lane_method(name: str, lanes: LaneKernel, **declared: Any) -> Method:
+    """A method whose kernel advances several probes side by side; one probe is a group of one.
+
+    ``declared`` are the other fields of ``Method``.
+    """
+    return Method(name, partial(_prepare_lane, name, lanes), lanes=lanes, **declared)
 
 
 def _prepare_lane(
@@ -124,7 +127,7 @@ def _prepare_lane(
         first, every, points, samples, tension_sum, _ = sampling
         rows = samples[: max(0, (len(inputs) - first) // every + 1)]
         lane = Lane(parameters, factors, state, root, points, inputs, rows)
-        (failed,), _ = advance_group(kernel, [lane], time_step, nodes_per_pitch, first, every, tension_sum)
+        (failed,), _ = kernel.run([lane], time_step, nodes_per_pitch, first, every, tension_sum)
         status = ticm.DIVERGED if failed else ticm.OK
         return status, failed or len(inputs), -1, lane.root
 

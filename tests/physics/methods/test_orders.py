@@ -14,16 +14,20 @@ STEPS = {
     "wilson": (4e-4, 2e-4, 1e-4, 5e-5),
     "implicit": (1e-5, 5e-6, 2.5e-6, 1.25e-6),  # below the damping time theta has come down to one half
     "imex": (1e-5, 5e-6, 2.5e-6, 1.25e-6),
+    "superelement": (1e-5, 5e-6, 2.5e-6, 1.25e-6),
     "explicit": (2e-6, 1e-6, 5e-7),  # below the limit of its fastest mode
 }
 """[s] where a method's own error is above rounding and its order has set in."""
-TWINS = {"imex32": "imex"}
+TWINS = {"imex32": "imex", "superelement32": "superelement"}
 """Methods of single precision: rounding is their error at every step that they accept, so they show no order."""
 
 
 def shape(method, time_step):
     steps, every = round(0.048 / time_step), round(1.6e-3 / time_step)
     start = CASE.start(method, time_step)
+    if METHODS[method].start:
+        chain = CASE.driven.chain
+        start = METHODS[method].at_rest(chain, 4, time_step, chain.node_count - 1, start.d)
     return run_chain(method, CASE.driven, time_step, start, steps, every).samples[:, CASE.point[1]]
 
 

@@ -1,4 +1,46 @@
-"""One float pitch of cable as a superelement: a chain enters, condensed matrices leave.
+"""Pieces of cable condensed to their floats and some modes: matrices, tables of a probe, kernel, groups in lanes.
 
-Imports the chain alone.
+Imports the chain, the drive and what the methods share.
 """
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from probe_env.physics.chain import build_chain
+from probe_env.physics.methods.method import lane_method
+from probe_env.physics.methods.stability import TABLE_2_DAMPING
+from probe_env.physics.methods.superelement.group import MEMORY, PieceKernel
+from probe_env.physics.methods.superelement.kernel import superelement_advance
+from probe_env.physics.methods.superelement.start import released
+from probe_env.physics.methods.superelement.tables import longest_step
+from probe_env.scene import Scene
+
+HOLDS, BREAKS = 1.4, 1.8
+"""Omega dt of a float on its contact spring: up to which runs held, and from which they diverge."""
+
+
+LONGEST_STEP = 5e-4
+"""[s] Soft contact would allow more; at 1e-3 s runs of 1e4 N/m diverge."""
+
+
+def superelement_step(scene: Scene, nodes_per_pitch: int) -> float:
+    """Largest step [s] known to hold; 0 where none is known: a cable with less damping than in the study's ensemble."""
+    damped = scene.probe.damping_time >= TABLE_2_DAMPING
+    step = longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, HOLDS)
+    return min(step, LONGEST_STEP) if damped else 0.0
+
+
+def superelement_contact_step(scene: Scene, nodes_per_pitch: int) -> float:
+    """Largest step [s] that explicit contact allows."""
+    return longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, BREAKS)
+
+
+_named = partial(
+    lane_method, order=2, usual_step=2e-4, stable_step=superelement_step, contact_step=superelement_contact_step,
+    memory=MEMORY, start=released,
+)  # fmt: skip
+SUPERELEMENT = _named("superelement", PieceKernel(superelement_advance, None, np.float64))
+SUPERELEMENT32 = _named("superelement32", PieceKernel(superelement_advance, None, np.float32), least_step=5e-5)

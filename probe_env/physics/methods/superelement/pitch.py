@@ -11,6 +11,15 @@ added (Rayleigh and Ritz). K falls apart into a block of the ends and a diagonal
 
 The helix's curvature is in the piece: one that is stretched bulges, and the first mode, which changes the length of the
 cable, has hoop stiffness (319 instead of 234 Hz on table 2).
+
+A piece is its own mirror image: x -> -x, y -> y, theta -> -theta with the ends exchanged. Every mode is even or odd
+under it, and in the unknowns
+
+    even (x_L - x_R, y_L + y_R, theta_L - theta_R) and the even modes, odd (x_L + x_R, y_L - y_R, theta_L + theta_R) and
+    the odd ones, L the tip-side and R the root-side end,
+
+each symmetric matrix falls apart into an even and an odd block: ``halves`` gives what acts on L, R has its mirror
+image.
 """
 
 from __future__ import annotations
@@ -18,6 +27,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import eigh
 
 from probe_env.arrays import FloatArray
@@ -25,6 +35,8 @@ from probe_env.physics.chain import Chain, element_blocks, element_stiffness
 
 ENDS = 6
 """Unknowns of the two ends; the modal coordinates follow."""
+MIRROR = np.array([-1.0, 1.0, -1.0])
+"""Of x, y and theta."""
 
 
 class Pitch(NamedTuple):
@@ -52,6 +64,51 @@ class Pitch(NamedTuple):
     def modes(self) -> int:
         """M."""
         return len(self.tension) - ENDS
+
+    @property
+    def even(self) -> npt.NDArray[np.bool_]:
+        """(m,) whether a mode is even."""
+        modes = self.shape[:, ENDS:].reshape(-1, 3, self.modes)
+        mirrored = modes[::-1] * MIRROR[None, :, None]
+        return np.asarray((modes * mirrored).sum(axis=(0, 1)) > 0.0)
+
+    def only(self, modes: npt.ArrayLike) -> Pitch:
+        """The same with some of its modes, in the order of their indices."""
+        kept = np.r_[:ENDS, ENDS + np.asarray(modes, dtype=int)]
+        square = np.ix_(kept, kept)
+        return Pitch(
+            self.mass[square], self.stiffness[square], self.couple[square], self.tension[kept], self.root_tension[kept],
+            self.shape[:, kept], self.frequencies,
+        )  # fmt: skip
+
+
+def halves(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Even and odd part of rows (..., 6) that act on the ends: rows times (d_L, d_R) is even a_even + odd a_odd.
+
+    D_L = (a_even + a_odd) / 2 and d_R = J (a_odd - a_even) / 2 with J = diag(1, -1, 1).
+    """
+    left, right = rows[..., :3], rows[..., 3:6] * -MIRROR
+    return 0.5 * (left - right), 0.5 * (left + right)
+
+
+def refined(chain: Chain, nodes_per_pitch: int, elements: int, places: int) -> Chain:
+    """A piece of ``places`` elements of a chain, as one with ``elements`` in a float pitch; nothing but the cable.
+
+    Lengths, masses and compliances after (1), (2) and (5), rotary inertia with the cable's radius as it is there.
+    """
+    ratio = nodes_per_pitch / elements
+    h, sin_phi = chain.element_length * ratio, chain.sin_phi * ratio
+    section = chain.inertia / chain.mass - chain.element_length**2 / 12.0
+    mass = chain.mass * ratio
+    nodes = np.zeros(places * elements // nodes_per_pitch + 1)
+    return chain._replace(
+        element_length=h, sin_phi=sin_phi, cos_phi=float(np.sqrt(1.0 - sin_phi**2)),
+        axial_compliance=chain.axial_compliance * ratio, shear_compliance=chain.shear_compliance * ratio**3,
+        bending_compliance=chain.bending_compliance * ratio, coupling_compliance=chain.coupling_compliance * ratio**2,
+        mass=mass, inertia=mass * (h**2 / 12.0 + section), couple_length=chain.couple_length * ratio, frame_inertia=0.0,
+        contact_stiffness=nodes, outer_gap=nodes, lever=nodes, drag=nodes, support_stiffness=np.zeros((len(nodes), 3)),
+        load=np.zeros((len(nodes), 3)),
+    )  # fmt: skip
 
 
 def condensed(chain: Chain, modes: int) -> Pitch:

@@ -1,0 +1,269 @@
+"""What the kernel of the superelement needs of a probe: constants of its pieces, factors, maps for a growing length.
+
+A piece is a pitch, or at the root a part of one: some of the n places in a pitch at which the cable can be held. All
+are condensed from the same fine mesh and keep equally many even and odd modes.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from probe_env.arrays import FloatArray
+from probe_env.physics.chain import Chain
+from probe_env.physics.methods.factors import linear_weights
+from probe_env.physics.methods.superelement.contact import Endless, contact_frequency, fitted_stiffness, most_tension
+from probe_env.physics.methods.superelement.pitch import ENDS, Pitch, condensed, halves, refined
+
+ELEMENTS = 16
+"""Of the fine mesh in a pitch."""
+REACH = 1.8
+"""Modes are kept up to this many times the frequency of contact."""
+LEAST, MOST = (2, 1), 5
+"""Even and odd modes that are always kept; most of either kind."""
+
+# constants of a piece: blocks of its ends' unknowns, axial force and mass, then its modes
+K_EVEN, K_ODD, G_EVEN, G_ODD, AXIAL_EVEN, AXIAL_ODD, HALF_MASS = 0, 9, 15, 24, 33, 36, 39
+EVEN = 40
+# of a mode: theta dt times its stiffness, dt times it, mass to the L end, couple with the L end and with the modes of
+# its parity, axial force
+ELASTIC, FORCE, CARRIED, COUPLE, AXIAL, TO_MODES = 0, 1, 2, 5, 8, 9
+MODE = TO_MODES + MOST
+ODD = EVEN + MOST * MODE
+CONSTANTS = ODD + MOST * MODE
+FACTORS = 27
+SETTLED = 8.0 * np.finfo(float).eps
+MOST_FACTORS = 1000
+
+
+class Tables(NamedTuple):
+    """Of a probe; n places in a pitch, e even and o odd modes, m = e + o.
+
+    Attributes:
+        even, odd: e and o.
+        pieces: (n + 1, CONSTANTS) of the root's piece with 1, ..., n places, and of a pitch between floats.
+        factors: (k, 27) E, F, U of the first k floats from the tip; the last row serves all beyond.
+        root_factors: (n, k, 27) the same where the next piece has 1, ..., n places and is held.
+        growth: (n, 6 + 2 m, 6 + 2 m), see ``_growth``.
+        shape: (n, n, 3, 6 + m) displacement at the places 0, ..., n - 1 from the L end of each piece.
+        most_tension: up to which the couple, explicit, leaves the floats stable [N].
+        stiffness: of contact, as this step needs it, see contact.py [N/m].
+    """
+
+    even: int
+    odd: int
+    pieces: FloatArray
+    factors: FloatArray
+    root_factors: FloatArray
+    growth: FloatArray
+    shape: FloatArray
+    most_tension: float
+    stiffness: float
+
+
+def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
+    """Those of a probe's chain, whose nodes are the places; as many modes as its contact asks for, three at least.
+
+    Raises:
+        ValueError: the places are not nodes of the fine mesh, or there is no room for the modes.
+    """
+    if ELEMENTS % nodes_per_pitch:
+        raise ValueError(
+            f"nodes_per_pitch = {nodes_per_pitch!r} does not divide {ELEMENTS}, the elements in a pitch of superelement"
+        )
+    linear = tuple(float(value) for value in chain[: Chain._fields.index("friction")])
+    return _tables(linear, float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
+
+
+def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
+    """Step [s] at which omega dt of a float on its contact spring, with the cable tied to it, is ``limit``."""
+    linear = tuple(float(value) for value in chain[: Chain._fields.index("friction")])
+    return _longest_step(linear, float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
+
+
+@lru_cache(maxsize=256)
+def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limit: float) -> float:
+    chain = _cable(linear)
+    whole = _piece(chain, places, ELEMENTS, places)
+    row = Endless(_chosen(whole, *_modes(whole, REACH * contact_frequency(chain, stiffness)), 0.0))
+
+    def beyond(step: float) -> float:
+        return step * math.sqrt(stiffness * row.least_mass(chain.damping_time, step) ** -1) - limit
+
+    return float(brentq(beyond, 1e-8, 1.0, rtol=1e-6))
+
+
+def _cable(linear: tuple[float, ...]) -> Chain:
+    none = np.zeros((2, 3))
+    rest = (0.0, 0.0, none[:, 0], none[:, 0], none[:, 0], none[:, 0], none, none)
+    return Chain(*linear, *rest)  # type: ignore[arg-type, call-arg]
+
+
+def _modes(whole: Pitch, reach: float) -> tuple[int, int]:
+    """How many even and odd modes lie below a frequency [Hz]; at least ``LEAST``.
+
+    Raises:
+        ValueError: more than there is room for.
+    """
+    below, kinds = whole.frequencies[: whole.modes] <= reach, (whole.even, ~whole.even)
+    even, odd = (min(max(n, int((below & kind).sum())), int(kind.sum())) for n, kind in zip(LEAST, kinds, strict=True))
+    if max(even, odd) > MOST:
+        raise ValueError(
+            f"contact.stiffness asks for modes up to {reach:.0f} Hz, {even} even and {odd} odd ones: superelement has"
+            f" room for {MOST} and {MOST}; imex with 8 or more nodes a pitch simulates it"
+        )
+    return even, odd
+
+
+@lru_cache(maxsize=256)
+def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step: float, elements: int) -> Tables:
+    chain = _cable(linear)
+    theta, tau = linear_weights(chain.damping_time, time_step)
+    whole = _piece(chain, places, elements, places)
+    even, odd = _modes(whole, REACH * contact_frequency(chain, stiffness))
+    pieces = [
+        _chosen(_piece(chain, places, elements, count), even, odd, theta * time_step * tau)
+        for count in range(1, places + 1)
+    ]
+    if pieces[0].modes < even + odd:
+        raise ValueError(
+            f"nodes_per_pitch = {places!r}: a piece of {elements // places} elements at the root has fewer modes than"
+            f" the {even + odd} that superelement keeps in a pitch; 1, 2 and 4 are accepted"
+        )
+    fine = refined(chain, places, elements, places)
+    factors, root_factors = _factors(
+        pieces, 0.5 * np.diag([fine.mass, fine.mass, fine.inertia]), theta * time_step * tau
+    )
+    at_root = [_constants(piece, even, piece.root_tension, time_step, theta, tau) for piece in pieces]
+    inner = _mirrored(_constants(pieces[-1], even, pieces[-1].tension, time_step, theta, tau))
+    return Tables(
+        even, odd, np.array([*at_root, inner]),
+        factors, root_factors,
+        np.array([_growth(chain, pieces, k, places, elements) for k in range(places)]),
+        np.array([_shape(piece, places, elements) for piece in pieces]),
+        most_tension(pieces[-1], time_step, theta, tau),
+        fitted_stiffness(_chosen(whole, MOST, MOST, 0.0), pieces[-1], stiffness, chain.damping_time, time_step),
+    )  # fmt: skip
+
+
+def _piece(chain: Chain, places: int, elements: int, count: int) -> Pitch:
+    """A piece of ``count`` places with all its modes."""
+    mesh = refined(chain, places, elements, count)
+    return condensed(mesh, 3 * (mesh.node_count - 2))
+
+
+def _chosen(piece: Pitch, even: int, odd: int, weight: float) -> Pitch:
+    """The lowest modes of both kinds, the even ones first; scaled so that M + weight K of each is one."""
+    chosen = piece.only([*np.flatnonzero(piece.even)[:even], *np.flatnonzero(~piece.even)[:odd]])
+    scale = np.ones(ENDS + chosen.modes)
+    scale[ENDS:] = 1.0 / np.sqrt(1.0 + weight * np.diag(chosen.stiffness)[ENDS:])
+    both = np.outer(scale, scale)
+    return chosen._replace(
+        mass=chosen.mass * both, stiffness=chosen.stiffness * both, couple=chosen.couple * both,
+        tension=chosen.tension * scale, root_tension=chosen.root_tension * scale, shape=chosen.shape * scale,
+    )  # fmt: skip
+
+
+def _constants(piece: Pitch, even: int, tension: FloatArray, time_step: float, theta: float, tau: float) -> FloatArray:
+    """(CONSTANTS,) of a piece whose axial force is ``tension`` times its unknowns."""
+    values = np.zeros(CONSTANTS)
+    k_even, k_odd = halves(piece.stiffness[:3, :ENDS])
+    size, vectors = np.linalg.eigh(k_odd)  # of rank one: two of three odd motions are rigid
+    values[K_EVEN : K_EVEN + 9] = k_even.ravel()
+    values[K_ODD : K_ODD + 3], values[K_ODD + 3 : K_ODD + 6] = vectors[:, -1], size[-1] * vectors[:, -1]
+    for at, block in zip((G_EVEN, G_ODD), halves(piece.couple[:3, :ENDS]), strict=True):
+        values[at : at + 9] = block.ravel()
+    for at, row in zip((AXIAL_EVEN, AXIAL_ODD), halves(tension[:ENDS]), strict=True):
+        values[at : at + 3] = row
+    values[HALF_MASS] = 0.5 * piece.mass[1, 1]
+    squares = np.diag(piece.stiffness)
+    for first, modes in ((EVEN, range(even)), (ODD, range(even, piece.modes))):
+        for k, mode in enumerate(modes):
+            j, row = ENDS + mode, values[first + k * MODE : first + (k + 1) * MODE]
+            row[ELASTIC], row[FORCE] = theta * time_step * squares[j], time_step * squares[j]
+            row[CARRIED:COUPLE] = piece.mass[:3, j]
+            row[COUPLE:AXIAL] = piece.couple[j, :3]
+            row[AXIAL] = tension[j]
+            row[TO_MODES : TO_MODES + len(modes)] = piece.couple[j, ENDS + modes.start : ENDS + modes.stop]
+    return values
+
+
+def _mirrored(values: FloatArray) -> FloatArray:
+    """Constants of a pitch whose axial force is the mean: its odd part is zero, here to the last digit."""
+    values[AXIAL_ODD : AXIAL_ODD + 3] = 0.0
+    values[ODD + AXIAL :: MODE] = 0.0
+    return values
+
+
+def _factors(pieces: list[Pitch], tip: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
+    """See ``Tables``: of A = M + theta dt tau K with the modes of each piece eliminated."""
+    blocks = []
+    for piece in pieces:
+        A = piece.mass + weight * piece.stiffness
+        ends, modes = slice(0, ENDS), slice(ENDS, None)
+        blocks.append(A[ends, ends] - A[ends, modes] @ np.linalg.solve(A[modes, modes], A[modes, ends]))
+    whole = blocks[-1]
+    behind, ahead = whole[3:, :3], whole[:3, 3:]
+    rows: list[FloatArray] = []
+    roots: list[list[FloatArray]] = []
+    rest = tip  # of S what comes from the tip's side
+    none = np.zeros((3, 3))
+    while len(rows) < MOST_FACTORS:
+        E = np.linalg.inv(rest + whole[:3, :3])
+        rows.append(np.concatenate([E, E @ behind, E @ ahead]).ravel())
+        held = [np.linalg.inv(rest + block[:3, :3]) for block in blocks]
+        roots.append([np.concatenate([E_held, E_held @ behind, none]).ravel() for E_held in held])
+        if len(rows) > 1 and np.abs(rows[-1] - rows[-2]).max() <= SETTLED * np.abs(rows[-1]).max():
+            break
+        rest = whole[3:, 3:] - behind @ E @ ahead
+    return np.array(rows), np.array(roots).transpose(1, 0, 2)
+
+
+def _growth(chain: Chain, pieces: list[Pitch], k: int, places: int, elements: int) -> FloatArray:
+    """What changes when the root's piece of k + 1 places gains one, (6 + 2 m)^2, times (d, v, q, p) of it.
+
+    D and v of the float at its L end, q and p of its modes. Gives: K d and momentum that the float at L gains, and q
+    and p of the modes of the longer piece, which moves as the shorter one did and rests beyond it, projected by the
+    mass. Of a whole pitch, whose R end is let go: K d and momentum of the float there; the new piece's modes rest.
+    """
+    m = pieces[0].modes
+    old = pieces[k]
+    result = np.zeros((ENDS + 2 * m, ENDS + 2 * m))
+    kept = np.r_[0:3, ENDS : ENDS + m]
+    # velocities of the unknowns from v of the float and momenta of the modes
+    modal = np.diag(old.mass)[ENDS:, None]
+    moving = np.zeros((3 + m, ENDS + 2 * m))
+    moving[:3, 3:6], moving[3:, 3:6] = np.eye(3), -old.mass[ENDS:, :3] / modal
+    moving[3:, ENDS + m :] = np.eye(m) / modal
+    if k == places - 1:
+        result[:3, :3] = old.stiffness[3:6, :3]
+        result[3:6] = old.mass[3:6][:, kept] @ moving
+        return result
+    new = pieces[k + 1]
+    mesh = refined(chain, places, elements, k + 2)
+    mass = np.tile([mesh.mass, mesh.mass, mesh.inertia], mesh.node_count)
+    mass[:3] *= 0.5
+    mass[-3:] *= 0.5
+    shape = np.zeros((len(mass), 3 + m))
+    shape[: len(old.shape)] = old.shape[:, kept]
+    shape[len(old.shape) - 3 :] = 0.0
+    result[:3, :3] = new.stiffness[:3, :3] - old.stiffness[:3, :3]
+    result[3:6] = (new.shape[:, :3].T * mass) @ shape @ moving - old.mass[:3][:, kept] @ moving
+    placed = np.zeros((3 + m, ENDS + 2 * m))
+    placed[:3, :3], placed[3:, ENDS : ENDS + m] = np.eye(3), np.eye(m)
+    modes = new.shape[:, ENDS:].T * mass
+    result[ENDS : ENDS + m] = modes @ (shape @ placed - new.shape[:, :3] @ placed[:3]) / np.diag(new.mass)[ENDS:, None]
+    result[ENDS + m :] = modes @ shape @ moving
+    return result
+
+
+def _shape(piece: Pitch, places: int, elements: int) -> FloatArray:
+    """(n, 3, 6 + m), zero beyond the piece."""
+    nodes = piece.shape.reshape(-1, 3, ENDS + piece.modes)[: -1 : elements // places]
+    result = np.zeros((places, 3, ENDS + piece.modes))
+    result[: len(nodes)] = nodes
+    return result

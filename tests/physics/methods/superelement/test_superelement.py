@@ -1,0 +1,208 @@
+"""The kernel of condensed pieces against the mesh that they come from, dense matrices, and itself."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from probe_env import Scene, Simulator, SimulatorBatch
+from probe_env.physics.bare_chains import Driven, bent_chain, run_chain
+from probe_env.physics.chain import build_chain
+from probe_env.physics.methods import METHODS
+from probe_env.physics.methods.factors import linear_weights
+from probe_env.physics.methods.superelement import contact, tables
+from probe_env.physics.methods.superelement.pitch import ENDS, refined
+
+STEP = 2e-4
+
+
+def dense(pieces, matrices, tip):
+    """Sum of the pieces' matrices in a row, tip first, the last end held; a row of float and modes a piece."""
+    width = 3 + pieces[0].modes
+    whole = np.zeros((width * len(pieces) + 3,) * 2)
+    for k, matrix in enumerate(matrices):
+        first = k * width
+        own = np.r_[first : first + 3, first + width : first + width + 3, first + 3 : first + width]
+        whole[np.ix_(own, own)] += matrix
+    whole[:3, :3] += tip
+    return whole[:-3, :-3]
+
+
+@pytest.mark.parametrize("places", [1, 2, 3, 4])
+def test_the_sweeps_solve_the_chain(places):
+    """(M + theta dt tau K) v = r of six whole pitches and a part of one: factors and modes against a dense solution."""
+    chain = build_chain(Scene(), 4)._replace(frame_inertia=0.0)
+    theta, tau = linear_weights(chain.damping_time, STEP)
+    weight = theta * STEP * tau
+    own = tables.tables(chain, 4, STEP)
+    cut = [tables._chosen(tables._piece(chain, 4, tables.ELEMENTS, n), own.even, own.odd, weight) for n in (4, places)]
+    pieces = [cut[0]] * 6 + [cut[1]]
+    fine = refined(chain, 4, tables.ELEMENTS, 4)
+    tip = 0.5 * np.diag([fine.mass, fine.mass, fine.inertia])
+    A = dense(pieces, [p.mass + weight * p.stiffness for p in pieces], tip)
+    r = np.random.default_rng(1).normal(size=len(A))
+    exact = np.linalg.solve(A, r).reshape(7, -1)
+    rows = r.reshape(7, -1)
+    left = [p.mass[:ENDS, ENDS:] @ row[3:] for p, row in zip(pieces, rows, strict=True)]  # modes of A are one
+    u, before, carried = [], np.zeros(3), np.zeros(3)
+    for i in range(7):
+        table = own.root_factors[places - 1] if i == 6 else own.factors
+        E, F, _ = table[min(i, len(own.factors) - 1)].reshape(3, 3, 3)
+        before = E @ (rows[i, :3] - left[i][:3] - carried) - F @ before
+        carried = left[i][3:]
+        u.append(before)
+    v = np.zeros(3)
+    for i in reversed(range(7)):
+        v = u[i] - own.factors[min(i, len(own.factors) - 1)].reshape(3, 3, 3)[2] @ v
+        # rounding of a system whose angles and lengths differ by some hundred
+        assert_allclose(v, exact[i, :3], rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+
+
+def test_with_all_modes_it_is_the_mesh(monkeypatch):
+    """A free, bent chain let go from a shape: pitches of two elements with all their modes are imex with two nodes."""
+    pitches, steps = 6, 200
+    mesh = bent_chain(2 * pitches)
+    coarse = refined(mesh, 2, 1, 2 * pitches)
+    monkeypatch.setattr(tables, "contact_frequency", lambda *_: 1e9)
+    monkeypatch.setattr(tables, "ELEMENTS", 2)
+    tables._tables.cache_clear()
+    chains = {"imex": (mesh, 2), "superelement": (coarse, 1)}
+    d = np.zeros((2 * pitches + 1, 3))
+    own = tables.tables(coarse, 1, STEP)
+    assert (own.even, own.odd) == (1, 2)
+    place = np.arange(pitches + 1) / pitches
+    ends = np.stack([0.0 * place, 1e-3 * np.cos(0.5 * np.pi * place) ** 4, 0.0 * place], axis=1)
+    ends[-1] = 0.0
+    shape = tables._chosen(tables._piece(coarse, 1, 2, 1), 1, 2, 0.0).shape[3:6, :ENDS]
+    d[::2] = ends
+    d[1::2] = np.hstack([ends[:-1], ends[1:]]) @ shape.T  # no mode is in it
+    ended = {}
+    for name, (chain, places) in chains.items():
+        start = METHODS[name].at_rest(chain, places, STEP, chain.node_count - 1, d[:: 3 - places])
+        run_chain(name, Driven(chain, nodes_per_pitch=places), STEP, start, steps, steps)
+        ended[name] = start.d[::places]
+    scale = np.abs(ended["imex"]).max(axis=0)
+    assert (scale > 1e-5).all()
+    assert_allclose(ended["superelement"] / scale, ended["imex"] / scale, atol=1e-8)  # rounding of 200 steps
+    tables._tables.cache_clear()
+
+
+def test_the_compliance_in_steps_is_that_of_the_steps():
+    """A ring of pieces with turned ends, marched under a turning force until it follows it.
+
+    Springs to the ground at its floats, 1e5 N/m, keep slow motions, which hardly decay, out of the answer.
+    """
+    chain = build_chain(Scene(), 4)._replace(frame_inertia=0.0)
+    theta, tau = linear_weights(chain.damping_time, STEP)
+    piece = tables._chosen(tables._piece(chain, 4, tables.ELEMENTS, 4), 2, 1, 0.0)
+    count, width = contact.PHASES, 6
+    whole = np.zeros((2, count * width, count * width))
+    for k in range(count):
+        behind = (k + 1) % count * width
+        own = np.r_[k * width : k * width + 3, behind : behind + 3, k * width + 3 : k * width + 6]
+        sign = np.ones(9)
+        sign[3:6] = -1.0 if behind == 0 else 1.0  # phases lie half-way between those of a plain ring
+        for target, matrix in zip(whole, (piece.mass, piece.stiffness), strict=True):
+            target[np.ix_(own, own)] += sign[:, None] * matrix * sign
+    M, K = whole
+    floats = np.arange(0, len(M), width)
+    K[floats, floats] += 1e5
+    K[floats + 1, floats + 1] += 1e5
+    A = np.linalg.inv(M + theta * STEP * tau * K)
+    omega, force = 2.0 * np.pi * 679.0, np.zeros(len(M))
+    force[1] = 1.0
+    d, p = np.zeros((2, len(M)), dtype=complex)
+    for n in range(2000):
+        p = p + STEP * force * np.exp(1j * omega * n * STEP)
+        v = A @ (p - theta * STEP * (K @ d))
+        p, d = p - STEP * (K @ (d + tau * v)), d + STEP * v
+    answer = d[1] * np.exp(-1j * omega * 2000 * STEP)
+    endless = contact.Endless(piece)
+    endless.stiffness[:, [0, 1], [0, 1]] += 1e5
+    own = endless.stepped_compliance(omega, chain.damping_time, STEP)
+    assert abs(answer / own - 1.0) < 1e-6  # the start is gone: the slowest motion decays by 230 a second
+
+
+def test_contact_is_fitted_where_the_step_shows():
+    """On table 2: seven hundredths less at 2e-4 s, and less of it as the step shrinks, down to what the modes lack."""
+    chain = build_chain(Scene(), 4)
+    share = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
+    assert_allclose(share, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
+    more = contact.fitted_stiffness(*(tables._piece(chain, 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6)
+    assert more == pytest.approx(1e5, rel=2e-3)
+
+
+def test_modes_are_chosen_by_the_contact():
+    """Three on table 2; stiffer contact asks for more, and a probe of a longer pitch too."""
+    kept = {}
+    for name, scene in {
+        "table 2": Scene(), "stiff": Scene(contact={"stiffness": 4e5}), "soft": Scene(contact={"stiffness": 1e4})
+    }.items():  # fmt: skip
+        own = tables.tables(build_chain(scene, 4), 4, 1e-4)
+        kept[name] = (own.even, own.odd)
+    assert kept["table 2"] == kept["soft"] == (2, 1)
+    assert kept["stiff"][0] > 2
+    assert kept["stiff"][1] > 1
+
+
+@pytest.mark.parametrize(
+    ("nodes", "stiffness", "message"),
+    [
+        (3, 1e5, "nodes_per_pitch = 3 does not divide 16"),
+        (8, 4e5, "nodes_per_pitch = 8: .*1, 2 and 4 are accepted"),
+        (4, 1e7, "contact.stiffness asks for modes up to .* room for 5 and 5"),
+    ],
+)
+def test_what_it_cannot_do_it_says(nodes, stiffness, message):
+    with pytest.raises(ValueError, match=message):
+        Simulator(Scene(contact={"stiffness": stiffness}), "superelement", 5e-5, nodes)
+
+
+@pytest.mark.parametrize("method", ["superelement", "superelement32"])
+def test_lengths_modes_and_calls_change_no_bit(method):
+    """Probes of all fractions of a pitch at the root, growing over it, two with more modes: in a batch as alone."""
+    scenes = [Scene(carrier_length=length, probe={"guide_length": 0.5}) for length in (0.5, 1.3, 0.8, 2.0, 0.4)]
+    scenes += [
+        scene.model_copy(update={"contact": Scene(contact={"stiffness": 2.5e5}).contact}) for scene in scenes[:2]
+    ]
+    options = {"growing": True, "time_lapse": 30.0, "perturbation": 1e-6}
+    batch = SimulatorBatch(scenes, method, 1e-4, threads=1, **options)
+    kinds = {METHODS[method].lanes.kind(s.lane_constants()[1]) for s in batch.simulators}
+    assert len(kinds) == 2
+    for speed in (0.2, 0.13):
+        batch.advance(speed, None, 0.05)
+    for k, own in enumerate(batch.simulators):
+        alone = Simulator(scenes[k], method, 1e-4, seed=k, **options)
+        for speed, duration in ((0.2, 0.03), (0.2, 0.02), (0.13, 0.05)):
+            alone.advance(speed, None, duration)
+        assert alone.root == own.root > alone._start_root + 10
+        for a, b in zip(alone.state, own.state, strict=True):
+            assert (a == b).all()
+
+
+def test_a_growing_probe_follows_the_mesh():
+    """Without friction a probe of 1 m that grows by half hangs in the air stream: tip and tension as with 16 nodes.
+
+    The mesh's own error at 4 nodes is shown with it.
+    """
+    scene = Scene(contact={"friction": 0.0}, probe={"guide_length": 0.5}, carrier_length=0.5)
+    ended = {}
+    for name, method, nodes in (("mesh", "imex", 16), ("own", "superelement", 4)):
+        simulator = Simulator(scene, method, 1e-4, nodes, growing=True, time_lapse=10.0)
+        run = simulator.advance(0.2, None, 0.3, points=("tip", "root"))
+        half = len(run.time) // 2
+        ended[name] = np.array([run.axial[half:, 0].mean(), run.tension[half:, 1].mean()])
+        assert simulator.inserted_length == pytest.approx(1.6)
+    assert_allclose(ended["own"], ended["mesh"], rtol=0.02)
+
+
+def test_single_precision_holds_a_long_free_probe_where_double_does():
+    """Along the tube nothing but the root holds it: no rounding may be a spring to the frame (see imex32's factors).
+
+    60 m without friction, pulled for a tenth of a second; 1e-4 of the displacement is 250 roundings of it.
+    """
+    scene = Scene(contact={"friction": 0.0}, carrier_length=57.5)
+    tip = [
+        Simulator(scene, method, STEP).run(0.1, points=("tip",)).axial[:, 0]
+        for method in ("superelement", "superelement32")
+    ]
+    assert_allclose(tip[1], tip[0], atol=1e-4 * np.abs(tip[0]).max())
