@@ -157,13 +157,13 @@ def test_what_it_cannot_do_it_says(nodes, stiffness, message):
         Simulator(Scene(contact={"stiffness": stiffness}), "superelement", 5e-5, nodes)
 
 
-@pytest.mark.parametrize("method", ["superelement", "superelement32"])
-def test_lengths_modes_and_calls_change_no_bit(method):
+def test_lengths_modes_and_calls_change_no_bit():
     """Probes of all fractions of a pitch at the root, growing over it, two with more modes: in a batch as alone."""
     scenes = [Scene(carrier_length=length, probe={"guide_length": 0.5}) for length in (0.5, 1.3, 0.8, 2.0, 0.4)]
     scenes += [
         scene.model_copy(update={"contact": Scene(contact={"stiffness": 2.5e5}).contact}) for scene in scenes[:2]
     ]
+    method = "superelement"
     options = {"growing": True, "time_lapse": 30.0, "perturbation": 1e-6}
     batch = SimulatorBatch(scenes, method, 1e-4, threads=1, **options)
     kinds = {METHODS[method].lanes.kind(s.lane_constants()[1]) for s in batch.simulators}
