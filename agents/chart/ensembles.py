@@ -87,6 +87,15 @@ CHOICES: dict[str, dict[str, Any]] = {
     "friction 0.16": {"friction": 0.16},
 }
 """What is changed of table 2's mesh and model, one at a time."""
+CONVERGED_STEP, CONVERGED_NODES = 5e-5, 16  # [s], of imex: the mesh and step that everything is measured against
+CONVERGED_LENGTHS = {10.0: 16, 30.0: 64, 40.0: 64, 50.0: 48}
+"""[m], with members of the converged reference at table 2's stiffness; others have 16."""
+PIECE_STEPS = {
+    1e4: (1e-4, 2e-4, 2.5e-4, 5e-4),
+    1e5: (5e-5, 1e-4, 2e-4, 2.5e-4),
+    1e6: (5e-5,),
+}
+"""[s], of the superelement, by contact stiffness [N/m]: as long as hold."""
 
 
 def step_settings() -> Iterator[Setting]:
@@ -107,6 +116,29 @@ def model_settings() -> Iterator[Setting]:
     for length in LENGTHS[1:]:
         for change in CHOICES.values():
             yield Setting(**({"time_step": MODEL_STEP, "length": length} | change))
+
+
+def converged_settings() -> Iterator[Setting]:
+    """The converged mesh with a fine step, and what is compared with it beyond the settings above."""
+    for stiffness in STIFFNESSES:
+        usual = stiffness == Setting.stiffness
+        for length, most in CONVERGED_LENGTHS.items():
+            if length in LENGTHS or usual:
+                yield converged(length, stiffness, most if usual else 16)
+                for time_step in PIECE_STEPS[stiffness]:
+                    members = 128 if usual and length in (30.0, 40.0, 50.0) and time_step >= 1e-4 else 16
+                    yield Setting("superelement32", time_step, length=length, stiffness=stiffness, members=members)
+    for length in (30.0, 40.0, 50.0):
+        yield Setting("superelement", 2e-4, length=length, members=32)
+        yield Setting("imex32", CONVERGED_STEP, CONVERGED_NODES, length, members=32)
+        for nodes in (4, 8, 16):
+            if nodes > 4 or length not in LENGTHS:
+                yield Setting("imex32", 2e-4, nodes, length, members=32)
+
+
+def converged(length: float, stiffness: float, members: int = 16) -> Setting:
+    """The reference for the errors of mesh and step together."""
+    return Setting("imex", CONVERGED_STEP, CONVERGED_NODES, length, stiffness, members=members)
 
 
 def run_setting(setting: Setting) -> list[dict[str, Any]]:
@@ -132,7 +164,7 @@ def member_statistics(window: Window, member: int) -> dict[str, float]:
 def run_ensembles(output: Path) -> pd.DataFrame:
     """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
     store = open_store(output)
-    settings = (*step_settings(), *model_settings())
+    settings = (*step_settings(), *model_settings(), *converged_settings())
 
     def stored(setting: Setting) -> bool:
         return store.has(*setting.key.values(), setting.members - 1)
@@ -154,6 +186,6 @@ def open_store(output: Path) -> Store:
 
 def _work(setting: Setting) -> float:
     """Node-steps of all members, weighted by what a method's cost."""
-    weight = {"imex": 1.0, "imex32": 0.5, "implicit": 30.0}[setting.method]
+    weight = {"imex": 1.0, "imex32": 0.5, "implicit": 30.0, "superelement": 0.7, "superelement32": 0.35}[setting.method]
     nodes = (setting.length + 2.5) / 0.1 * setting.nodes_per_pitch
     return weight * nodes * (SETTLE + DURATION) / setting.time_step * setting.members

@@ -29,6 +29,7 @@ class Insertion:
     method: str = "imex"
     time_step: float = 2e-4
     time_lapse: float = 1.0
+    nodes_per_pitch: int = 4
     members: int = 8
 
     @property
@@ -37,15 +38,20 @@ class Insertion:
         return {COLUMNS.get(name, name): value for name, value in asdict(self).items() if name != "members"}
 
 
+REFERENCE = Insertion(time_step=5e-5)
+"""Which of them the others on table 2's mesh are compared with."""
+CONVERGED = Insertion("imex32", 5e-5, nodes_per_pitch=16, members=16)
+"""Which of them all are compared with for mesh and step together."""
 INSERTIONS = (
     *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
     *(Insertion("imex32", 1e-4, factor) for factor in (4.0, 1.0)),
     *(Insertion(time_lapse=factor) for factor in (4.0, 1.0)),
-    Insertion(time_step=5e-5),
+    REFERENCE,
+    *(Insertion("superelement32", time_lapse=factor, members=16) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
+    Insertion("superelement32", 1e-4),
     Insertion("newmark", 1e-4, 4.0, members=4),
+    CONVERGED,
 )
-REFERENCE = Insertion(time_step=5e-5)
-"""Which of them the others are compared with."""
 
 
 def run_insertions(output: Path) -> pd.DataFrame:
@@ -70,7 +76,7 @@ def run_insertions(output: Path) -> pd.DataFrame:
 def _insert(insertion: Insertion) -> list[dict[str, Any]]:
     scene = Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)
     batch = SimulatorBatch(
-        [scene] * insertion.members, insertion.method, insertion.time_step,
+        [scene] * insertion.members, insertion.method, insertion.time_step, insertion.nodes_per_pitch,
         growing=True, time_lapse=insertion.time_lapse, perturbation=PERTURBATION,
     )  # fmt: skip
     rows: list[dict[str, Any]] = []
