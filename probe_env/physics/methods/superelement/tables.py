@@ -132,7 +132,8 @@ def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step:
     if pieces[0].modes < even + odd:
         raise ValueError(
             f"nodes_per_pitch = {places!r}: a piece of {elements // places} elements at the root has fewer modes than"
-            f" the {even + odd} that superelement keeps in a pitch; 1, 2 and 4 are accepted"
+            f" the {even + odd} that superelement keeps in a pitch for contact.stiffness = {stiffness:g} N/m;"
+            " give fewer nodes a pitch (4, 2 or 1), or imex"
         )
     fine = refined(chain, places, elements, places)
     factors, root_factors = _factors(
