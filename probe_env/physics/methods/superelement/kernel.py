@@ -91,7 +91,7 @@ def push_modes(constants, c, count, state, q, ax, ay, at, push):
     ``push`` is -dt V, (ax, ay, at) are the ends' unknowns; the forces are still to be multiplied by it.
     """
     zero = splat(push, 0.0)
-    hx, hy, ht, sx, sy, st = zero, zero, zero, zero, zero, zero
+    hx = hy = ht = sx = sy = st = zero
     for j in range(count):
         m, r = c + j * MODE, q + 2 * j
         position = load(state, r)
@@ -192,18 +192,8 @@ def superelement_advance(
         k = step * INPUTS
         speed, slope, air = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
         top, peak = tops[step], zero
-        ux, uy, ut = zero, zero, zero
-        kx, ky, kt, hx, hy, ht, sx, sy, st = (
-            zero,
-            zero,
-            zero,
-            zero,
-            zero,
-            zero,
-            zero,
-            zero,
-            zero,
-        )  # from the piece before
+        ux = uy = ut = zero
+        kx = ky = kt = hx = hy = ht = sx = sy = st = zero  # from the piece before
         mass = zero
         x, y, t = load(state, X), load(state, Y), load(state, T)
         for i in range(top + 1):
@@ -258,7 +248,7 @@ def superelement_advance(
             hx, hy, ht = push * mx, push * my, push * mt
             x, y, t = nx, ny, nt
         store(parameters, PEAK, peak)
-        wx, wy, wt, zx, zy, zt = zero, zero, zero, zero, zero, zero  # of the float behind: v_m, d_before + tau v_m
+        wx = wy = wt = zx = zy = zt = zero  # of the float behind: v_m, d_before + tau v_m
         held = load(parameters, ROOT)
         for back in range(top + 1):
             i = top - back
@@ -294,26 +284,9 @@ def superelement_advance(
             wx, wy, wt, zx, zy, zt = ux, uy, ut, nx, ny, nt
         due -= 1
         if after_step(
-            parameters,
-            constants,
-            factors,
-            at,
-            last,
-            fields,
-            state,
-            inputs,
-            k,
-            step,
-            due,
-            row,
-            lag,
-            root_tables,
-            points,
-            roots,
-            samples,
-            tension,
-            failed,
-        ):
+            parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, lag, root_tables,
+            points, roots, samples, tension, failed,
+        ):  # fmt: skip
             return step + 1
         if due == 0:
             due = every
