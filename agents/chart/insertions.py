@@ -40,7 +40,7 @@ class Insertion:
 
 REFERENCE = Insertion(time_step=5e-5)
 """Which of them the others on table 2's mesh are compared with."""
-CONVERGED = Insertion("imex32", 5e-5, nodes_per_pitch=16, members=16)
+CONVERGED = Insertion("imex32", 5e-5, nodes_per_pitch=16)
 """Which of them all are compared with for mesh and step together."""
 INSERTIONS = (
     *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
