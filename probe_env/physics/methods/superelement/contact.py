@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import brentq
 
 from probe_env.physics.chain import Chain
@@ -61,13 +62,12 @@ class Endless:
     def least_mass(self, damping_time: float, time_step: float) -> float:
         """What a radial kick of a float meets in a step [kg], that of M + theta dt tau K; the least over all phases."""
         theta, tau = linear_weights(damping_time, time_step)
-        inverse = np.linalg.inv(self.mass + theta * time_step * tau * self.stiffness)
-        return float(1.0 / inverse[:, 1, 1].real.max())
+        return float(1.0 / _radial(self.mass + theta * time_step * tau * self.stiffness).real.max())
 
     def compliance(self, omega: float, damping_time: float) -> complex:
         """Of one float, radially: displacement by force at a frequency [m/N]."""
         whole = -(omega**2) * self.mass + (1.0 + 1j * omega * damping_time) * self.stiffness
-        return complex(np.linalg.inv(whole)[:, 1, 1].mean())
+        return complex(_radial(whole).mean())
 
     def stepped_compliance(self, omega: float, damping_time: float, time_step: float) -> complex:
         """The same of the chain in steps, kicked at each one's start."""
@@ -76,7 +76,14 @@ class Endless:
         rate = (z - 1.0) / time_step
         A = self.mass + theta * time_step * tau * self.stiffness
         whole = rate**2 * A + (theta * (z - 1.0) + 1.0 + tau * rate) * self.stiffness
-        return complex(z * np.linalg.inv(whole)[:, 1, 1].mean())
+        return complex(z * _radial(whole).mean())
+
+
+def _radial(matrices: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """(PHASES,) what y of the float is under a unit force on it."""
+    force = np.zeros((matrices.shape[-1], 1))
+    force[1] = 1.0
+    return np.asarray(np.linalg.solve(matrices, force)[:, 1, 0])
 
 
 def fitted_stiffness(whole: Pitch, kept: Pitch, stiffness: float, damping_time: float, time_step: float) -> float:

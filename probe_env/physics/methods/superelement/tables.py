@@ -88,7 +88,7 @@ def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
 @lru_cache(maxsize=256)
 def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limit: float) -> float:
     chain = _cable(linear)
-    whole = _piece(chain, places, ELEMENTS, places)
+    whole = _piece(linear, places, ELEMENTS, places)
     row = Endless(_chosen(whole, *_modes(whole, REACH * contact_frequency(chain, stiffness)), 0.0))
 
     def beyond(step: float) -> float:
@@ -123,10 +123,10 @@ def _modes(whole: Pitch, reach: float) -> tuple[int, int]:
 def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step: float, elements: int) -> Tables:
     chain = _cable(linear)
     theta, tau = linear_weights(chain.damping_time, time_step)
-    whole = _piece(chain, places, elements, places)
+    whole = _piece(linear, places, elements, places)
     even, odd = _modes(whole, REACH * contact_frequency(chain, stiffness))
     pieces = [
-        _chosen(_piece(chain, places, elements, count), even, odd, theta * time_step * tau)
+        _chosen(_piece(linear, places, elements, count), even, odd, theta * time_step * tau)
         for count in range(1, places + 1)
     ]
     if pieces[0].modes < even + odd:
@@ -151,9 +151,10 @@ def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step:
     )  # fmt: skip
 
 
-def _piece(chain: Chain, places: int, elements: int, count: int) -> Pitch:
-    """A piece of ``count`` places with all its modes."""
-    mesh = refined(chain, places, elements, count)
+@lru_cache(maxsize=64)
+def _piece(linear: tuple[float, ...], places: int, elements: int, count: int) -> Pitch:
+    """A piece of ``count`` places with all its modes; a tube's friction, contact and drag have no part in it."""
+    mesh = refined(_cable(linear), places, elements, count)
     return condensed(mesh, 3 * (mesh.node_count - 2))
 
 
