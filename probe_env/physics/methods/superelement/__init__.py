@@ -18,8 +18,8 @@ from probe_env.physics.methods.superelement.start import released
 from probe_env.physics.methods.superelement.tables import longest_step
 from probe_env.scene import Scene
 
-HOLDS, BREAKS = 1.6, 1.8
-"""Omega dt of a float on its contact spring: up to which runs held (144 random probes and tubes of 10 to 50 m among
+HOLDS, BREAKS = 1.65, 1.8
+"""Omega dt of a float on its contact spring: up to which runs held (96 random probes and tubes of 10 to 50 m among
 them), and from which they diverge."""
 LONGEST_STEP = 5e-4
 """[s] Soft contact would allow more; at 1e-3 s runs of 1e4 N/m diverge."""

@@ -75,14 +75,12 @@ def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
         raise ValueError(
             f"nodes_per_pitch = {nodes_per_pitch!r} does not divide {ELEMENTS}, the elements in a pitch of superelement"
         )
-    linear = tuple(float(value) for value in chain[: Chain._fields.index("friction")])
-    return _tables(linear, float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
+    return _tables(_linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
 
 
 def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
     """Step [s] at which omega dt of a float on its contact spring, with the cable tied to it, is ``limit``."""
-    linear = tuple(float(value) for value in chain[: Chain._fields.index("friction")])
-    return _longest_step(linear, float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
+    return _longest_step(_linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
 
 
 @lru_cache(maxsize=256)
@@ -95,6 +93,11 @@ def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limi
         return step * math.sqrt(stiffness * row.least_mass(chain.damping_time, step) ** -1) - limit
 
     return float(brentq(beyond, 1e-8, 1.0, rtol=1e-6))
+
+
+def _linear(chain: Chain) -> tuple[float, ...]:
+    """What the cable alone depends on, in an order that ``_cable`` undoes."""
+    return tuple(float(value) for value in chain[: Chain._fields.index("friction")])
 
 
 def _cable(linear: tuple[float, ...]) -> Chain:

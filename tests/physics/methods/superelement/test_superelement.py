@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from probe_env import Scene, Simulator, SimulatorBatch
+from probe_env.envs.design_env import HARDEST
 from probe_env.physics.bare_chains import Driven, bent_chain, run_chain
 from probe_env.physics.chain import build_chain
 from probe_env.physics.methods import METHODS
@@ -34,7 +35,8 @@ def test_the_sweeps_solve_the_chain(places):
     theta, tau = linear_weights(chain.damping_time, STEP)
     weight = theta * STEP * tau
     own = tables.tables(chain, 4, STEP)
-    cut = [tables._chosen(tables._piece(chain, 4, tables.ELEMENTS, n), own.even, own.odd, weight) for n in (4, places)]
+    whole = [tables._piece(tables._linear(chain), 4, tables.ELEMENTS, n) for n in (4, places)]
+    cut = [tables._chosen(piece, own.even, own.odd, weight) for piece in whole]
     pieces = [cut[0]] * 6 + [cut[1]]
     fine = refined(chain, 4, tables.ELEMENTS, 4)
     tip = 0.5 * np.diag([fine.mass, fine.mass, fine.inertia])
@@ -72,7 +74,7 @@ def test_with_all_modes_it_is_the_mesh(monkeypatch):
     place = np.arange(pitches + 1) / pitches
     ends = np.stack([0.0 * place, 1e-3 * np.cos(0.5 * np.pi * place) ** 4, 0.0 * place], axis=1)
     ends[-1] = 0.0
-    shape = tables._chosen(tables._piece(coarse, 1, 2, 1), 1, 2, 0.0).shape[3:6, :ENDS]
+    shape = tables._chosen(tables._piece(tables._linear(coarse), 1, 2, 1), 1, 2, 0.0).shape[3:6, :ENDS]
     d[::2] = ends
     d[1::2] = np.hstack([ends[:-1], ends[1:]]) @ shape.T  # no mode is in it
     ended = {}
@@ -93,7 +95,7 @@ def test_the_compliance_in_steps_is_that_of_the_steps():
     """
     chain = build_chain(Scene(), 4)._replace(frame_inertia=0.0)
     theta, tau = linear_weights(chain.damping_time, STEP)
-    piece = tables._chosen(tables._piece(chain, 4, tables.ELEMENTS, 4), 2, 1, 0.0)
+    piece = tables._chosen(tables._piece(tables._linear(chain), 4, tables.ELEMENTS, 4), 2, 1, 0.0)
     count, width = contact.PHASES, 6
     whole = np.zeros((2, count * width, count * width))
     for k in range(count):
@@ -127,7 +129,9 @@ def test_contact_is_fitted_where_the_step_shows():
     chain = build_chain(Scene(), 4)
     share = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
     assert_allclose(share, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
-    more = contact.fitted_stiffness(*(tables._piece(chain, 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6)
+    more = contact.fitted_stiffness(
+        *(tables._piece(tables._linear(chain), 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
+    )
     assert more == pytest.approx(1e5, rel=2e-3)
 
 
@@ -177,6 +181,19 @@ def test_lengths_modes_and_calls_change_no_bit():
         assert alone.root == own.root > alone._start_root + 10
         for a, b in zip(alone.state, own.state, strict=True):
             assert (a == b).all()
+
+
+def test_the_hardest_designs_hold_at_the_environments_step():
+    """Lightest and softest probes on the stiffest contact of the contexts: 2e-4 s is known to hold, and it does."""
+    scenes = []
+    for design in HARDEST:
+        probe = design.built.probe()
+        length = round(round(5.0 / probe.float_pitch) * probe.float_pitch, 9)
+        contact = {"stiffness": 1.4e5, "friction": 0.25}
+        scenes.append(Scene.model_validate({"carrier_length": length, "probe": probe, "contact": contact}))
+        assert METHODS["superelement32"].stable_step(scenes[-1], 4) >= STEP
+    batch = SimulatorBatch(scenes, "superelement32", STEP, perturbation=1e-7)
+    assert not batch.advance(None, None, 1.0).diverged.any()
 
 
 def test_a_growing_probe_follows_the_mesh():
