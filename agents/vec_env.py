@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -11,13 +11,17 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, Vec
 
 from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of, task_config
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import EpisodeSettings
+from probe_env.envs.starts import VERSIONS, EpisodeSettings
 from probe_env.envs.task import TaskConfig
 
-ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
-    "probe_env/Insertion-v0": InsertionEnv,
-    "probe_env/Snapshot-v0": SnapshotEnv,
+EnvId = Literal[
+    "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
+]  # fmt: skip
+ENVIRONMENTS: dict[str, tuple[type[ProbeEnv], dict[str, str]]] = {
+    env_id: (InsertionEnv if "Insertion" in env_id else SnapshotEnv, VERSIONS[env_id[-2:]])
+    for env_id in get_args(EnvId)
 }
+"""Class and settings of every id."""
 
 
 class ProbeVecEnv(VecEnv):
@@ -27,7 +31,7 @@ class ProbeVecEnv(VecEnv):
     new episode's reset gave is in ``reset_infos``.
 
     Args:
-        env_id: "probe_env/Insertion-v0" or "probe_env/Snapshot-v0".
+        env_id: "probe_env/Insertion-v1" or "probe_env/Snapshot-v1", or their version 0.
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         threads: at most so many; default: all cores.
         max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
@@ -40,7 +44,7 @@ class ProbeVecEnv(VecEnv):
 
     def __init__(
         self,
-        env_id: str = "probe_env/Insertion-v0",
+        env_id: str = "probe_env/Insertion-v1",
         num_envs: int = 16,
         config: TaskConfig | Mapping[str, Any] | None = None,
         *,
@@ -51,8 +55,9 @@ class ProbeVecEnv(VecEnv):
         if env_id not in ENVIRONMENTS:
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         check_episode_steps(max_episode_steps)
-        self.config = task_config(ENVIRONMENTS[env_id].defaults, config)
-        self.episodes = Episodes(num_envs, self.config, threads=threads, **settings)
+        kind, of_version = ENVIRONMENTS[env_id]
+        self.config = task_config(kind.defaults, config)
+        self.episodes = Episodes(num_envs, self.config, threads=threads, **(of_version | settings))
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))
         self._rngs: dict[int, np.random.Generator] = {}

@@ -16,6 +16,7 @@ ensure_kernel_cache()  # before anything imports a kernel
 
 from probe_env.design import Design
 from probe_env.envs.contexts import Context, load_contexts, spread_contexts
+from probe_env.envs.starts import VERSIONS
 from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity, choose_fidelity
@@ -51,10 +52,15 @@ try:
 except PackageNotFoundError:  # sources on the path that nobody has installed
     __version__ = "unknown"
 
-for _name in ("Insertion", "Snapshot"):  # no max_episode_steps by default: the tasks keep their own time limit
+# no max_episode_steps by default: the tasks keep their own time limit
+for _version, _fidelity in VERSIONS.items():
+    for _name in ("Insertion", "Snapshot"):
+        gymnasium.register(
+            id=f"probe_env/{_name}-{_version}",
+            entry_point=f"probe_env.envs.env:{_name}Env",
+            vector_entry_point=f"probe_env.envs.vector:{_name}VectorEnv",
+            kwargs=_fidelity,
+        )
     gymnasium.register(
-        id=f"probe_env/{_name}-v0",
-        entry_point=f"probe_env.envs.env:{_name}Env",
-        vector_entry_point=f"probe_env.envs.vector:{_name}VectorEnv",
+        id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=_fidelity
     )
-gymnasium.register(id="probe_env/Design-v0", entry_point="probe_env.envs.design_env:DesignEnv")

@@ -1,10 +1,12 @@
 """How closely an environment simulates: method, step, mesh and time-lapse under one name.
 
 "auto" is the cheapest setting whose measured error is within a tolerance for a scene. The errors that it goes by are
-those that ``probe-env chart`` measured on table 2's mesh, each the largest that a
-95 % interval leaves room for: at constant lengths of 10, 30 and 50 m with contact stiffnesses of 1e4, 1e5 and 1e6 N/m
-against a fine step, and over whole insertions, where time-lapse comes in. They are errors in time; what the mesh, the
-walls and the contact stiffness change is a matter of the model, and larger (docs/accuracy.md).
+those that ``probe-env chart`` measured against the converged mesh with a fine step, each the largest that a
+95 % interval leaves room for: at constant lengths of 10, 30, 40 and 50 m with contact stiffnesses of 1e4, 1e5 and
+1e6 N/m, and over whole insertions, where time-lapse comes in. They are errors in time and mesh; what the walls and the
+contact stiffness change is a matter of the model, and larger (docs/accuracy.md).
+
+Presets whose name ends in -v0 are those of the environments' version 0: four nodes a pitch, which ring too little.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ def _known(method: str) -> str:
 class Fidelity(Model):
     """Settings of the simulator behind an environment; ``time_lapse`` needs a growing probe."""
 
-    method: Annotated[str, AfterValidator(_known)] = "imex32"
+    method: Annotated[str, AfterValidator(_known)] = "superelement32"
     time_step: Annotated[float, quantity(1e-7, 1e-2, "s")] = 2e-4
     nodes_per_pitch: Annotated[int, Field(ge=1, le=64)] = 4
     time_lapse: Annotated[float, quantity(1.0, 1000.0, "")] = 1.0
@@ -60,9 +62,12 @@ class Fidelity(Model):
 
 PRESETS: Final[dict[str, Fidelity]] = {
     "study": Fidelity(method="newmark", time_step=1e-4),
-    "reference": Fidelity(method="imex", time_step=5e-5),
+    "reference": Fidelity(method="superelement", time_step=5e-5),
     "standard": Fidelity(),
     "fast": Fidelity(time_lapse=4.0),
+    "reference-v0": Fidelity(method="imex", time_step=5e-5),
+    "standard-v0": Fidelity(method="imex32"),
+    "fast-v0": Fidelity(method="imex32", time_lapse=4.0),
 }
 
 
@@ -78,7 +83,7 @@ class Measured(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """What was chosen and why; ``error`` is the bound for the worst of the outputs, ``cost`` s per node and second."""
+    """What was chosen and why; ``error`` is the bound for the worst of the outputs, ``cost`` s per pitch and second."""
 
     fidelity: Fidelity
     error: float
@@ -125,6 +130,7 @@ def measured() -> tuple[Measured, ...]:
             Fidelity(
                 method=row["method"],
                 time_step=float(row["time_step_s"]),
+                nodes_per_pitch=int(row["nodes_per_pitch"]),
                 time_lapse=float(row["time_lapse"]),
             ),
             float(row["carrier_length_m"]) if row["carrier_length_m"] else None,
@@ -164,7 +170,8 @@ def choose_fidelity(
         raise ValueError(f"needed = {list(needed)!r}: must be some of {', '.join(outputs())}")
     if not 0.0 < tolerance < math.inf:
         raise ValueError(f"tolerance = {tolerance!r} is outside the accepted range above 0")
-    stiffnesses, lengths = _stiffnesses(scene), _lengths(scene, growing)
+    stiffnesses = _stiffnesses(scene)
+    lengths = _lengths(scene, growing, stiffnesses)
     relevant = [
         row for row in measured() if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
     ]
@@ -173,9 +180,7 @@ def choose_fidelity(
     rated = []
     for fidelity in candidates:
         own = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]
-        if fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch) and _complete(
-            own, relevant, fidelity
-        ):
+        if _holds(fidelity, scene) and _complete(own, relevant, fidelity):
             rated.append((max(row.error for row in own), max(row.cost for row in own) / fidelity.time_lapse, fidelity))
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
@@ -191,6 +196,14 @@ def choose_fidelity(
     return Choice(chosen, error, cost, reason)
 
 
+def _holds(fidelity: Fidelity, scene: Scene) -> bool:
+    """Whether a setting's step is known to hold, and its method can take the scene at all."""
+    try:
+        return fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
+    except ValueError:  # its contact asks for more modes than a superelement has room for
+        return False
+
+
 def _stiffnesses(scene: Scene) -> list[float]:
     """Measured contact stiffnesses that tell of the scene's: one within ``NEAR``, or the two around it."""
     known = sorted({row.stiffness for row in measured()})
@@ -201,9 +214,13 @@ def _stiffnesses(scene: Scene) -> list[float]:
     return near or _around(known, wanted)
 
 
-def _lengths(scene: Scene, growing: bool) -> list[float | None]:
-    """Measured carrier lengths that tell of the scene's; of a growing probe's all, and the insertions (None)."""
-    known = sorted({row.length for row in measured() if row.length is not None})
+def _lengths(scene: Scene, growing: bool, stiffnesses: Sequence[float]) -> list[float | None]:
+    """Carrier lengths measured with all these stiffnesses that tell of the scene's.
+
+    Of a growing probe's all up to its end, and the insertions (None).
+    """
+    of = [{row.length for row in measured() if row.stiffness == value} - {None} for value in stiffnesses]
+    known = sorted(value for value in set.intersection(*of) if value is not None)
     if growing:
         return [*(value for value in known if value <= _around(known, _end(scene))[-1]), None]
     return list(_around(known, scene.carrier_length))
@@ -229,4 +246,5 @@ def _complete(own: Sequence[Measured], relevant: Sequence[Measured], fidelity: F
 
 def _words(fidelity: Fidelity) -> str:
     lapse = f", time-lapse {fidelity.time_lapse:g}" if fidelity.time_lapse > 1.0 else ""
-    return f"{fidelity.method} at {fidelity.time_step:g} s{lapse}"
+    mesh = f", {fidelity.nodes_per_pitch} nodes a pitch" if fidelity.nodes_per_pitch != 4 else ""
+    return f"{fidelity.method} at {fidelity.time_step:g} s{mesh}{lapse}"

@@ -18,7 +18,7 @@ from probe_env import Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 
-ENV_ID, LENGTH = "probe_env/Snapshot-v0", 27.5  # carrier length [m]: half of an insertion
+ENV_ID, LENGTH = "probe_env/Snapshot-v1", 27.5  # carrier length [m]: half of an insertion
 WORKERS, BATCHES = 8, (1, 8, 16, 64)
 EPISODE_PROBES = 16
 

@@ -10,10 +10,10 @@ from tqdm import tqdm
 
 from agents.chart.ensembles import Setting
 from agents.records.provenance import provenance, write_atomically, write_json
-from probe_env.physics.methods import ON_NODES as METHODS
+from probe_env.physics.methods import METHODS
 
-NODES = {"imex": (1, 2, 4, 8, 16)}
-LENGTHS = (10.0, 30.0, 50.0)  # [m]
+NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
+LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
 TIMED, TIMED_IN_LANES = 500, 4000
 """Steps of a method, and of one with lanes."""
 LONGEST_STEP = 1e-4  # [s]

@@ -13,10 +13,12 @@ from matplotlib.axes import Axes
 from agents.chart.smooth import cases
 from agents.records.drawing import GREY, GRID, save
 from probe_env.physics.bare_chains import LAPACK
-from probe_env.physics.methods import ON_NODES as METHODS
+from probe_env.physics.methods import METHODS, ON_NODES
 
 PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")
-COLOURS = dict(zip((*METHODS, LAPACK), PALETTE, strict=False))
+COLOURS = dict(zip((*ON_NODES, LAPACK, *(m for m in METHODS if m not in ON_NODES)), PALETTE, strict=False))
+MARKERS = {4: "o", 8: "s", 16: "^"}
+"""By nodes a pitch."""
 SHOWN = {
     "radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_share": "lift-off share",
     "axial_peak_hz": "axial peak frequency",
@@ -68,8 +70,8 @@ def _curve(axis: Axes, part: pd.DataFrame, cost: str, top: float, method: str) -
 
 
 def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
-    """Ratio of ensemble means to the reference's with intervals, over cost: 30 m, 50 m, two bands of the insertion."""
-    table2 = constant[(constant["contact_stiffness_n_per_m"] == 1e5) & (constant["nodes_per_pitch"] == 4)]
+    """Ratio of ensemble means to the converged mesh's, over cost: 30 m, 50 m, two bands of the insertion."""
+    table2 = constant[(constant["contact_stiffness_n_per_m"] == 1e5) & constant["nodes_per_pitch"].isin(MARKERS)]
     table2 = table2[(table2["walls"] == "both") & (table2["friction"] == 0.15)]
     panels = [(f"l = {length:g} m", table2[table2["carrier_length_m"] == length]) for length in (30.0, 50.0)]
     panels += [
@@ -82,17 +84,17 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
         held = part[part["radial_rms_m:ratio"].notna()]
         for axis, (output, label) in zip(axes[:, column], SHOWN.items(), strict=True):
             axis.axhline(1.0, color=GREY, linewidth=0.8)
-            for method, rows in held.groupby("method"):
+            for (method, nodes), rows in held.groupby(["method", "nodes_per_pitch"]):
                 ratio = rows[f"{output}:ratio"]
                 spread = [ratio - rows[f"{output}:low"], rows[f"{output}:high"] - ratio]
                 axis.errorbar(
-                    rows["cpu_s"], ratio, yerr=np.abs(spread), fmt="o", ms=4, capsize=2, linewidth=1,
-                    color=COLOURS[str(method)], label=str(method),
+                    rows["cpu_s"], ratio, yerr=np.abs(spread), fmt=MARKERS[nodes], ms=4, capsize=2, linewidth=1,
+                    color=COLOURS[method], label=method if nodes == 4 else f"{method}, {nodes} nodes a pitch",
                 )  # fmt: skip
             axis.set_xscale("log")
             axis.grid(**GRID)
             if column == 0:
-                axis.set_ylabel(f"{label}\nover the reference's")
+                axis.set_ylabel(f"{label}\nover the converged mesh's")
         broken = part[part["radial_rms_m:ratio"].isna()]
         for method, rows in broken.groupby("method"):
             axes[0, column].plot(

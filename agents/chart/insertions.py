@@ -49,6 +49,7 @@ INSERTIONS = (
     REFERENCE,
     *(Insertion("superelement32", time_lapse=factor, members=16) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
     Insertion("superelement32", 1e-4),
+    Insertion("superelement", 5e-5),
     Insertion("newmark", 1e-4, 4.0, members=4),
     CONVERGED,
 )

@@ -32,18 +32,21 @@ class Evaluate:
     seeds: int = 1
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
+    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
-    """Repeat at half the time step; and a sample with the study's scheme, which takes an hour and more: what was fed
-    and blown replayed, the policies themselves acting, or both."""
+    """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed, the policies themselves
+    acting, or both."""
+    finer: str = "reference"
+    """The finer fidelity of the check. reference costs some sixteen times fast; study hours and more."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
+        from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
 
         plan = plan_of(self.policies, self.contexts, self.limit, self.seeds, self.fidelity, self.probes)
-        evaluate(plan, self.output, self.check_fidelity, self.against, self.workers)
+        evaluate(plan, self.output, Checks(self.check_fidelity, self.finer), self.against, self.workers)
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class Tradeoff:
     limit: int = 12
     """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
-    """How closely to simulate: study, reference, standard, fast, auto or auto:TOLERANCE."""
+    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE."""
 
     def run(self) -> None:
         """Run what is missing, store, print."""
@@ -215,16 +218,18 @@ class Render:
 
     output: Path = Path("output/insertion.gif")
     """File to write: .gif, .mp4, or .png for the last picture alone."""
-    env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
-    """Which environment."""
+    env_id: Literal[
+        "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
+    ] = "probe_env/Insertion-v1"
+    """Which environment; version 0 has the coarser mesh of before."""
     policy: str = "constant"
     """Policy or trained agent by name, schedule file or agent's bundle."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast (for Insertion-v0 alone) or auto."""
+    """How closely to simulate: study, reference, standard, fast (for Insertion-v1 alone) or auto."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
     """Shipped list that the tube is drawn from; random: from the ranges that the lists were drawn from."""
     every: int = 4
-    """Control periods a frame: of 1 s in Insertion-v0, 0.1 s in Snapshot-v0."""
+    """Control periods a frame: of 1 s in Insertion-v1, 0.1 s in Snapshot-v1."""
     seed: int = 0
     """Of the tube and the sensors' noise."""
 

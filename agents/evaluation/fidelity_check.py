@@ -1,13 +1,13 @@
-"""Honesty of the solver: do an evaluation's figures and ranking stay at half the step and with the study's scheme?
+"""Honesty of the solver: do an evaluation's figures and ranking stay at half the step and with a finer fidelity?
 
-With the study's scheme twice: what was fed and blown is replayed, so that nothing but the physics differs; and the
-policies act themselves, so that feedback answers to what it meets, as it would on a rig.
+With the finer one twice: what was fed and blown is replayed, so that nothing but the physics differs; and the policies
+act themselves, so that feedback answers to what it meets, as it would on a rig.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -22,36 +22,48 @@ from agents.records.reading import read_parquet
 from agents.records.tables import PROFILE
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import Interval, by_context, mean_interval
-from probe_env import Fidelity
+from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.machine import available_cores
+from probe_env.physics.methods import METHODS
 from probe_env.schedule import Schedule
 
 Level = Literal["no", "half-step", "replayed", "acting", "all"]
-STUDY: Final = Fidelity(method="newmark", time_step=1e-4, time_lapse=4.0)
-SAMPLE_POLICIES, SAMPLE_CONTEXTS = 3, 24
+FINER: Final = "reference"
 COLUMNS: Final = ["check", "policy", "kpi", "before", "mean", "low", "high", "rank", "rank_before"]
 WORTH_A_WORD: Final = 1e-3  # of the figure before
 
 
-def run_checks(level: Level, plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> None:
-    """Run what a level asks for beyond half the step, store fidelity.csv and print it in words.
+@dataclass(frozen=True)
+class Checks:
+    """Which checks; ``finer`` is the fidelity, see ``resolve_fidelity``, that "replayed" and "acting" take."""
+
+    level: Level = "no"
+    finer: str = FINER
+
+
+def run_checks(checks: Checks, plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> None:
+    """Run what was asked for, store fidelity.csv and print it in words.
 
     Args:
-        level: "replayed" and "acting" take a sample with the study's scheme; "all" takes both.
+        checks: half the step always, unless the level is "no"; "all": with both of the others.
         plan: of the evaluation.
         table: its episodes.
         output: its folder, with profile.parquet.
         workers: who runs the episodes.
+
+    Raises:
+        ValueError: the finer fidelity is not known.
     """
-    if level == "no":
+    if checks.level == "no":
         return
-    checks = [check_half_step(plan, table, output, workers)]
-    if level in ("replayed", "all"):
+    finer = resolve_fidelity(checks.finer)
+    parts = [check_half_step(plan, table, output, workers)]
+    if checks.level in ("replayed", "all"):
         profile = read_parquet(output / "profile.parquet", PROFILE)
-        checks.append(check_replayed(plan, table, profile, output, workers))
-    if level in ("acting", "all"):
-        checks.append(check_acting(plan, table, output, workers))
-    report_checks(checks, output)
+        parts.append(check_replayed(replace(plan, fidelity=finer), table, profile, output, workers))
+    if checks.level in ("acting", "all"):
+        parts.append(check_acting(replace(plan, fidelity=finer), table, output, workers))
+    report_checks(parts, output)
 
 
 def check_half_step(plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> pd.DataFrame:
@@ -64,51 +76,38 @@ def check_half_step(plan: Plan, table: pd.DataFrame, output: Path, workers: Work
 def check_replayed(
     plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path, workers: Workers = HERE
 ) -> pd.DataFrame:
-    """A sample replayed with the study's scheme: what each episode fed and blew over length, as a schedule.
-
-    The first ``SAMPLE_POLICIES`` policies on the first ``SAMPLE_CONTEXTS`` contexts, time-lapse 4. Slow:
-    an episode takes minutes.
-    """
-    names, places, reference = _sample(plan, table)
+    """The first seed's episodes replayed: what each fed and blew over length, as a schedule."""
     parts = []
-    for k in places:
-        policies = {name: Scheduled(plan.config, replayed(profile, name, k, plan.seeds[0])) for name in names}
+    for k, context in enumerate(plan.contexts):
+        policies = {name: Scheduled(plan.config, replayed(profile, name, k, plan.seeds[0])) for name in plan.policies}
         repeated = run_plan(
-            replace(plan, policies=policies, contexts=[plan.contexts[k]], seeds=plan.seeds[:1], fidelity=STUDY),
-            output / "study-replayed" / f"context-{k}",
-            **_one_by_one(workers),
+            replace(plan, policies=policies, contexts=[context], seeds=plan.seeds[:1]),
+            output / "finer-replayed" / f"context-{k}",
+            **_side_by_side(plan.fidelity, workers),
         )
         parts.append(repeated.assign(context=k))
-    return differences("study's scheme, replayed", pd.concat(parts, ignore_index=True), reference)
+    return differences("replayed with a finer fidelity", pd.concat(parts, ignore_index=True), _first_seed(plan, table))
 
 
 def check_acting(plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> pd.DataFrame:
-    """The same sample, but the policies act by what they observe with the study's scheme."""
-    names, places, reference = _sample(plan, table)
-    sample = replace(
-        plan, policies={name: plan.policies[name] for name in names}, contexts=[plan.contexts[k] for k in places],
-        seeds=plan.seeds[:1], fidelity=STUDY,
-    )  # fmt: skip
-    repeated = run_plan(sample, output / "study-acting", **_one_by_one(workers))
-    return differences(
-        "study's scheme, acting", repeated.assign(context=[places[k] for k in repeated["context"]]), reference
-    )
+    """The same episodes, but the policies act by what they observe."""
+    once = replace(plan, seeds=plan.seeds[:1])
+    repeated = run_plan(once, output / "finer-acting", **_side_by_side(plan.fidelity, workers))
+    return differences("acting with a finer fidelity", repeated, _first_seed(plan, table))
 
 
-def _one_by_one(workers: Workers) -> dict[str, Any]:
-    """As many episodes at a time as cores: the study's scheme has no lanes to fill, and each is stored as it ends.
+def _side_by_side(fidelity: Fidelity, workers: Workers) -> dict[str, Any]:
+    """As many episodes at a time as cores where there are no lanes to fill, so that each is stored as it ends.
 
     Side by side they would all end after an hour, and an interruption before that would lose them.
     """
+    if METHODS[fidelity.method].lanes:
+        return {"workers": workers}
     return {"batch": available_cores() if workers.here else 1, "workers": workers}
 
 
-def _sample(plan: Plan, table: pd.DataFrame) -> tuple[list[str], list[int], pd.DataFrame]:
-    """Names of the policies, places of the contexts, and what the evaluation says of them."""
-    names = list(plan.policies)[:SAMPLE_POLICIES]
-    places = list(range(min(SAMPLE_CONTEXTS, len(plan.contexts))))
-    chosen = table["policy"].isin(names) & table["context"].isin(places) & (table["seed"] == plan.seeds[0])
-    return names, places, table[chosen]
+def _first_seed(plan: Plan, table: pd.DataFrame) -> pd.DataFrame:
+    return table[table["seed"] == plan.seeds[0]]
 
 
 def replayed(profile: pd.DataFrame, policy: str, context: int, seed: int) -> Schedule:

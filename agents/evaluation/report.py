@@ -9,12 +9,13 @@ import tempfile
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Final
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from agents.evaluation import figures
-from agents.evaluation.fidelity_check import Level, run_checks
+from agents.evaluation.fidelity_check import Checks, run_checks
 from agents.policies.catalogue import named_policies
 from agents.processes.workers import HERE, Workers
 from agents.records.columns import KPIS
@@ -46,8 +47,11 @@ def plan_of(
     return Plan(named_policies(specs, config), chosen, range(seeds), config, resolve_fidelity(fidelity), probes)
 
 
+NO_CHECKS: Final = Checks()
+
+
 def evaluate(
-    plan: Plan, output: Path, check_fidelity: Level = "no", against: str | None = None, workers: Workers = HERE
+    plan: Plan, output: Path, checks: Checks = NO_CHECKS, against: str | None = None, workers: Workers = HERE
 ) -> pd.DataFrame:
     """Evaluate policies; writes the tables, summary.csv and report.html.
 
@@ -57,10 +61,10 @@ def evaluate(
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    if plan.probes == "random" and check_fidelity not in ("no", "half-step"):
+    if plan.probes == "random" and checks.level in ("replayed", "all"):
         raise ValueError(
-            f"check_fidelity = {check_fidelity!r} takes a sample of the tubes, for which other probes are"
-            " drawn: with probes = 'random' it must be no or half-step"
+            f"check_fidelity = {checks.level!r} replays tube by tube, for which other probes are drawn:"
+            " with probes = 'random' it must be no, half-step or acting"
         )
     methods = [method_and_seed(name)[0] for name in plan.policies]
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
@@ -70,7 +74,7 @@ def evaluate(
     write_json(output / "report.json", {"against": reference})
     write_report(output)
     print_summary(grouped(table), reference)
-    run_checks(check_fidelity, plan, table, output, workers)
+    run_checks(checks, plan, table, output, workers)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Self
 
 import tomli_w
 from pydantic import AfterValidator, Field, ValidationError, model_validator
@@ -13,7 +13,7 @@ from agents.learning.space import axes_of
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
 from agents.policies.catalogue import make_policy
 from agents.policies.view import View
-from agents.vec_env import ENVIRONMENTS
+from agents.vec_env import ENVIRONMENTS, EnvId
 from probe_env.envs.contexts import Split, spread_contexts
 from probe_env.envs.env import task_config
 from probe_env.envs.starts import NamedContexts, Probes
@@ -41,7 +41,7 @@ Count = Annotated[int, Field(ge=1)]
 class Environments(Model):
     """What the agent is trained in."""
 
-    env_id: Literal["probe_env/Insertion-v0", "probe_env/Snapshot-v0"] = "probe_env/Insertion-v0"
+    env_id: EnvId = "probe_env/Insertion-v1"
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
     contexts: NamedContexts = "train"
     probes: Probes = "scene"
@@ -115,7 +115,7 @@ class Training(Model):
             raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
         for fidelity in map(resolve_fidelity, (self.environment.fidelity, self.validation.fidelity)):
             if fidelity.time_lapse > 1.0 and not self.task.growing:
-                raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v0")
+                raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
         self.view.columns(self.task)
         spread_contexts(self.validation.contexts, self.validation.limit)
@@ -134,7 +134,7 @@ class Training(Model):
     @property
     def task(self) -> TaskConfig:
         """The task that the agent learns, as given."""
-        return task_config(ENVIRONMENTS[self.environment.env_id].defaults, self.environment.task)
+        return task_config(ENVIRONMENTS[self.environment.env_id][0].defaults, self.environment.task)
 
     @property
     def shown_task(self) -> TaskConfig:

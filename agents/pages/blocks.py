@@ -17,6 +17,6 @@ MAKERS: dict[str, Callable[[], str]] = {
         designs.codesign, designs.designs, designs.search,
         simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
         simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
-        simulator.study, simulator.timelapse,
+        simulator.study, simulator.superelement, simulator.timelapse,
     )
 }  # fmt: skip

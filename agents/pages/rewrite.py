@@ -75,5 +75,6 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         results / "study.md": ("study",),
         results / "speed.md": ("bench", "environments", "presets"),
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
+        DOCS / "superelement.md": ("superelement",),
         DOCS / "cluster.md": ("scaling",),
     }

@@ -73,7 +73,7 @@ def _trained(name: str, seeds: tuple[int, ...]) -> Trained:
     least, most = (3600.0 * max(rate, view.least_air_supply_rate) for rate in task.air_supply_rates)
     return Trained(
         name, seeds, _sees(view),
-        f"{place.get('env_id', 'probe_env/Insertion-v0')} with {probes} in the {place.get('contexts', 'train')} tubes;"
+        f"{place.get('env_id', 'probe_env/Insertion-v1')} with {probes} in the {place.get('contexts', 'train')} tubes;"
         f" feeds {slow:g} to {fast:g} m/s, blows {least:g} to {most:g} m3/h",
         str(training.get("imitation", {}).get("teacher", "")),
     )  # fmt: skip

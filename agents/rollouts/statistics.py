@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
-from scipy.stats import bootstrap, trim_mean
+from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
 
 from agents.records.columns import KPIS
 
@@ -47,7 +48,9 @@ def bootstrap_ends(
     """
     for kind in dict.fromkeys((method, "percentile")):
         rng = np.random.default_rng(0)
-        drawn = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
+        with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
+            warnings.simplefilter("ignore", DegenerateDataWarning)
+            drawn = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
         low, high = drawn.confidence_interval
         if np.isfinite([low, high]).all():
             break

@@ -1,4 +1,4 @@
-"""Design-v0: the action is the probe."""
+"""Design-v1: the action is the probe."""
 
 from __future__ import annotations
 
@@ -64,26 +64,27 @@ class DesignEnv(gym.Env[Observation, Observation]):
     stiffness / 1e5 N/m and drag over table 2's.
 
     ## Rewards
-    The sum of `info["reward_terms"]`, with the weights of `Insertion-v0`: progress (1 per metre that the sensor gets to
+    The sum of `info["reward_terms"]`, with the weights of `Insertion-v1`: progress (1 per metre that the sensor gets to
     see: a long guide inspects less), vibration, time and air over the shared 47.5 m, uninspected (per metre of these
     behind a place where the probe loses its drive or diverges), diverged (-10).
 
     ## Starting State
-    A context is drawn as in `Insertion-v0`; `options` of `reset` fix fields of it, or give a whole "context".
+    A context is drawn as in `Insertion-v1`; `options` of `reset` fix fields of it, or give a whole "context".
 
     ## Episode End
     Terminated after one step. `info` then has `design` (as built), `kpis` (radial rms, share within the limit,
     inspection time, air, inspected length, drive margin: least mean root tension less the required one, ...).
 
     ## Arguments
-    * `config`, `scene`, `contexts`: as for `Insertion-v0`.
+    * `config`, `scene`, `contexts`: as for `Insertion-v1`.
     * `fidelity`: preset or settings; time-lapse counts for whole insertions only. Default "standard".
     * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h. For whole insertions also a
       policy with SB3's `predict`.
     * `full`: whole insertions, some 5 s each, instead of sections.
 
     ## Version History
-    * v0: first version.
+    * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
+    * v0: first version, `fidelity="standard-v0"`; still registered, so that its results can be made again.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -99,9 +100,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v0 with options")
+            raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
         self.config, self.scene, self.contexts = task_config({}, config), scene_of(scene), contexts
-        # an insertion settles like that of Insertion-v0; the probes are those that the action may build
+        # an insertion settles like that of Insertion-v1; the probes are those that the action may build
         self.starts = Starts(self.config, self.scene, contexts, "random", *SETTLING)
         self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, full)
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode

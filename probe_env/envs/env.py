@@ -164,7 +164,7 @@ class InsertionEnv(ProbeEnv):
     * `config`: fields of `TaskConfig` to change, or a whole one.
     * `scene`: what contexts and options change; default table 2 of the study. A `Scene`, or a mapping of what differs
       from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
-    * `fidelity`: "study", "standard", "fast" or settings of one's own, see `probe_env.fidelity`.
+    * `fidelity`: "standard", "fast", another preset, "auto" or settings of one's own, see `probe_env.fidelity`.
     * `contexts`: "random", or a shipped list: "train", "validation", "test".
     * `feed_speed`, `air_supply_rate`: of the settling, SI units.
     * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
@@ -173,7 +173,8 @@ class InsertionEnv(ProbeEnv):
     * `render_mode`: "rgb_array" or "human".
 
     ## Version History
-    * v0: first version.
+    * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
+    * v0: first version, `fidelity="standard-v0"`; still registered, so that its results can be made again.
     """
 
 
@@ -181,18 +182,18 @@ class SnapshotEnv(ProbeEnv):
     """A probe of constant length, as in the study's figures: for quick tests and comparison.
 
     ## Description
-    As `Insertion-v0`, but the length stays as it is (carrier length of the scene, 50 m, or the option
+    As `Insertion-v1`, but the length stays as it is (carrier length of the scene, 50 m, or the option
     `carrier_length`): what is fed in counts as inspected and does not lengthen the probe. Control period 0.1 s,
     truncated after 8 s; the probe starts from rest and settles for one period.
 
     ## Action Space
-    As `Insertion-v0`.
+    As `Insertion-v1`.
 
     ## Observation Space
-    As `Insertion-v0`.
+    As `Insertion-v1`.
 
     ## Rewards
-    As `Insertion-v0`; nothing is left uninspected.
+    As `Insertion-v1`; nothing is left uninspected.
 
     ## Starting State
     At rest, then one period at the settling's feed and air.
@@ -201,10 +202,11 @@ class SnapshotEnv(ProbeEnv):
     Truncated after 8 s; terminated on lost drive and when the simulation diverges.
 
     ## Arguments
-    As `Insertion-v0`.
+    As `Insertion-v1`.
 
     ## Version History
-    * v0: first version.
+    * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
+    * v0: first version, `fidelity="standard-v0"`; still registered, so that its results can be made again.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"growing": False, "period": 0.1, "time_limit": 8.0, "settle_time": 0.1}

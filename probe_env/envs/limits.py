@@ -18,12 +18,14 @@ from typing import Final, NamedTuple
 
 from probe_env.fidelity import Fidelity
 from probe_env.physics.chain import air_speed
-from probe_env.physics.methods import METHODS
+from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.scene import Probe, Scene
 
 MOST_TURN: Final = 1.0  # [rad]
 REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
 SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
+FINE_MESH: Final = 8
+"""Nodes a pitch where a superelement gives way to a method on nodes."""
 
 
 class Sliding(NamedTuple):
@@ -44,11 +46,17 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         most_air: the greatest air supply [m3/s].
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
-    limit = METHODS[fidelity.method].contact_step(scene, fidelity.nodes_per_pitch)
+    try:
+        limit = METHODS[fidelity.method].contact_step(scene, fidelity.nodes_per_pitch)
+    except ValueError:
+        raise ValueError(
+            f"contact_stiffness = {stiffness:g} N/m asks for more modes than {fidelity.method} has room for:"
+            f" give fidelity = {_that_holds(fidelity, scene)}"
+        ) from None
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
-            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_that_holds(fidelity, limit)}"
+            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_that_holds(fidelity, scene)}"
         )
     softest = softest_wall(probe)
     if stiffness < softest:
@@ -109,10 +117,16 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
     return Sliding(greatest, greatest * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
 
 
-def _that_holds(fidelity: Fidelity, limit: float) -> str:
-    """Settings that hold, the step a round one."""
-    steps = (float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1))
-    step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
-    method = fidelity.method if step >= METHODS[fidelity.method].least_step else "imex"
-    changes = {"method": method, "time_step": step} if step else {"method": "implicit"}
-    return repr(fidelity.model_dump() | changes)
+def _that_holds(fidelity: Fidelity, scene: Scene) -> str:
+    """Settings that hold, the step a round one: by the same method, in double precision, on nodes."""
+    steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
+    for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
+        nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else FINE_MESH
+        try:
+            limit = METHODS[method].contact_step(scene, nodes)
+        except ValueError:
+            continue
+        step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
+        if step and step >= METHODS[method].least_step:
+            return repr(fidelity.model_dump() | {"method": method, "time_step": step, "nodes_per_pitch": nodes})
+    return repr(fidelity.model_dump() | {"method": "implicit"})

@@ -53,6 +53,10 @@ DEFAULTS: Final[EpisodeSettings] = {
 }  # fmt: skip
 
 
+VERSIONS: Final[dict[str, dict[str, str]]] = {"v0": {"fidelity": "standard-v0"}, "v1": {}}
+"""Versions of the environments, with what each sets otherwise than ``DEFAULTS``: the physics that results are of."""
+
+
 def scene_of(scene: Scene | Mapping[str, Any] | None) -> Scene:
     """What is simulated: table 2's scene, changed by a mapping, or a whole one.
 

@@ -145,12 +145,12 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
 
 
 class InsertionVectorEnv(ProbeVectorEnv):
-    """Native batch of ``probe_env/Insertion-v0``."""
+    """Native batch of ``probe_env/Insertion-v1``."""
 
     single = InsertionEnv
 
 
 class SnapshotVectorEnv(ProbeVectorEnv):
-    """Native batch of ``probe_env/Snapshot-v0``."""
+    """Native batch of ``probe_env/Snapshot-v1``."""
 
     single = SnapshotEnv

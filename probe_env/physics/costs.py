@@ -6,19 +6,20 @@ import csv
 from functools import lru_cache
 from importlib.resources import files
 from statistics import median
-from typing import Final
 
-AT_MOST: Final = {"superelement": "imex", "superelement32": "imex32"}
-"""Methods that the chart has not measured yet: a step of them takes less than one of these with four nodes a pitch."""
+from probe_env.physics.methods import ON_NODES
 
 
 @lru_cache
-def node_step_seconds() -> dict[str, float]:
-    """Processor time of a step of one node [s] by method, lanes full, on the machine that measured it."""
+def pitch_step_seconds(method: str, nodes_per_pitch: int) -> float:
+    """Processor time of a step of one pitch [s], lanes full, on the machine that measured it.
+
+    A superelement has the same mesh whatever the number of places where it is seen.
+    """
     text = files("probe_env").joinpath("data/measured_errors.csv").read_text()
-    times: dict[str, list[float]] = {}
+    of_node, per_pitch = [], []
     for row in csv.DictReader(text.splitlines()):
-        if float(row["time_lapse"]) == 1.0:
-            times.setdefault(row["method"], []).append(float(row["cost_s"]) * float(row["time_step_s"]))
-    measured = {method: median(values) for method, values in times.items()}
-    return {method: measured[other] for method, other in AT_MOST.items()} | measured
+        if row["method"] == method and float(row["time_lapse"]) == 1.0:
+            per_pitch.append(float(row["cost_s"]) * float(row["time_step_s"]))
+            of_node.append(per_pitch[-1] / int(row["nodes_per_pitch"]))
+    return median(of_node) * nodes_per_pitch if method in ON_NODES else median(per_pitch)

@@ -12,7 +12,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.physics.chain import air_speed, build_chain, sensor_node
-from probe_env.physics.costs import node_step_seconds
+from probe_env.physics.costs import pitch_step_seconds
 from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import CHANNELS, Sampling, check_state
 from probe_env.physics.methods import method_named, solver_named, ticm
@@ -172,8 +172,8 @@ class Simulator(Saved):
         """
         growth = 0.5 * duration * self.drive.growth * self.drive.speed_target
         nodes = min(self.root + growth / self.chain.element_length, self.chain.node_count - 1)
-        per_node = node_step_seconds()[self.method] * method_named(self.method).width
-        return float(nodes * duration / self.time_step * per_node)
+        step = pitch_step_seconds(self.method, self.nodes_per_pitch) * method_named(self.method).width
+        return float(nodes / self.nodes_per_pitch * duration / self.time_step * step)
 
     @property
     def time(self) -> float:

@@ -104,6 +104,9 @@ def test_stored_errors_are_found_again(scene, method, time_step):
     assert sweeps == pytest.approx(row["sweeps"].iloc[0])
 
 
+ERRORS = ("errors.csv", "insertion-errors.csv", "errors-converged.csv", "insertion-errors-converged.csv")
+
+
 def test_lapack_gives_newmark_s_errors_at_a_higher_price():
     both = SMOOTH[SMOOTH["method"].isin(["newmark", LAPACK]) & (SMOOTH["scene"] != "contact")]
     table = both.pivot_table(["error", "cpu_s"], ["scene", "time_step_s"], "method").dropna()
@@ -151,7 +154,8 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
 def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
     settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (1e-3 / 7, 2.5e-4, 5e-4)]
     monkeypatch.setattr(ensembles, "step_settings", lambda: iter(settings))
-    monkeypatch.setattr(ensembles, "model_settings", lambda: iter(()))
+    for name in ("model_settings", "converged_settings"):
+        monkeypatch.setattr(ensembles, name, lambda: iter(()))
     run, ran = ensembles.run_setting, []
 
     def breaks_off(setting):
@@ -179,18 +183,18 @@ def test_the_figures_and_tables_come_from_the_stored_runs(tmp_path, monkeypatch)
         (tmp_path / f"{name}.csv").write_text((FOLDER / f"{name}.csv").read_text())
     draw_chart(tmp_path, tmp_path / "measured_errors.csv")
     assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in ("smooth", "chaos", "model"))
-    for name in ("errors.csv", "insertion-errors.csv"):
+    for name in ERRORS:
         assert (tmp_path / name).read_text() == (FOLDER / name).read_text()
     shipped = ROOT / "probe_env" / "data" / "measured_errors.csv"
     assert (tmp_path / "measured_errors.csv").read_text() == shipped.read_text()
 
 
 def test_every_setting_of_the_chart_is_stored():
-    constant, inserted = (pd.read_csv(FOLDER / name) for name in ("errors.csv", "insertion-errors.csv"))
+    constant, inserted, _, converged = (pd.read_csv(FOLDER / name) for name in ERRORS)
     store = open_store(FOLDER)
-    for setting in (*ensembles.step_settings(), *ensembles.model_settings()):
+    for setting in (*ensembles.step_settings(), *ensembles.model_settings(), *ensembles.converged_settings()):
         assert store.has(*setting.key.values(), setting.members - 1)
-    assert len(inserted) == 2 * len(insertions.INSERTIONS)
+    assert len(inserted) == len(converged) == 2 * len(insertions.INSERTIONS)
     beyond = constant[(constant["method"] == "imex") & (constant["time_step_s"] >= 5e-4)]
     beyond = beyond[beyond["contact_stiffness_n_per_m"] == 1e5]
     assert (beyond["diverged"] == 1.0).all()

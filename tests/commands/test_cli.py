@@ -95,7 +95,7 @@ def test_study_stores_rows_and_does_not_repeat_them(tmp_path, capsys, monkeypatc
 @pytest.mark.parametrize("name", ["film.gif", "film.mp4", "picture.png"])
 def test_render_writes_a_film(name, tmp_path, capsys):
     output = tmp_path / name
-    arguments = ["--env-id", "probe_env/Snapshot-v0", "--output", str(output), "--every", "40"]
+    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--every", "40"]
     assert main(["render", *arguments]) == 0
     assert "share_within_limit" in capsys.readouterr().out
     assert output.stat().st_size > 20_000

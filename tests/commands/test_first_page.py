@@ -66,7 +66,7 @@ def test_the_agents_are_told_with_what_they_know(capsys):
     told = " ".join(capsys.readouterr().out.split())
     assert "ppo-no-tension seeds 0, 1, 2, 3, 4" in told
     assert "not the root tension" in told
-    assert "probe_env/Insertion-v0 with any probe of the design space in the train tubes" in told
+    assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in told
     assert "tension-scheduled first" in told
     assert "schedules example, shift" in told
 

@@ -1,4 +1,4 @@
-"""Probe designs: what can be built, Design-v0 by the checkers, and its figures against handmade and single runs."""
+"""Probe designs: what can be built, Design-v1 by the checkers, and its figures against handmade and single runs."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ IMPROVED = Design.from_toml(ROOT / "configs" / "design" / "improved.toml")
 
 
 def test_the_scene_may_be_a_mapping():
-    env = gym.make("probe_env/Design-v0", scene={"tube": {"inner_diameter": 0.025}})
+    env = gym.make("probe_env/Design-v1", scene={"tube": {"inner_diameter": 0.025}})
     assert env.unwrapped.scene == Scene(tube=Tube(inner_diameter=0.025))
     assert '"inner_diameter": 0.025' in env.spec.to_json()
 
@@ -94,18 +94,18 @@ def test_broken_design_files_are_named(text, tmp_path):
 
 @pytest.mark.parametrize("variant", [{}, {"privileged": True}])
 def test_gymnasium_s_checker_finds_nothing(variant):
-    check_env(gym.make("probe_env/Design-v0", config=variant).unwrapped)
+    check_env(gym.make("probe_env/Design-v1", config=variant).unwrapped)
 
 
 @pytest.mark.parametrize("variant", [{}, {"privileged": True}])
 def test_sb3_s_checker_finds_nothing(variant):
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-    sb3_check_env(gym.make("probe_env/Design-v0", config=variant).unwrapped)
+    sb3_check_env(gym.make("probe_env/Design-v1", config=variant).unwrapped)
 
 
 def test_a_step_is_an_episode_and_repeats_with_its_seed():
-    env = gym.make("probe_env/Design-v0", contexts="train")
+    env = gym.make("probe_env/Design-v1", contexts="train")
     outcomes = []
     for _ in range(2):
         env.reset(seed=3)
@@ -237,12 +237,12 @@ def test_ranges_name_the_fields():
     assert set(RANGES) == set(Design.model_fields)
 
 
-@pytest.mark.parametrize("env_id", ["probe_env/Insertion-v0", "probe_env/Snapshot-v0"])
+@pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1"])
 def test_random_probes_are_drawn_from_the_whole_design_space_with_the_seed(env_id):
     """Within the ranges, other ones every reset, the same by the same seed, and in a batch as alone."""
     from agents.vec_env import ProbeVecEnv
 
-    short = {"settle_time": 0.1} if env_id == "probe_env/Insertion-v0" else {}
+    short = {"settle_time": 0.1} if env_id == "probe_env/Insertion-v1" else {}
     env = gym.make(env_id, probes="random", config=short)
     drawn = [env.reset(seed=seed)[1]["probe"] for seed in (0, 1, 0, None)]
     for name, (low, high, _) in RANGES.items():
@@ -261,17 +261,17 @@ def test_random_probes_are_drawn_from_the_whole_design_space_with_the_seed(env_i
 
 def test_the_probe_that_was_built_is_observed_as_its_place_in_the_design_space():
     config = TaskConfig(settle_time=0.1, observe_probe=True)
-    env = gym.make("probe_env/Insertion-v0", probes="random", config=config)
+    env = gym.make("probe_env/Insertion-v1", probes="random", config=config)
     observation, info = env.reset(seed=0)
     names = list(config.observations)
     shares = Design(**{name: info["probe"][name] for name in RANGES}).to_unit()
     assert observation[[names.index(name) for name in RANGES]] == pytest.approx(shares, abs=1e-6)
     assert (
         observation[: -len(RANGES)]
-        == gym.make("probe_env/Insertion-v0", probes="random", config={"settle_time": 0.1}).reset(seed=0)[0]
+        == gym.make("probe_env/Insertion-v1", probes="random", config={"settle_time": 0.1}).reset(seed=0)[0]
     ).all()  # what is shown changes nothing else
 
 
 def test_an_unknown_choice_of_probes_is_named():
     with pytest.raises(ValueError, match="probes = 'all' is not one of scene, random"):
-        gym.make("probe_env/Insertion-v0", probes="all")
+        gym.make("probe_env/Insertion-v1", probes="all")

@@ -12,8 +12,8 @@ from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, Reco
 
 import probe_env
 
-IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v0", "probe_env/Snapshot-v0"])
-SHORT = {"probe_env/Insertion-v0": {"fidelity": "fast"}, "probe_env/Snapshot-v0": {}}
+IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1"])
+SHORT = {"probe_env/Insertion-v1": {"fidelity": "fast"}, "probe_env/Snapshot-v1": {}}
 
 
 VARIANTS = pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_steps_share_no_memory_and_are_deterministic(env_id):
 
 
 def test_options_fix_the_context_and_the_rest_is_drawn_alike():
-    env = gym.make("probe_env/Insertion-v0")
+    env = gym.make("probe_env/Insertion-v1")
     free = env.reset(seed=3)[1]["context"]
     fixed = env.reset(seed=3, options={"friction": 0.21})[1]["context"]
     assert fixed == free | {"friction": 0.21}
@@ -102,17 +102,17 @@ def test_options_fix_the_context_and_the_rest_is_drawn_alike():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: gym.make("probe_env/Insertion-v0", fidelity="best"), "fidelity = 'best'"),
-        (lambda: gym.make("probe_env/Insertion-v0", contexts="exam"), "contexts = 'exam'"),
-        (lambda: gym.make("probe_env/Insertion-v0", feed_speed=3.0), "feed_speed = 3.0"),
-        (lambda: gym.make("probe_env/Insertion-v0", config={"time_weigth": 1.0}), "time_weigth"),
-        (lambda: gym.make("probe_env/Insertion-v0", scene={"tubes": {}}), "tubes"),
-        (lambda: gym.make("probe_env/Insertion-v0", config={"ratio_cap": 0.0}), "0.0 is outside"),
-        (lambda: gym.make("probe_env/Insertion-v0", config={"feed_speeds": (0.4, 0.1)}), "must ascend"),
-        (lambda: gym.make("probe_env/Snapshot-v0", fidelity="fast"), "fidelity.time_lapse = 4"),
-        (lambda: gym.make("probe_env/Insertion-v0").reset(options={"fricton": 0.1}), "fricton"),
-        (lambda: gym.make("probe_env/Insertion-v0").reset(options={"friction": 7.0}), "7.0 is outside"),
-        (lambda: gym.make("probe_env/Insertion-v0").reset(options={"carrier_length": 7.0}), "carrier_length is not"),
+        (lambda: gym.make("probe_env/Insertion-v1", fidelity="best"), "fidelity = 'best'"),
+        (lambda: gym.make("probe_env/Insertion-v1", contexts="exam"), "contexts = 'exam'"),
+        (lambda: gym.make("probe_env/Insertion-v1", feed_speed=3.0), "feed_speed = 3.0"),
+        (lambda: gym.make("probe_env/Insertion-v1", config={"time_weigth": 1.0}), "time_weigth"),
+        (lambda: gym.make("probe_env/Insertion-v1", scene={"tubes": {}}), "tubes"),
+        (lambda: gym.make("probe_env/Insertion-v1", config={"ratio_cap": 0.0}), "0.0 is outside"),
+        (lambda: gym.make("probe_env/Insertion-v1", config={"feed_speeds": (0.4, 0.1)}), "must ascend"),
+        (lambda: gym.make("probe_env/Snapshot-v1", fidelity="fast"), "fidelity.time_lapse = 4"),
+        (lambda: gym.make("probe_env/Insertion-v1").reset(options={"fricton": 0.1}), "fricton"),
+        (lambda: gym.make("probe_env/Insertion-v1").reset(options={"friction": 7.0}), "7.0 is outside"),
+        (lambda: gym.make("probe_env/Insertion-v1").reset(options={"carrier_length": 7.0}), "carrier_length is not"),
     ],
 )
 def test_bad_arguments_are_named(call, message):
@@ -121,7 +121,7 @@ def test_bad_arguments_are_named(call, message):
 
 
 def test_bad_actions_are_named_and_nothing_is_advanced():
-    env = gym.make("probe_env/Snapshot-v0").unwrapped
+    env = gym.make("probe_env/Snapshot-v1").unwrapped
     env.reset(seed=0)
     before = env.episodes.batch.simulators[0].steps_done
     for action, message in (
@@ -135,7 +135,7 @@ def test_bad_actions_are_named_and_nothing_is_advanced():
 
 
 def test_a_step_after_the_end_is_refused():
-    env = gym.make("probe_env/Snapshot-v0", config={"time_limit": 0.1}).unwrapped
+    env = gym.make("probe_env/Snapshot-v1", config={"time_limit": 0.1}).unwrapped
     env.reset(seed=0)
     assert env.step(np.zeros(2, dtype=np.float32))[3]
     with pytest.raises(RuntimeError, match="call reset before step"):
@@ -143,7 +143,7 @@ def test_a_step_after_the_end_is_refused():
 
 
 def test_rendering_needs_no_display_and_shows_the_probe_moving():
-    env = gym.make("probe_env/Insertion-v0", fidelity="fast", render_mode="rgb_array")
+    env = gym.make("probe_env/Insertion-v1", fidelity="fast", render_mode="rgb_array")
     env.reset(seed=0)
     first = env.render()
     env.step(np.ones(2, dtype=np.float32))

@@ -16,7 +16,7 @@ ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2)).astype(np.float32)
 
 
 def observations(**config):
-    env = gym.make("probe_env/Insertion-v0", config=SHORT | config, scene=probe_env.Scene(carrier_length=2.0))
+    env = gym.make("probe_env/Insertion-v1", config=SHORT | config, scene=probe_env.Scene(carrier_length=2.0))
     seen = [env.reset(seed=3)[0]]
     return np.array(seen + [env.step(action)[0] for action in ACTIONS])
 
@@ -44,7 +44,7 @@ def test_noise_is_as_strong_as_the_task_says():
 
 def test_contexts_are_drawn_from_a_list_of_ones_own():
     listed = [Context(friction=0.2), {"friction": 0.3, "helix_diameter": 1.9}]
-    env = gym.make("probe_env/Insertion-v0", config=SHORT, contexts=listed)
+    env = gym.make("probe_env/Insertion-v1", config=SHORT, contexts=listed)
     drawn = {env.reset(seed=seed)[1]["context"]["friction"] for seed in range(12)}
     assert drawn == {0.2, 0.3}  # a chance of 2^-11 to miss one, with these seeds it does not
     assert checked_contexts(listed)[1].helix_diameter == 1.9
@@ -65,7 +65,7 @@ def test_and_from_ranges_that_leave_the_rest_as_it_was():
 def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
     assert Ranges(contact_stiffness=(1e5, 3e6)).stiffest == 3e6
     for contexts in ({"contact_stiffness": (1e5, 1.8e5)}, [{"contact_stiffness": 1.8e5}, {"friction": 0.2}]):
-        env = gym.make("probe_env/Insertion-v0", contexts=contexts).unwrapped
+        env = gym.make("probe_env/Insertion-v1", contexts=contexts).unwrapped
         assert env.episodes.starts.stiffest.contact.stiffness == 1.8e5
 
 
@@ -84,4 +84,4 @@ def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
 )
 def test_what_is_wrong_with_contexts_is_named(contexts, told):
     with pytest.raises(ValueError, match=told):
-        gym.make("probe_env/Insertion-v0", contexts=contexts)
+        gym.make("probe_env/Insertion-v1", contexts=contexts)

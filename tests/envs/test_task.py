@@ -146,12 +146,12 @@ def test_lost_drive_ends_an_episode():
 
 
 def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch):
-    env = gym.make("probe_env/Snapshot-v0").unwrapped
+    env = gym.make("probe_env/Snapshot-v1").unwrapped
     before, _ = env.reset(seed=0)
     advance = SimulatorBatch.advance
 
     def broken(self, *arguments, **options):
-        self.simulators[0].state.d[3, 1] = np.nan
+        self.simulators[0].state.d[4, 1] = np.nan
         return advance(self, *arguments, **options)
 
     monkeypatch.setattr(SimulatorBatch, "advance", broken)
@@ -170,7 +170,7 @@ def test_what_diverges_while_settling_ends_in_its_first_step(monkeypatch):
     advance = SimulatorBatch.advance
 
     def broken(self, *arguments, **options):
-        self.simulators[0].state.d[3, 1] = np.nan
+        self.simulators[0].state.d[4, 1] = np.nan
         return advance(self, *arguments, **options)
 
     episodes = Episodes(2, TaskConfig())

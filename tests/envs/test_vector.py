@@ -15,8 +15,8 @@ from agents.conformance import check_vector_env
 from agents.vec_env import ProbeVecEnv
 
 CASES = {
-    "probe_env/Insertion-v0": {"config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1}},
-    "probe_env/Snapshot-v0": {"config": {"time_limit": 0.5}, "scene": probe_env.Scene(carrier_length=8.0)},
+    "probe_env/Insertion-v1": {"config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1}},
+    "probe_env/Snapshot-v1": {"config": {"time_limit": 0.5}, "scene": probe_env.Scene(carrier_length=8.0)},
 }
 IDS = pytest.mark.parametrize("env_id", list(CASES))
 
@@ -60,7 +60,7 @@ def test_the_sb3_batch_conforms(env_id, limit):
 
 
 def test_other_people_s_batches_of_our_environment_conform():
-    env_id = "probe_env/Snapshot-v0"
+    env_id = "probe_env/Snapshot-v1"
     check_vector_env(lambda n: SyncVectorEnv([single(env_id)] * n), single(env_id))
     check_vector_env(lambda n: DummyVecEnv([single(env_id)] * n), single(env_id))
 
@@ -113,14 +113,14 @@ class Sloppy(ProbeVecEnv):
     ],
 )
 def test_broken_batches_are_found(broken, message):
-    env_id = "probe_env/Snapshot-v0"
+    env_id = "probe_env/Snapshot-v1"
     with pytest.raises(AssertionError, match=message):
         check_vector_env(lambda n: broken(env_id, n, **CASES[env_id]), single(env_id))
 
 
 def advantage_of_ppo(make):
     """Rewards that PPO collects in one rollout: with its value of the last observation where an episode is cut."""
-    env = make("probe_env/Snapshot-v0", 2, **CASES["probe_env/Snapshot-v0"])
+    env = make("probe_env/Snapshot-v1", 2, **CASES["probe_env/Snapshot-v1"])
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, n_epochs=1, seed=0, gamma=0.99)
     model.learn(16)
     return model.rollout_buffer.rewards.copy()
@@ -135,9 +135,9 @@ def test_truncation_reaches_ppo_s_bootstrap():
 
 def test_make_vec_options_and_refusals():
     with pytest.raises(ValueError, match="max_episode_steps = 0 is outside the accepted range 1 and more"):
-        gym.make_vec("probe_env/Snapshot-v0", num_envs=1, max_episode_steps=0)
+        gym.make_vec("probe_env/Snapshot-v1", num_envs=1, max_episode_steps=0)
     with pytest.raises(ValueError, match="render_mode = 'rgb_array'"):
-        gym.make_vec("probe_env/Snapshot-v0", num_envs=1, render_mode="rgb_array")
+        gym.make_vec("probe_env/Snapshot-v1", num_envs=1, render_mode="rgb_array")
     with pytest.raises(ValueError, match="num_envs = 0"):
         ProbeVecEnv(num_envs=0)
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
@@ -146,17 +146,17 @@ def test_make_vec_options_and_refusals():
         TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are scene, fidelity, contexts"
     ):
         ProbeVecEnv(fidelty="fast")
-    env = gym.make_vec("probe_env/Snapshot-v0", num_envs=2, **CASES["probe_env/Snapshot-v0"])
+    env = gym.make_vec("probe_env/Snapshot-v1", num_envs=2, **CASES["probe_env/Snapshot-v1"])
     with pytest.raises(ValueError, match="seed has 3 entries for 2"):
         env.reset(seed=[1, 2, 3])
     _, info = env.reset(seed=1, options={"friction": 0.2})
     assert info["context"]["friction"].tolist() == [0.2, 0.2]
-    assert env.spec.id == "probe_env/Snapshot-v0"
+    assert env.spec.id == "probe_env/Snapshot-v1"
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_batch_can_be_copied_half_way(duplicate):
-    env = ProbeVecEnv("probe_env/Snapshot-v0", 2, **CASES["probe_env/Snapshot-v0"])
+    env = ProbeVecEnv("probe_env/Snapshot-v1", 2, **CASES["probe_env/Snapshot-v1"])
     env.seed(3)
     env.reset()
     action = np.full((2, 2), 0.5, dtype=np.float32)
@@ -169,7 +169,7 @@ def test_a_batch_can_be_copied_half_way(duplicate):
 
 
 def test_sb3_seeds_options_and_attributes():
-    env = ProbeVecEnv("probe_env/Snapshot-v0", 2, **CASES["probe_env/Snapshot-v0"])
+    env = ProbeVecEnv("probe_env/Snapshot-v1", 2, **CASES["probe_env/Snapshot-v1"])
     env.set_options([{"friction": 0.11}, {"friction": 0.22}])
     env.reset()
     assert [info["context"]["friction"] for info in env.reset_infos] == [0.11, 0.22]

@@ -10,6 +10,7 @@ from kills import killed_at
 from oracles.scatter import hits_within
 from scipy.stats import trim_mean
 
+from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.report import evaluate, plan_of, write_report
 from agents.policies.fixed import Constant, SlowDown
 from agents.records.columns import KPIS
@@ -122,9 +123,9 @@ def test_what_is_shown_and_fields_newer_than_the_results_make_no_other_setting(t
     pd.testing.assert_frame_equal(table, anew, check_exact=True)
 
 
-def test_a_check_by_sample_would_draw_other_probes(tmp_path):
-    with pytest.raises(ValueError, match=r"check_fidelity = 'acting'.*must be no or half-step"):
-        evaluate(plan_of(["constant"], "test", 1, 1, "fast", "random"), tmp_path, "acting")
+def test_a_replay_tube_by_tube_would_draw_other_probes(tmp_path):
+    with pytest.raises(ValueError, match=r"check_fidelity = 'replayed'.*must be no, half-step or acting"):
+        evaluate(plan_of(["constant"], "test", 1, 1, "fast", "random"), tmp_path, Checks("replayed"))
     assert not list(tmp_path.iterdir())
 
 

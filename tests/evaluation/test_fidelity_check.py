@@ -1,5 +1,7 @@
 """The checks of the solver on short insertions, and their words on tables whose answer is known."""
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 
@@ -37,32 +39,36 @@ def test_half_the_step_changes_little_before_the_probe_rings(evaluated):
     assert (output / "half-step" / "episodes.csv").exists()
 
 
-def test_the_study_s_scheme_replays_feed_and_air_over_length(evaluated):
+def finer(plan):
+    return replace(plan, fidelity=Fidelity(method="superelement", time_step=1e-4, time_lapse=4.0))
+
+
+def test_a_finer_fidelity_replays_feed_and_air_over_length(evaluated):
     plan, table, output = evaluated
     profile = pd.read_parquet(output / "profile.parquet")
     schedule = replayed(profile, "fast", 1, 0)
     assert schedule.position == (5.5, 6.5)
     assert schedule.at(5.5)[0] == pytest.approx(0.4, rel=0.2)
-    checks = check_replayed(plan, table, profile, output).set_index(["policy", "kpi"])
+    checks = check_replayed(finer(plan), table, profile, output).set_index(["policy", "kpi"])
     assert (checks["rank"] == checks["rank_before"]).all()
     assert abs(checks.loc[("fast", "inspected_share"), "mean"]) < 0.02
     with pytest.raises(ValueError, match="no profile of fast on context 7"):
         replayed(profile, "fast", 7, 0)
 
 
-def test_with_the_study_s_scheme_the_policies_act_themselves(evaluated, tmp_path, monkeypatch):
+def test_with_a_finer_fidelity_the_policies_act_themselves(evaluated, tmp_path, monkeypatch):
     """The policies are asked when they act, and not when what they did is replayed."""
     plan, table, stored = evaluated
     asked = []
     act = Constant.predict
     monkeypatch.setattr(Constant, "predict", lambda self, *given, **more: asked.append(1) or act(self, *given, **more))
-    check_replayed(plan, table, pd.read_parquet(stored / "profile.parquet"), tmp_path)
+    check_replayed(finer(plan), table, pd.read_parquet(stored / "profile.parquet"), tmp_path)
     assert not asked
-    checks = check_acting(plan, table, tmp_path).set_index(["policy", "kpi"])
+    checks = check_acting(finer(plan), table, tmp_path).set_index(["policy", "kpi"])
     assert len(asked) == 2 * 2 * 3  # policies, contexts, periods
     assert (checks["rank"] == checks["rank_before"]).all()
     assert checks.loc[("fast", "air_m3"), "mean"] == pytest.approx(0.0, abs=1e-9)
-    again = pd.read_csv(tmp_path / "study-acting" / "episodes.csv")
+    again = pd.read_csv(tmp_path / "finer-acting" / "episodes.csv")
     assert set(again["policy"]) == {"slow", "fast"}
     assert set(again["context"]) == {0, 1}
 

@@ -131,7 +131,7 @@ BROKEN = {
     "[learning]\npolicy = 1": "learning.policy",
     "[learning]\nuse_sde = true": "learning.use_sde",
     "[learning]\nbatch_size = 1": "learning.batch_size = 1",
-    "[environment]\nenv_id = 'probe_env/Snapshot-v0'": "needs a growing probe",
+    "[environment]\nenv_id = 'probe_env/Snapshot-v1'": "needs a growing probe",
     "[network]\nnet_arch = [1000000]": "network.net_arch",
     "[environment]\nnum_envs = 0": "environment.num_envs",
     "[environment]\nfidelity = 'fastest'": "fidelity = 'fastest'",

@@ -147,7 +147,7 @@ def test_without_the_extra_one_line_names_it(run, tmp_path):
 
 def test_an_environment_loads_nothing_that_commands_alone_need(run):
     code = (
-        "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v0').reset(seed=0); print(*sys.modules)"
+        "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v1').reset(seed=0); print(*sys.modules)"
     )
     loaded = set(run("python", "-c", code)[0].split())
     assert not loaded & {

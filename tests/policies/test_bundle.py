@@ -121,7 +121,7 @@ def test_poisoned_files_are_refused_and_not_executed(tmp_path):
 
 def test_sb3_s_own_zip_files_are_refused_and_not_executed(tmp_path):
     victim = tmp_path / "victim"
-    env = ProbeVecEnv("probe_env/Snapshot-v0", 1)
+    env = ProbeVecEnv("probe_env/Snapshot-v1", 1)
     PPO("MlpPolicy", env, n_steps=2, batch_size=2, policy_kwargs={"net_arch": [4]}, device="cpu").save(tmp_path / "sb3")
     poisoned = tmp_path / "sb3.npz"
     with zipfile.ZipFile(tmp_path / "sb3.zip") as old, zipfile.ZipFile(poisoned, "w") as new:

@@ -18,7 +18,7 @@ KINDS = {"ppo": (PPO, "MlpPolicy"), "sac": (SAC, "MlpPolicy"), "recurrent-ppo": 
 
 @pytest.fixture(scope="module")
 def env():
-    return ProbeVecEnv("probe_env/Snapshot-v0", 1, CONFIG, scene=Scene(carrier_length=2.0))
+    return ProbeVecEnv("probe_env/Snapshot-v1", 1, CONFIG, scene=Scene(carrier_length=2.0))
 
 
 def rows(config, count=6):

@@ -1,0 +1,48 @@
+"""A version of the environments is its physics: by make, make_vec, Stable-Baselines3's batch and for designs."""
+
+import gymnasium as gym
+import pytest
+
+import probe_env
+from agents.vec_env import ENVIRONMENTS, ProbeVecEnv
+from probe_env.envs.starts import VERSIONS
+from probe_env.fidelity import PRESETS
+
+PHYSICS = {"v0": PRESETS["standard-v0"], "v1": PRESETS["standard"]}
+OLD = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+EACH = [pytest.param("v0", marks=OLD), "v1"]
+
+
+def test_every_version_is_registered_and_the_newest_is_the_classes_own():
+    ids = {key for key in gym.registry if key.startswith("probe_env/")}
+    kinds = ("Insertion", "Snapshot", "Design")
+    assert ids == {f"probe_env/{kind}-{version}" for kind in kinds for version in VERSIONS}
+    assert set(PHYSICS) == set(VERSIONS)
+    assert set(ENVIRONMENTS) == {key for key in ids if "Design" not in key}
+    assert probe_env.Fidelity() == PHYSICS[max(VERSIONS)]
+
+
+@pytest.mark.parametrize("version", EACH)
+@pytest.mark.parametrize("kind", ["Insertion", "Snapshot"])
+def test_the_version_sets_the_physics(kind, version):
+    env_id = f"probe_env/{kind}-{version}"
+    assert gym.make(env_id).unwrapped.episodes.fidelity == PHYSICS[version]
+    assert gym.make_vec(env_id, num_envs=2).unwrapped.episodes.fidelity == PHYSICS[version]
+    assert ProbeVecEnv(env_id, 2).episodes.fidelity == PHYSICS[version]
+
+
+@pytest.mark.parametrize("version", EACH)
+def test_designs_too(version):
+    assert gym.make(f"probe_env/Design-{version}").unwrapped.fidelity == PHYSICS[version]
+
+
+@OLD
+def test_a_fidelity_that_is_given_counts():
+    own = probe_env.Fidelity(time_step=1e-4)
+    assert gym.make("probe_env/Snapshot-v0", fidelity=own).unwrapped.episodes.fidelity == own
+    assert ProbeVecEnv("probe_env/Snapshot-v0", 1, fidelity=own).episodes.fidelity == own
+
+
+def test_the_old_version_says_that_there_is_a_newer_one():
+    with pytest.warns(DeprecationWarning, match="Snapshot-v0 is out of date"):
+        gym.make("probe_env/Snapshot-v0")
