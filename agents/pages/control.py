@@ -16,6 +16,7 @@ from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
 from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS, Fidelity
 
 BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
@@ -46,6 +47,13 @@ SHORT: Final = {
 """KPI -> heading, factor and format of the short table."""
 
 
+def _simulated(folder: Path) -> str:
+    """How an evaluation was simulated, by the name of a preset where it has one."""
+    stored = Fidelity.model_validate(read_json(folder / "setting.json", Record).model_dump()["fidelity"])
+    name = next((f"`{name}`" for name, preset in PRESETS.items() if preset == stored), str(stored))
+    return f"Simulated with {name}."
+
+
 def headline() -> str:
     """The policies that a newcomer should know by five means each."""
     folder = RESULTS / "evaluation"
@@ -62,7 +70,7 @@ def headline() -> str:
         f" {1e3 * config.limit:g} mm at the sensor, {config.period:g} s at a time; `radial rms` is over the length."
         f" {ends['diverged'].sum()} of {len(table)} insertions diverged, {ends['lost_drive'].sum()} lost their drive."
     )
-    return "\n".join(lines) + f"\n\n{note} {source(folder / 'provenance.json')}"
+    return "\n".join(lines) + f"\n\n{note} {_simulated(folder)} {source(folder / 'provenance.json')}"
 
 
 def evaluation() -> str:
@@ -90,7 +98,7 @@ def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
         f"{len(table)} insertions on {table['context'].nunique()} held-out tubes, means with 95 % bootstrap intervals;"
         f" {ends['diverged'].sum()} diverged, {ends['lost_drive'].sum()} lost their drive."
     )
-    return "\n".join(lines) + f"\n\n{words}\n\n{note} {source(folder / 'provenance.json')}"
+    return "\n".join(lines) + f"\n\n{words}\n\n{note} {_simulated(folder)} {source(folder / 'provenance.json')}"
 
 
 def agents() -> str:
@@ -140,7 +148,7 @@ def tradeoff() -> str:
     ]
     return (
         f"Hypervolume (share of the box from nothing to 900 s and all of the length out of the limit that a front"
-        f" dominates): {', '.join(parts)}; {contexts} tubes. {source(folder / 'provenance.json')}"
+        f" dominates): {', '.join(parts)}; {contexts} tubes. {_simulated(folder)} {source(folder / 'provenance.json')}"
     )
 
 
@@ -148,4 +156,4 @@ def fidelity() -> str:
     """What moves at half the step and with the study's scheme."""
     folder = RESULTS / "fidelity"
     lines = [f"* {line}" for line in words(read_csv(folder / "fidelity.csv"))]
-    return "\n".join(lines) + f"\n\n{source(folder / 'provenance.json')}"
+    return "\n".join(lines) + f"\n\n{_simulated(folder)} {source(folder / 'provenance.json')}"

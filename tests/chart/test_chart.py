@@ -198,3 +198,16 @@ def test_every_setting_of_the_chart_is_stored():
     beyond = constant[(constant["method"] == "imex") & (constant["time_step_s"] >= 5e-4)]
     beyond = beyond[beyond["contact_stiffness_n_per_m"] == 1e5]
     assert (beyond["diverged"] == 1.0).all()
+
+
+def test_the_stored_statistics_of_superelements_are_the_converged_mesh_s():
+    """What docs/superelement.md says of 2e-4 s: within a tenth; at 40 and 50 m with their intervals, the peak aside."""
+    errors = pd.read_csv(FOLDER / "errors-converged.csv")
+    table_2 = (errors["contact_stiffness_n_per_m"] == 1e5) & (errors["time_step_s"] == 2e-4)
+    rows = errors[table_2 & (errors["method"] == "superelement32")].set_index("carrier_length_m")
+    for output in ("radial_rms_m", "radial_p99_m", "lift_off_share", "axial_rms_m", "radial_acceleration_rms_m_per_s2"):
+        assert (np.abs(rows.loc[[30.0, 40.0, 50.0], f"{output}:ratio"] - 1.0) < 0.1).all()
+        assert (rows.loc[[40.0, 50.0], f"{output}:low"] > 0.9).all()
+        assert (rows.loc[[40.0, 50.0], f"{output}:high"] < 1.1).all()
+    coarse = errors[table_2 & (errors["method"] == "imex32") & (errors["nodes_per_pitch"] == 4)]
+    assert (coarse.set_index("carrier_length_m").loc[[30.0, 40.0, 50.0], "radial_rms_m:high"] < 0.9).all()

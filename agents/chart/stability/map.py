@@ -24,7 +24,7 @@ from agents.chart.stability.one_mass import bounce, run_one_mass
 from agents.chart.stability.passive import run_digits, run_energy
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.methods import ON_NODES as METHODS
 
 Cell = tuple[str, float, float, float, float]
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
@@ -93,8 +93,7 @@ def run_map(output: Path) -> pd.DataFrame:
 
 @lru_cache(maxsize=1024)
 def _bounce_damping(method: str, omega_dt: float) -> float:
-    """Of one mass on the contact's spring; 0 where the contact is fitted to the step, so that no mass alone tells."""
-    return bounce(method, omega_dt)[1] if method in ON_NODES else 0.0
+    return bounce(method, omega_dt)[1]
 
 
 def verdicts(table: pd.DataFrame) -> pd.DataFrame:
@@ -112,7 +111,6 @@ def markdown(table: pd.DataFrame) -> str:
     ]
     table = verdicts(table)
     named = {"explicit": "computed, damping included", "implicit": "none; multiples of Newmark's"}
-    named |= {method: "dt √(k/m) = 1.4 of a float with its cable" for method in METHODS if method not in ON_NODES}
     for method in METHODS:
         held = table[table["method"] == method].groupby("ratio")["diverged_at_s"].apply(lambda at: at.isna().mean())
         groups = (held[held == 1.0], held[(held > 0.0) & (held < 1.0)], held[held == 0.0])
