@@ -130,6 +130,7 @@ def converged_settings() -> Iterator[Setting]:
                     yield Setting("superelement32", time_step, length=length, stiffness=stiffness, members=members)
     for length in (30.0, 40.0, 50.0):
         yield Setting("superelement", 2e-4, length=length, members=32)
+        yield Setting("superelement", 5e-5, length=length)
         if length == 30.0:
             yield Setting("imex32", CONVERGED_STEP, CONVERGED_NODES, length, members=32)
         for nodes in (4, 8, 16):

@@ -120,9 +120,14 @@ def insertion_cost(row: Mapping[Any, Any], costs: pd.DataFrame) -> float:
     """Processor time of a whole insertion of one probe [s], from the cost of a node-step."""
     same = (costs["method"] == row["method"]) & (costs["nodes_per_pitch"] == row["nodes_per_pitch"])
     node_step = costs[same]["ns_per_node_step"].mean()
+    steps = pitch_seconds() / row["time_lapse"] / row["time_step_s"]
+    return float(row["nodes_per_pitch"] * steps * node_step * 1e-9)
+
+
+def pitch_seconds() -> float:
+    """Pitches inserted, summed over the seconds of a whole insertion."""
     pitches = (np.arange(START, END, STRETCH) + 0.5 * STRETCH) / 0.1
-    steps = STRETCH / FEED_SPEED / row["time_lapse"] / row["time_step_s"]
-    return float((pitches * row["nodes_per_pitch"] * steps).sum() * node_step * 1e-9)
+    return float(pitches.sum() * STRETCH / FEED_SPEED)
 
 
 def _compared(part: pd.DataFrame, reference: pd.DataFrame) -> dict[str, float]:

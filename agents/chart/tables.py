@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.stats import linregress
 
 from agents.chart.ensembles import CHOICES, MODEL_STEP, STIFFNESSES, Setting
-from agents.chart.errors import OUTPUTS, bound, insertion_cost
+from agents.chart.errors import OUTPUTS, bound, insertion_cost, pitch_seconds
 from agents.chart.figures import resolved
 from agents.chart.insertions import Insertion
 from agents.chart.smooth import METHODS, REFERENCES, cases
@@ -106,9 +106,8 @@ def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFr
         length, stiffness = row["carrier_length_m"], row["contact_stiffness_n_per_m"]
         if stiffness in STIFFNESSES and row["diverged"] == 0.0:
             rows += _errors(row, 1.0, length, stiffness, row["cpu_s"] / ((length + 2.5) / 0.1))
-    per_pitch = {(r["method"], r["time_step_s"], r["nodes_per_pitch"]): r["cost_s"] for r in rows}
     for row in inserted.to_dict("records"):
-        cost = per_pitch[row["method"], row["time_step_s"], row["nodes_per_pitch"]] / row["time_lapse"]
+        cost = row["cpu_s"] / pitch_seconds()
         rows += _errors(row, row["time_lapse"], float("nan"), 1e5, cost)
     table = pd.DataFrame(rows)
     keys = [
