@@ -17,7 +17,7 @@ from probe_env.envs.task import TaskConfig
 EnvId = Literal[
     "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
 ]  # fmt: skip
-ENVIRONMENTS: dict[str, tuple[type[ProbeEnv], dict[str, str]]] = {
+ENVIRONMENTS: dict[str, tuple[type[ProbeEnv], EpisodeSettings]] = {
     env_id: (InsertionEnv if "Insertion" in env_id else SnapshotEnv, VERSIONS[env_id[-2:]])
     for env_id in get_args(EnvId)
 }
@@ -57,7 +57,8 @@ class ProbeVecEnv(VecEnv):
         check_episode_steps(max_episode_steps)
         kind, of_version = ENVIRONMENTS[env_id]
         self.config = task_config(kind.defaults, config)
-        self.episodes = Episodes(num_envs, self.config, threads=threads, **(of_version | settings))
+        merged: EpisodeSettings = {**of_version, **settings}
+        self.episodes = Episodes(num_envs, self.config, threads=threads, **merged)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))
         self._rngs: dict[int, np.random.Generator] = {}

@@ -59,8 +59,8 @@ for _version, _fidelity in VERSIONS.items():
             id=f"probe_env/{_name}-{_version}",
             entry_point=f"probe_env.envs.env:{_name}Env",
             vector_entry_point=f"probe_env.envs.vector:{_name}VectorEnv",
-            kwargs=_fidelity,
+            kwargs=dict(_fidelity),
         )
     gymnasium.register(
-        id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=_fidelity
+        id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=dict(_fidelity)
     )

@@ -84,12 +84,13 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
         held = part[part["radial_rms_m:ratio"].notna()]
         for axis, (output, label) in zip(axes[:, column], SHOWN.items(), strict=True):
             axis.axhline(1.0, color=GREY, linewidth=0.8)
-            for (method, nodes), rows in held.groupby(["method", "nodes_per_pitch"]):
+            for (name, mesh), rows in held.groupby(["method", "nodes_per_pitch"]):
+                kind, nodes = str(name), int(str(mesh))
                 ratio = rows[f"{output}:ratio"]
                 spread = [ratio - rows[f"{output}:low"], rows[f"{output}:high"] - ratio]
                 axis.errorbar(
                     rows["cpu_s"], ratio, yerr=np.abs(spread), fmt=MARKERS[nodes], ms=4, capsize=2, linewidth=1,
-                    color=COLOURS[method], label=method if nodes == 4 else f"{method}, {nodes} nodes a pitch",
+                    color=COLOURS[kind], label=kind if nodes == 4 else f"{kind}, {nodes} nodes a pitch",
                 )  # fmt: skip
             axis.set_xscale("log")
             axis.grid(**GRID)

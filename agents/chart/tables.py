@@ -177,7 +177,7 @@ def outputs(constant: pd.DataFrame, lengths: Sequence[float]) -> str:
     head = ["method", "nodes a pitch", "step", *names, "CPU s/s"]
     plain = Setting().key
     scene = {name: plain[name] for name in ("contact_stiffness_n_per_m", "friction", "walls")}
-    lines = []
+    lines: list[str] = []
     for length in lengths:
         lines += [""] if lines else []
         lines += [f"| l = {length:g} m: " + " | ".join(head) + " |", "|---" * len(head) + "|"]

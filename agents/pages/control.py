@@ -11,12 +11,12 @@ from agents.learning import results as agent_results
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
 from agents.records.columns import KPIS
-from agents.records.models import Quality, Record
+from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
 from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import PRESETS, Fidelity
+from probe_env.fidelity import PRESETS
 
 BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
@@ -49,8 +49,8 @@ SHORT: Final = {
 
 def _simulated(folder: Path) -> str:
     """How an evaluation was simulated, by the name of a preset where it has one."""
-    stored = Fidelity.model_validate(read_json(folder / "setting.json", Record).model_dump()["fidelity"])
-    name = next((f"`{name}`" for name, preset in PRESETS.items() if preset == stored), str(stored))
+    stored = read_json(folder / "setting.json", Setting).fidelity
+    name = next((f"`{name}`" for name, preset in PRESETS.items() if preset.model_dump() == stored), str(stored))
     return f"Simulated with {name}."
 
 

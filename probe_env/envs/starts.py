@@ -53,7 +53,7 @@ DEFAULTS: Final[EpisodeSettings] = {
 }  # fmt: skip
 
 
-VERSIONS: Final[dict[str, dict[str, str]]] = {"v0": {"fidelity": "standard-v0"}, "v1": {}}
+VERSIONS: Final[dict[str, EpisodeSettings]] = {"v0": {"fidelity": "standard-v0"}, "v1": {}}
 """Versions of the environments, with what each sets otherwise than ``DEFAULTS``: the physics that results are of."""
 
 

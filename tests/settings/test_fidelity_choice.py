@@ -143,8 +143,7 @@ def rms_at_constant_length(fidelity, seeds):
 def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
     """l = 40 m between the chart's lengths, another tube, friction and stiffness.
 
-    14 % are stated, of 32 fresh members each it was 9 % (a member +- 12 and 13 %). With 16 against 12 chance is another
-    21 %: an error of a third is noticed.
+    11 % are stated (a member +- 12 and 13 %). With 16 against 12 chance is another 21 %: a third is noticed.
     """
     error = max(stated(PRESETS["standard"], 30.0), stated(PRESETS["standard"], 50.0))
     assert error < 0.15
@@ -163,10 +162,7 @@ def rms_of_insertion(fidelity, seeds):
 
 @pytest.mark.processor
 def test_the_stated_error_of_fast_holds_on_an_unseen_insertion(seeds):
-    """12 % are stated, of 32 fresh members each it was 15 +- 3 % (a member +- 21 and 6 %).
-
-    With 32 against 8 chance is another 19 %: an error of 30 % is noticed.
-    """
+    """4 % are stated (a member +- 21 and 6 %). With 32 against 8 chance is another 19 %: 23 % are noticed."""
     (error,) = {r.error for r in measured() if r.fidelity == PRESETS["fast"] and r.output == "radial_rms_m"}
     assert error < 0.15
     found = apart(*(rms_of_insertion(PRESETS[n], seeds(k)) for n, k in (("fast", 32), ("reference", 8))))
