@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import pandas as pd
 
 from agents.bench import scaling as portioned
@@ -11,7 +9,6 @@ from agents.chart import tables as chart
 from agents.chart import timelapse as lapses
 from agents.chart.costs import REPEATS
 from agents.chart.peers import comparison as others
-from agents.chart.report import error_tables
 from agents.chart.stability import map as stability_map
 from agents.pages.sources import RESULTS, source
 from agents.records.models import Record
@@ -81,9 +78,12 @@ def environments() -> str:
     return "\n".join(lines) + f"\n\n{note} {source(path)}"
 
 
-@lru_cache
 def _chart_errors(converged: bool) -> tuple[pd.DataFrame, pd.DataFrame]:
-    return error_tables(RESULTS / "chart", converged)
+    """Errors at constant length and over insertions as the chart stored them."""
+    suffix = "-converged" if converged else ""
+    return read_csv(RESULTS / "chart" / f"errors{suffix}.csv"), read_csv(
+        RESULTS / "chart" / f"insertion-errors{suffix}.csv"
+    )
 
 
 def smooth() -> str:
