@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal, Unpack, get_args
+from typing import Any, Literal, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -18,8 +18,10 @@ EnvId = Literal[
     "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
 ]  # fmt: skip
 ENVIRONMENTS: dict[str, tuple[type[ProbeEnv], EpisodeSettings]] = {
-    env_id: (InsertionEnv if "Insertion" in env_id else SnapshotEnv, VERSIONS[env_id[-2:]])
-    for env_id in get_args(EnvId)
+    "probe_env/Insertion-v1": (InsertionEnv, VERSIONS["v1"]),
+    "probe_env/Snapshot-v1": (SnapshotEnv, VERSIONS["v1"]),
+    "probe_env/Insertion-v0": (InsertionEnv, VERSIONS["v0"]),
+    "probe_env/Snapshot-v0": (SnapshotEnv, VERSIONS["v0"]),
 }
 """Class and settings of every id."""
 

@@ -53,14 +53,14 @@ except PackageNotFoundError:  # sources on the path that nobody has installed
     __version__ = "unknown"
 
 # no max_episode_steps by default: the tasks keep their own time limit
-for _version, _fidelity in VERSIONS.items():
+for _version, _settings in VERSIONS.items():
     for _name in ("Insertion", "Snapshot"):
         gymnasium.register(
             id=f"probe_env/{_name}-{_version}",
             entry_point=f"probe_env.envs.env:{_name}Env",
             vector_entry_point=f"probe_env.envs.vector:{_name}VectorEnv",
-            kwargs=dict(_fidelity),
+            kwargs=dict(_settings),
         )
     gymnasium.register(
-        id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=dict(_fidelity)
+        id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=dict(_settings)
     )

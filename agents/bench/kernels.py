@@ -132,13 +132,9 @@ def _insertion() -> dict[str, float]:
     times = {}
     for lapse in (1.0, 4.0):
         batch = SimulatorBatch(
-            [Scene(carrier_length=2.5)] * 16,
-            "superelement32",
-            FAST_STEP,
-            growing=True,
-            time_lapse=lapse,
-            perturbation=1e-7,
-        )
+            [Scene(carrier_length=2.5)] * 16, "superelement32", FAST_STEP,
+            growing=True, time_lapse=lapse, perturbation=1e-7,
+        )  # fmt: skip
         periods = round(275.0 / lapse)
         start = time.perf_counter()
         for _ in tqdm(range(periods), desc=f"insertion, time-lapse {lapse:g}", unit="s"):

@@ -90,6 +90,7 @@ CHOICES: dict[str, dict[str, Any]] = {
 CONVERGED_STEP, CONVERGED_NODES = 5e-5, 16  # [s], of imex: the mesh and step that everything is measured against
 CONVERGED_LENGTHS = {10.0: 8, 30.0: 48, 40.0: 32, 50.0: 32}
 """[m], with members of the converged reference at table 2's stiffness; others have 8."""
+LENGTHS_OF_MESHES = (30.0, 40.0, 50.0)  # [m]
 PIECE_STEPS = {
     1e4: (1e-4, 2e-4, 2.5e-4, 5e-4),
     1e5: (5e-5, 1e-4, 2e-4, 2.5e-4),
@@ -119,23 +120,23 @@ def model_settings() -> Iterator[Setting]:
 
 
 def converged_settings() -> Iterator[Setting]:
-    """The converged mesh with a fine step, and what is compared with it beyond the settings above."""
-    for stiffness in STIFFNESSES:
-        usual = stiffness == Setting.stiffness
-        for length, most in CONVERGED_LENGTHS.items():
-            if length in LENGTHS or usual:
-                yield converged(length, stiffness, most if usual else 8)
-                for time_step in PIECE_STEPS[stiffness]:
-                    members = 128 if usual and length in (30.0, 40.0, 50.0) and time_step >= 1e-4 else 16
-                    yield Setting("superelement32", time_step, length=length, stiffness=stiffness, members=members)
-    for length in (30.0, 40.0, 50.0):
+    """The converged mesh with a fine step, and what is compared with it; some of them are settings above as well."""
+    for length, members in CONVERGED_LENGTHS.items():
+        yield converged(length, Setting.stiffness, members)
+        for time_step in PIECE_STEPS[Setting.stiffness]:
+            many = length != 10.0 and time_step >= 1e-4  # steps among which a preset was chosen
+            yield Setting("superelement32", time_step, length=length, members=128 if many else 16)
+    for stiffness in (1e4, 1e6):
+        for length in LENGTHS:
+            yield converged(length, stiffness)
+            for time_step in PIECE_STEPS[stiffness]:
+                yield Setting("superelement32", time_step, length=length, stiffness=stiffness)
+    for length in LENGTHS_OF_MESHES:
         yield Setting("superelement", 2e-4, length=length, members=32)
         yield Setting("superelement", 5e-5, length=length)
-        if length == 30.0:
-            yield Setting("imex32", CONVERGED_STEP, CONVERGED_NODES, length, members=32)
         for nodes in (4, 8, 16):
-            if nodes > 4 or length not in LENGTHS:
-                yield Setting("imex32", 2e-4, nodes, length, members=32)
+            yield Setting("imex32", 2e-4, nodes, length, members=32)
+    yield Setting("imex32", CONVERGED_STEP, CONVERGED_NODES, length=30.0, members=32)
 
 
 def converged(length: float, stiffness: float, members: int = 8) -> Setting:
@@ -166,7 +167,7 @@ def member_statistics(window: Window, member: int) -> dict[str, float]:
 def run_ensembles(output: Path) -> pd.DataFrame:
     """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
     store = open_store(output)
-    settings = (*step_settings(), *model_settings(), *converged_settings())
+    settings = tuple(dict.fromkeys((*step_settings(), *model_settings(), *converged_settings())))
 
     def stored(setting: Setting) -> bool:
         return store.has(*setting.key.values(), setting.members - 1)

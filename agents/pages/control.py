@@ -153,7 +153,7 @@ def tradeoff() -> str:
 
 
 def fidelity() -> str:
-    """What moves at half the step and with the study's scheme."""
+    """What moves at half the step and with a finer fidelity."""
     folder = RESULTS / "fidelity"
     lines = [f"* {line}" for line in words(read_csv(folder / "fidelity.csv"))]
     return "\n".join(lines) + f"\n\n{_simulated(folder)} {source(folder / 'provenance.json')}"

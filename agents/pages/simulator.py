@@ -80,10 +80,8 @@ def environments() -> str:
 
 def _chart_errors(converged: bool) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors at constant length and over insertions as the chart stored them."""
-    suffix = "-converged" if converged else ""
-    return read_csv(RESULTS / "chart" / f"errors{suffix}.csv"), read_csv(
-        RESULTS / "chart" / f"insertion-errors{suffix}.csv"
-    )
+    folder, suffix = RESULTS / "chart", "-converged" if converged else ""
+    return read_csv(folder / f"errors{suffix}.csv"), read_csv(folder / f"insertion-errors{suffix}.csv")
 
 
 def smooth() -> str:

@@ -48,11 +48,10 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
         limit = METHODS[fidelity.method].contact_step(scene, fidelity.nodes_per_pitch)
-    except ValueError:
+    except ValueError as error:
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m asks for more modes than {fidelity.method} has room for:"
-            f" give fidelity = {_that_holds(fidelity, scene)}"
-        ) from None
+            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_that_holds(fidelity, scene)}"
+        ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"

@@ -30,8 +30,7 @@ REFUSED = {
     " fidelity is 0.0002 s: give fidelity = {'method': 'superelement32', 'time_step': 5e-05,": {
         "contact_stiffness": 1e6
     },
-    "contact_stiffness = 1e+08 N/m asks for more modes than superelement32 has room for: give fidelity ="
-    " {'method': 'imex', 'time_step': 5e-06,": {"contact_stiffness": 1e8},
+    "contact_stiffness = 1e+08 N/m: contact.stiffness asks for modes up to": {"contact_stiffness": 1e8},
     "contact_stiffness = 1000 N/m is below 1169 N/m (pi^4 EI / (4 p^3)): ": {"contact_stiffness": 1e3},
     "helix_diameter = 0.5 m with contact_stiffness = 3000 N/m and a drag coefficient of 4.4: at 130 m3/h and": {
         "contact_stiffness": 3e3, "drag_factor": 10.0, "friction": 0.1, "helix_diameter": 0.5
@@ -76,6 +75,18 @@ def test_every_environment_refuses_by_name(message, resets):
         with pytest.raises(ValueError, match=re.escape(stated)) as error:
             reset(dict(REFUSED[message]))
         assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "message"),
+    [(1.1e6, "nodes_per_pitch = 4: a piece of 4 elements at the root has fewer than the"), (1e7, "room for 5 and 5")],
+)
+def test_a_contact_that_asks_for_too_many_modes_is_refused_with_a_mesh_that_has_them(stiffness, message):
+    env = gym.make("probe_env/Snapshot-v1", fidelity={"method": "superelement", "time_step": 2e-5})
+    with pytest.raises(
+        ValueError, match=rf"contact_stiffness = .* N/m: .*{message}.*give fidelity = .'method': 'imex'"
+    ):
+        env.reset(options={"contact_stiffness": stiffness})
 
 
 def test_a_probe_that_turns_too_far_is_refused():

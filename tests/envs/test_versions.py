@@ -1,10 +1,13 @@
 """A version of the environments is its physics: by make, make_vec, Stable-Baselines3's batch and for designs."""
 
+from typing import get_args, get_type_hints
+
 import gymnasium as gym
 import pytest
 
 import probe_env
-from agents.vec_env import ENVIRONMENTS, ProbeVecEnv
+from agents.commands.feed import Render
+from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
 from probe_env.envs.starts import VERSIONS
 from probe_env.fidelity import PRESETS
 
@@ -19,7 +22,14 @@ def test_every_version_is_registered_and_the_newest_is_the_classes_own():
     assert ids == {f"probe_env/{kind}-{version}" for kind in kinds for version in VERSIONS}
     assert set(PHYSICS) == set(VERSIONS)
     assert set(ENVIRONMENTS) == {key for key in ids if "Design" not in key}
+    assert set(get_args(EnvId)) == set(get_args(get_type_hints(Render)["env_id"])) == set(ENVIRONMENTS)
+    for env_id, (kind, settings) in ENVIRONMENTS.items():
+        assert env_id == f"probe_env/{kind.__name__.removesuffix('Env')}-{_version_of(settings)}"
     assert probe_env.Fidelity() == PHYSICS[max(VERSIONS)]
+
+
+def _version_of(settings):
+    return next(version for version, of_version in VERSIONS.items() if of_version is settings)
 
 
 @pytest.mark.parametrize("version", EACH)

@@ -7,8 +7,10 @@ are condensed from the same fine mesh and keep equally many even and odd modes.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, Final
+from weakref import WeakValueDictionary
 
 import numpy as np
 from scipy.optimize import brentq
@@ -40,7 +42,8 @@ SETTLED = 8.0 * np.finfo(float).eps
 MOST_FACTORS = 1000
 
 
-class Tables(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Tables:
     """Of a probe; n places in a pitch, e even and o odd modes, m = e + o.
 
     Attributes:
@@ -65,6 +68,10 @@ class Tables(NamedTuple):
     stiffness: float
 
 
+_IN_USE: Final[WeakValueDictionary[tuple[Any, ...], Tables]] = WeakValueDictionary()
+"""Tables of all simulators there are, each of which holds its own; ``_tables`` keeps some of those that went."""
+
+
 def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
     """Those of a probe's chain, whose nodes are the places; as many modes as its contact asks for, three at least.
 
@@ -75,7 +82,11 @@ def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
         raise ValueError(
             f"nodes_per_pitch = {nodes_per_pitch!r} does not divide {ELEMENTS}, the elements in a pitch of superelement"
         )
-    return _tables(_linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
+    key = _linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS
+    own = _IN_USE.get(key)
+    if own is None:
+        own = _IN_USE[key] = _tables(*key)
+    return own
 
 
 def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
@@ -87,7 +98,7 @@ def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
 def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limit: float) -> float:
     chain = _cable(linear)
     whole = _piece(linear, places, ELEMENTS, places)
-    row = Endless(_chosen(whole, *_modes(whole, REACH * contact_frequency(chain, stiffness)), 0.0))
+    row = Endless(_chosen(whole, *_modes(whole, chain, stiffness, places, ELEMENTS), 0.0))
 
     def beyond(step: float) -> float:
         return step * math.sqrt(stiffness * row.least_mass(chain.damping_time, step) ** -1) - limit
@@ -106,18 +117,26 @@ def _cable(linear: tuple[float, ...]) -> Chain:
     return Chain(*linear, *rest)  # type: ignore[arg-type, call-arg]
 
 
-def _modes(whole: Pitch, reach: float) -> tuple[int, int]:
-    """How many even and odd modes lie below a frequency [Hz]; at least ``LEAST``.
+def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: int) -> tuple[int, int]:
+    """How many even and odd modes a contact asks for, ``LEAST`` at least.
 
     Raises:
-        ValueError: more than there is room for.
+        ValueError: more than there is room for, in the kernel or in the shortest piece at the root.
     """
+    reach = REACH * contact_frequency(chain, stiffness)
     below, kinds = whole.frequencies[: whole.modes] <= reach, (whole.even, ~whole.even)
     even, odd = (min(max(n, int((below & kind).sum())), int(kind.sum())) for n, kind in zip(LEAST, kinds, strict=True))
     if max(even, odd) > MOST:
         raise ValueError(
             f"contact.stiffness asks for modes up to {reach:.0f} Hz, {even} even and {odd} odd ones: superelement has"
             f" room for {MOST} and {MOST}; imex with 8 or more nodes a pitch simulates it"
+        )
+    inner = 3 * (elements // places // 2)  # unknowns of half a piece; y of its middle is even, x and theta are odd
+    if even > inner - 2 or odd > inner - 1:
+        raise ValueError(
+            f"nodes_per_pitch = {places!r}: a piece of {elements // places} elements at the root has fewer than the"
+            f" {even} even and {odd} odd modes that contact.stiffness = {stiffness:g} N/m asks for;"
+            " give fewer nodes a pitch, or imex"
         )
     return even, odd
 
@@ -127,17 +146,11 @@ def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step:
     chain = _cable(linear)
     theta, tau = linear_weights(chain.damping_time, time_step)
     whole = _piece(linear, places, elements, places)
-    even, odd = _modes(whole, REACH * contact_frequency(chain, stiffness))
+    even, odd = _modes(whole, chain, stiffness, places, elements)
     pieces = [
         _chosen(_piece(linear, places, elements, count), even, odd, theta * time_step * tau)
         for count in range(1, places + 1)
     ]
-    if pieces[0].modes < even + odd:
-        raise ValueError(
-            f"nodes_per_pitch = {places!r}: a piece of {elements // places} elements at the root has fewer modes than"
-            f" the {even + odd} that superelement keeps in a pitch for contact.stiffness = {stiffness:g} N/m;"
-            " give fewer nodes a pitch (4, 2 or 1), or imex"
-        )
     fine = refined(chain, places, elements, places)
     factors, root_factors = _factors(
         pieces, 0.5 * np.diag([fine.mass, fine.mass, fine.inertia]), theta * time_step * tau

@@ -152,13 +152,25 @@ def test_modes_are_chosen_by_the_contact():
     ("nodes", "stiffness", "message"),
     [
         (3, 1e5, "nodes_per_pitch = 3 does not divide 16"),
-        (8, 4e5, "nodes_per_pitch = 8: .*give fewer nodes a pitch"),
+        (8, 1e5, "nodes_per_pitch = 8: .*give fewer nodes a pitch"),
+        (16, 1e5, "nodes_per_pitch = 16: .*give fewer nodes a pitch"),
+        (4, 1.1e6, "nodes_per_pitch = 4: .* fewer than the 5 even and 5 odd modes"),
         (4, 1e7, "contact.stiffness asks for modes up to .* room for 5 and 5"),
     ],
 )
 def test_what_it_cannot_do_it_says(nodes, stiffness, message):
     with pytest.raises(ValueError, match=message):
         Simulator(Scene(contact={"stiffness": stiffness}), "superelement", 5e-5, nodes)
+
+
+def test_tables_live_as_long_as_the_simulators_that_use_them():
+    """A batch of more tubes than are kept for later must not make them anew at every call."""
+    scenes = [Scene(carrier_length=1.0, contact={"stiffness": stiffness}) for stiffness in (9e4, 1e5, 1.1e5)]
+    batch = SimulatorBatch(scenes, "superelement32", STEP)
+    tables._tables.cache_clear()
+    batch.advance(None, None, 0.01)
+    assert tables._tables.cache_info().misses == 0
+    assert len(tables._IN_USE) >= len(scenes)
 
 
 def test_lengths_modes_and_calls_change_no_bit():
