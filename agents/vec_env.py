@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of, task_config
+from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import VERSIONS, EpisodeSettings
+from probe_env.envs.starts import VERSIONS, EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 EnvId = Literal[
@@ -58,7 +58,7 @@ class ProbeVecEnv(VecEnv):
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         check_episode_steps(max_episode_steps)
         kind, of_version = ENVIRONMENTS[env_id]
-        self.config = task_config(kind.defaults, config)
+        self.config, settings = placed(kind.defaults, config, settings)
         merged: EpisodeSettings = {**of_version, **settings}
         self.episodes = Episodes(num_envs, self.config, threads=threads, **merged)
         self.render_mode = None

@@ -16,6 +16,7 @@ ensure_kernel_cache()  # before anything imports a kernel
 
 from probe_env.design import Design
 from probe_env.envs.contexts import Context, load_contexts, spread_contexts
+from probe_env.envs.plants import Plant
 from probe_env.envs.starts import VERSIONS
 from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
@@ -31,6 +32,7 @@ __all__ = [
     "Context",
     "Design",
     "Fidelity",
+    "Plant",
     "Probe",
     "Run",
     "Scene",

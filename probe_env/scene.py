@@ -7,11 +7,12 @@ field, the value and the accepted range.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.settings import Model, quantity
@@ -147,12 +148,34 @@ class Scene(Model):
             )
         return self
 
+    @classmethod
+    def fitted(cls, values: Mapping[str, Any]) -> Self:
+        """A scene of what differs from table 2's; the carrier, unless it is given, as long as the helix has room for.
+
+        Raises:
+            ValueError: a field that is not known or not valid.
+        """
+        given = dict(values)
+        try:
+            tube = Tube.model_validate(given.get("tube", {}))
+            probe = Probe.model_validate(given.get("probe", {}))
+        except ValidationError:
+            return cls.model_validate(given)  # which tells where the field is
+        room = min(cls.model_fields["carrier_length"].default, tube.helix_length - probe.guide_length)
+        given.setdefault("carrier_length", max(whole_pitches(room, probe), probe.float_pitch))
+        return cls.model_validate(given)
+
     def to_toml(self, path: str | Path | None = None) -> str:
         """The scene as TOML text, with every field; written to ``path`` if given."""
         text = tomli_w.dumps(self.model_dump())
         if path is not None:
             Path(path).write_text(text)
         return text
+
+
+def whole_pitches(length: float, probe: Probe) -> float:
+    """A length cut to whole float pitches [m]."""
+    return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
 
 
 def _impossible(message: str) -> PydanticCustomError:

@@ -39,13 +39,19 @@ class Evaluate:
     acting, or both."""
     finer: str = "reference"
     """The finer fidelity of the check. reference costs some sixteen times fast; study hours and more."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list."""
+    strict: bool = False
+    """Refuse policies that were not made for these tubes, instead of saying so."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
+        from agents.policies.places import place_at
 
-        plan = plan_of(self.policies, self.contexts, self.limit, self.seeds, self.fidelity, self.probes)
+        place = place_at(self.tube, self.contexts, self.limit)
+        plan = plan_of(self.policies, place, self.seeds, self.fidelity, self.probes, self.strict)
         evaluate(plan, self.output, Checks(self.check_fidelity, self.finer), self.against, self.workers)
 
 
@@ -95,12 +101,16 @@ class Tradeoff:
     """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
     """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE."""
+    tube: Path | None = None
+    """Your own plant (tube.toml), see `probe-env evaluate --help`."""
 
     def run(self) -> None:
         """Run what is missing, store, print."""
         from agents.evaluation.tradeoff import run_tradeoff
+        from agents.policies.places import place_at
 
-        run_tradeoff(self.families, self.output, self.contexts, self.limit, self.fidelity, self.beside)
+        place = place_at(self.tube, self.contexts, self.limit)
+        run_tradeoff(self.families, self.output, place, self.fidelity, self.beside)
 
 
 @dataclass(frozen=True)
@@ -112,18 +122,23 @@ class Map:
     output: Path = Path("output/map")
     """Folder of the insertions; what is there already is not run again."""
     target: Path | None = None
-    """File of the map (.npz), how it was made beside it (.json); default: vibration-map.npz in the output folder."""
+    """File of the map (.npz), how it was made beside it (.json); default: vibration-map.npz in the output folder, with
+    --tube NAME.toml NAME-map.npz beside that file, where every command with that tube finds it."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): 96 tubes drawn from what is known of it instead of the training list."""
 
     def run(self) -> None:
         """Run what is missing, fit, store."""
         import_module("torch")  # for the fit, which comes after half an hour of simulation
 
-        from agents.policies.vibration_map import make_map
+        from agents.policies.maps.fit import make_map
+        from agents.policies.places import map_beside
+        from probe_env.envs.plants import plant_of
 
-        target = self.target or self.output / "vibration-map.npz"
+        target = self.target or (map_beside(self.tube) if self.tube else self.output / "vibration-map.npz")
         if target.suffix != ".npz":
             raise ValueError(f"target = {str(target)!r} is not a file of arrays (.npz)")
-        make_map(self.seeds, self.output, target)
+        make_map(self.seeds, self.output, target, plant_of(self.tube))
         print(f"written: {target}")
 
 
@@ -135,25 +150,33 @@ class Optimise:
     """What to search: best-constant, best-schedule, best-schedule-dDIAMETER; none: all."""
     trials: int = 1200
     """Schedules tried in each search."""
-    output: Path = Path("output/optimise")
-    """Folder of the schedules, their trials and how they were made."""
-    work: Path = Path("output/optimise/simulated")
-    """Folder of the simulated episodes; what is there already is not run again."""
+    output: Path | None = None
+    """Folder of the schedules, their trials and how they were made; default: output/optimise, with --tube NAME.toml
+    output/optimise-NAME."""
+    work: Path | None = None
+    """Folder of the simulated episodes; what is there already is not run again. Default: simulated in the output
+    folder."""
     vibration_map: Path | None = None
-    """File of the map (.npz), see `probe-env map`; default: the shipped one."""
+    """File of the map (.npz), see `probe-env map`; default: the one beside the tube's file, or the shipped one."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): searched for and simulated in its tubes."""
 
     def run(self) -> None:
         """Search, simulate on the validation tubes, store, print."""
-        from agents.policies.search import FAMILIES, run_search
-        from agents.policies.vibration_map import VibrationMap, stored_map
+        from agents.policies.maps.search import FAMILIES, OF_A_PLANT, run_search
+        from agents.policies.maps.vibration_map import VibrationMap
+        from agents.policies.places import map_of
+        from probe_env.envs.plants import plant_of
 
         for family in self.families:
             if family not in FAMILIES:
                 raise ValueError(f"family = {family!r} is not one of {', '.join(FAMILIES)}")
-        vibration = VibrationMap.load(self.vibration_map) if self.vibration_map else stored_map()
-        for family in self.families or FAMILIES:
-            run_search(family, self.trials, self.output, self.work, vibration)
-        print(f"written: {self.output}/ (NAME.csv: a schedule to evaluate, NAME-trials.csv, NAME.json)")
+        plant = plant_of(self.tube)
+        vibration = VibrationMap.load(self.vibration_map) if self.vibration_map else map_of(self.tube, plant)
+        output = self.output or Path(f"output/optimise-{self.tube.stem}" if self.tube else "output/optimise")
+        for family in self.families or (FAMILIES if plant is None else OF_A_PLANT):
+            run_search(family, self.trials, output, self.work or output / "simulated", vibration, plant)
+        print(f"written: {output}/ (NAME.csv: a schedule to evaluate, NAME-trials.csv, NAME.json)")
 
 
 @dataclass(frozen=True)
@@ -169,16 +192,21 @@ class Train:
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     resume: bool = False
     """Go on from the last checkpoints in the folder."""
+    tube: Path | None = None
+    """Your own plant (tube.toml) instead of the file's."""
 
     def run(self) -> None:
         """Train, print the learning curves."""
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
         from agents.records.shipped import file_or_shipped
+        from probe_env.envs.plants import plant_of
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
+        if self.tube:
+            training = training.model_copy(update={"environment": {"tube": plant_of(self.tube)}})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
         print(f"written: {output}/seed-*/ (agent.npz: the best by validation, learning.csv, run.json, logs)")
@@ -232,6 +260,8 @@ class Render:
     """Control periods a frame: of 1 s in Insertion-v1, 0.1 s in Snapshot-v1."""
     seed: int = 0
     """Of the tube and the sensors' noise."""
+    tube: Path | None = None
+    """Your own plant (tube.toml), of which a random tube is drawn."""
 
     def run(self) -> None:
         """Simulate, draw, write."""
@@ -239,7 +269,7 @@ class Render:
 
         kpis = render_episode(
             self.env_id, self.output, self.policy, self.every, self.seed,
-            fidelity=self.fidelity, contexts=self.contexts,
+            tube=self.tube, fidelity=self.fidelity, contexts=self.contexts,
         )  # fmt: skip
         for name, value in kpis.items():
             print(f"{name:40s} {value:.6g}")

@@ -13,8 +13,8 @@ import numpy as np
 
 from agents.design.compare import CODE, Comparison
 from agents.policies.catalogue import make_policy
-from agents.policies.on_map import LEAST_AIR
-from agents.policies.vibration_map import FEEDS
+from agents.policies.maps.lookup import LEAST_AIR
+from agents.policies.maps.vibration_map import FEEDS
 from agents.processes.workers import HERE, Workers
 from agents.records.code_hash import code_hash
 from probe_env import Context, Design

@@ -16,7 +16,9 @@ from jinja2 import Environment, StrictUndefined
 
 from agents.evaluation import figures
 from agents.evaluation.fidelity_check import Checks, run_checks
-from agents.policies.catalogue import named_policies
+from agents.policies.catalogue import domains_of, named_policies
+from agents.policies.domain import check_domains
+from agents.policies.places import Place
 from agents.processes.workers import HERE, Workers
 from agents.records.columns import KPIS
 from agents.records.models import Compared, Evaluated, Setting
@@ -26,25 +28,24 @@ from agents.records.tables import EPISODES, FRONT, PROFILE
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import Interval, endings, grouped, method_and_seed, sentences, summarise
 from agents.terminal.tables import print_table
-from probe_env.envs.contexts import Split, spread_contexts
 from probe_env.envs.starts import Probes
-from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
 
 
 def plan_of(
-    specs: Sequence[str], contexts: Split, limit: int, seeds: int, fidelity: str, probes: Probes = "scene"
+    specs: Sequence[str], place: Place, seeds: int, fidelity: str, probes: Probes = "scene", strict: bool = False
 ) -> Plan:
-    """Named policies on a shipped list of contexts, the first ``limit`` of it (0: all), so many seeds each.
+    """Named policies in a place, so many seeds each; those that were not made for its tubes are told, or refused.
 
     Raises:
-        ValueError: an argument is not valid.
+        ValueError: an argument is not valid, or ``strict`` and a policy was not made for these tubes.
     """
-    chosen = spread_contexts(contexts, limit)
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = TaskConfig().all_shown
-    return Plan(named_policies(specs, config), chosen, range(seeds), config, resolve_fidelity(fidelity), probes)
+    config = place.config.all_shown
+    policies = named_policies(specs, config, place.vibration)
+    check_domains(domains_of(specs, policies), config, place.contexts, strict)
+    return Plan(policies, place.contexts, range(seeds), config, resolve_fidelity(fidelity), probes)
 
 
 NO_CHECKS: Final = Checks()

@@ -14,13 +14,12 @@ import pandas as pd
 from agents.evaluation import figures
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, FixedPolicy, OnOff, SlowDown
-from agents.policies.on_map import Privileged, TensionScheduled
+from agents.policies.on_map import MapPolicy, Privileged, TensionScheduled
+from agents.policies.places import Place
 from agents.records.provenance import write_atomically
 from agents.rollouts.plan import Plan, Policy, run_plan
 from agents.rollouts.statistics import Interval, bootstrap_ends, by_context, grouped, mean_interval, method_and_seed
 from agents.terminal.tables import print_table
-from probe_env.envs.contexts import Split, spread_contexts
-from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
 
 REFERENCE: Final = (900.0, 1.0)
@@ -36,6 +35,11 @@ class Family:
     values: tuple[float, ...]
     fixed: dict[str, Any]
 
+    def member(self, value: float, place: Place) -> FixedPolicy:
+        """The policy of a value of the parameter."""
+        looked_up = {"vibration": place.vibration} if issubclass(self.kind, MapPolicy) else {}
+        return self.kind(place.config.all_shown, **{self.parameter: value}, **self.fixed, **looked_up)
+
 
 STRONG_AIR: Final = {"air_supply_rate": 100.0 / 3600.0}
 FAMILIES: Final[dict[str, Family]] = {
@@ -49,7 +53,7 @@ FAMILIES: Final[dict[str, Family]] = {
 
 
 def run_tradeoff(
-    names: Sequence[str], output: Path, contexts: Split, limit: int, fidelity: str, beside: Sequence[str] = ()
+    names: Sequence[str], output: Path, place: Place, fidelity: str, beside: Sequence[str] = ()
 ) -> pd.DataFrame:
     """Sweep families; stores front.csv, hypervolume.csv and front.png beside the evaluation's tables.
 
@@ -58,18 +62,15 @@ def run_tradeoff(
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    chosen = spread_contexts(contexts, limit)
     for name in names:
         if name not in FAMILIES:
             raise ValueError(f"family = {name!r} is not one of {', '.join(FAMILIES)}")
-    config = TaskConfig().all_shown
-    singles = named_policies(beside, config) if beside else {}
+    config = place.config.all_shown
+    singles = named_policies(beside, config, place.vibration) if beside else {}
     policies: dict[str, Policy] = {
-        f"{name} {value:g}": FAMILIES[name].kind(config, **{FAMILIES[name].parameter: value}, **FAMILIES[name].fixed)
-        for name in names
-        for value in FAMILIES[name].values
+        f"{name} {value:g}": FAMILIES[name].member(value, place) for name in names for value in FAMILIES[name].values
     }
-    table = run_plan(Plan(policies | singles, chosen, (0,), config, resolve_fidelity(fidelity)), output)
+    table = run_plan(Plan(policies | singles, place.contexts, (0,), config, resolve_fidelity(fidelity)), output)
     front, volumes = front_of(grouped(table), names, singles), hypervolumes(table, names)
     write_atomically(output / "front.csv", front.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "hypervolume.csv", volumes.to_csv(index=False, float_format="%.6g"))

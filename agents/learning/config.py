@@ -6,17 +6,18 @@ import inspect
 from typing import Annotated, Any, Final, Self
 
 import tomli_w
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.learning.space import axes_of
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
 from agents.policies.catalogue import make_policy
+from agents.policies.places import place_of
 from agents.policies.view import View
 from agents.vec_env import ENVIRONMENTS, EnvId
-from probe_env.envs.contexts import Split, spread_contexts
-from probe_env.envs.env import task_config
-from probe_env.envs.starts import NamedContexts, Probes
+from probe_env.envs.contexts import Context, Split
+from probe_env.envs.plants import Plant, plant_of
+from probe_env.envs.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import Model, explain, quantity, tuples, whole_steps
@@ -42,6 +43,8 @@ class Environments(Model):
     """What the agent is trained in."""
 
     env_id: EnvId = "probe_env/Insertion-v1"
+    tube: Annotated[Plant | None, BeforeValidator(plant_of)] = None
+    """A plant of one's own: the path of its ``tube.toml``, or its fields."""
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
     contexts: NamedContexts = "train"
     probes: Probes = "scene"
@@ -118,7 +121,7 @@ class Training(Model):
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
         self.view.columns(self.task)
-        spread_contexts(self.validation.contexts, self.validation.limit)
+        assert self.validated_in
         if self.imitation is not None:
             try:
                 make_policy(self.imitation.teacher, self.shown_task)
@@ -134,7 +137,21 @@ class Training(Model):
     @property
     def task(self) -> TaskConfig:
         """The task that the agent learns, as given."""
-        return task_config(ENVIRONMENTS[self.environment.env_id][0].defaults, self.environment.task)
+        kind, settings = ENVIRONMENTS[self.environment.env_id]
+        return placed(kind.defaults, self.environment.task, {**settings, "tube": self.environment.tube})[0]
+
+    @property
+    def trained_in(self) -> Contexts:
+        """Tubes that are trained in: a shipped list or ranges, or those of the plant."""
+        plant, named = self.environment.tube, self.environment.contexts
+        if plant is None:
+            return named
+        return plant.contexts(RANDOM_TUBES) if named == "random" else place_of(plant, named).contexts
+
+    @property
+    def validated_in(self) -> tuple[Context, ...]:
+        """Tubes in which the best model is chosen."""
+        return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
 
     @property
     def shown_task(self) -> TaskConfig:

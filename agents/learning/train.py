@@ -29,6 +29,7 @@ from agents.learning.imitation import imitate
 from agents.learning.view_env import ViewVecEnv
 from agents.policies.bundle import ALGORITHMS, Agent, Description, save_bundle
 from agents.policies.catalogue import make_policy
+from agents.policies.domain import ranges_of
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import FileError, read_csv, read_json
@@ -37,7 +38,6 @@ from agents.rollouts.plan import Plan, run_plan
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from agents.vec_env import ProbeVecEnv
-from probe_env.envs.contexts import spread_contexts
 from probe_env.fidelity import resolve_fidelity
 
 CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
@@ -140,7 +140,7 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
     shown = training.shown_task
     batch = ProbeVecEnv(
         training.environment.env_id, training.environment.num_envs, shown,
-        fidelity=training.environment.fidelity, contexts=training.environment.contexts,
+        fidelity=training.environment.fidelity, contexts=training.trained_in,
         probes=training.environment.probes, threads=threads,
     )  # fmt: skip
     env = ViewVecEnv(batch, training.view, shown, training.environment.reward_scale)
@@ -225,13 +225,15 @@ def _validated(
     ``trained``: seed, phase and steps so far, and how the run was started.
     """
     description = Description(
-        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task, trained=trained
-    )
-    chosen = spread_contexts(training.validation.contexts, training.validation.limit)
+        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
+        tubes=ranges_of(training.trained_in), trained=trained,
+    )  # fmt: skip
     agent = Agent(description, model.policy, training.shown_task, f"phase {trained['phase']}")
     fidelity = resolve_fidelity(training.validation.fidelity)
     begin = time.perf_counter()
-    plan = Plan({"agent": agent}, chosen, (0,), training.shown_task, fidelity, training.environment.probes)
+    plan = Plan(
+        {"agent": agent}, training.validated_in, (0,), training.shown_task, fidelity, training.environment.probes
+    )
     table = run_plan(plan, None, threads=threads)
     row = {name: trained[name] for name in ("seed", "phase", "steps")} | {"reward": float(table["reward"].mean())}
     row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}

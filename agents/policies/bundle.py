@@ -15,16 +15,19 @@ from typing import Annotated, Any, Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 import torch
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import BasePolicy
 
+from agents.policies.domain import Domain
+from agents.policies.maps.vibration_map import stored_map
 from agents.policies.view import View
 from agents.records.arrays import read_arrays
 from agents.records.provenance import write_atomically
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.observations import PROBE
+from probe_env.envs.task import TaskConfig, action_of, share_between
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
 
@@ -40,8 +43,10 @@ MOST_WEIGHTS: Final = 1 << 24
 """Weights between the hidden layers, so that what a file describes cannot fill the memory."""
 LARGEST_WEIGHT: Final = 1e6
 LONGEST_DESCRIPTION: Final = 1 << 20
-ACTED: Final = ("growing", "period", "feed_speeds", "air_supply_rates")
-"""Fields of the task that give an action its meaning: an agent runs in no task where they differ."""
+SAME: Final = ("growing", "period")
+"""Fields of the task that must be those of training."""
+PREVIOUS: Final = {"feed_speeds": "previous_feed_action", "air_supply_rates": "previous_air_action"}
+"""Ranges that may be others, and the observation that is in their terms."""
 
 
 class Network(Model):
@@ -76,6 +81,8 @@ class Description(Model):
     network: Network
     view: View
     task: TaskConfig
+    tubes: dict[str, tuple[FiniteFloat, FiniteFloat]] | None = None
+    """Ranges of the fields of ``Context`` that it was trained in; default: those of the shipped lists."""
     trained: dict[str, Any]
     """Run that made it: config, seed, steps, versions, commit, machine."""
 
@@ -95,12 +102,21 @@ class Agent:
 
     def __init__(self, description: Description, policy: BasePolicy, config: TaskConfig, hash: str = "") -> None:
         description.view.columns(config)
-        for name in ACTED:
+        for name in SAME:
             trained, here = getattr(description.task, name), getattr(config, name)
             if trained != here:
                 raise ValueError(f"{name} = {here!r} differs from {trained!r}, which the agent was trained with")
+        self._other_ranges = any(getattr(description.task, name) != getattr(config, name) for name in PREVIOUS)
         self.description, self.policy, self.config, self.hash = description, policy, config, hash
         policy.set_training_mode(False)
+
+    @property
+    def domain(self) -> Domain:
+        """Tubes that it was trained in; an agent that sees which probe it feeds knows any."""
+        said = self.description
+        ranges = said.tubes or Domain.of_map(stored_map()).ranges
+        tube, any_probe = said.task.scene.tube, set(PROBE) <= set(said.view.observations)
+        return Domain(ranges, tube.inner_diameter, tube.helix_length, None if any_probe else said.task.scene.probe)
 
     def predict(
         self,
@@ -110,16 +126,29 @@ class Agent:
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], tuple[Any, ...]]:
         """Actions of the environment for observations (d,) or (N, d), and the state to give back next time."""
-        rows = np.atleast_2d(observation)
+        rows = self._as_trained(np.atleast_2d(observation))
         new = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
         averages, inner = state if state is not None else (None, None)
         features, averages = self.description.view.features(self.config, rows, averages, new)
         start = np.ones(len(rows), dtype=bool) if state is None else new
         actions, inner = self.policy.predict(features, inner, start, deterministic)
-        acted = self.description.view.env_actions(self.config, actions)
+        acted = self.description.view.env_actions(self.description.task, actions)
         if not np.isfinite(acted).all():
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
+        if self._other_ranges:
+            acted = self.config.actions(*self.description.task.targets(acted).T).astype(np.float32)
         return (acted[0] if np.ndim(observation) == 1 else acted), (averages, inner)
+
+    def _as_trained(self, rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+        """Observations whose previous actions are those of the task that it was trained in: its feed and air alike."""
+        if not self._other_ranges:
+            return rows
+        rows, names = rows.copy(), list(self.config.observations)
+        for name, column in PREVIOUS.items():
+            low, high = getattr(self.config, name)
+            wanted = low + 0.5 * (rows[:, names.index(column)] + 1.0) * (high - low)
+            rows[:, names.index(column)] = action_of(share_between(wanted, getattr(self.description.task, name)))
+        return rows
 
     def describe(self) -> dict[str, Any]:
         """Equal for equal agents."""

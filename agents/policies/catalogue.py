@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Scheduled
+from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names
 from agents.rollouts.plan import Policy
@@ -22,8 +24,12 @@ BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES)
 
 
-def named_policies(specs: Sequence[str], config: TaskConfig) -> dict[str, Policy]:
+def named_policies(
+    specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None
+) -> dict[str, Policy]:
     """Policies by the names that tables give them: "NAME=SPEC", or the name or file name in the spec.
+
+    ``vibration`` is the map that some look things up in; default: the shipped one.
 
     Raises:
         ValueError: none, or one name twice, or what no name may be; and what ``make_policy`` raises.
@@ -36,7 +42,10 @@ def named_policies(specs: Sequence[str], config: TaskConfig) -> dict[str, Policy
             f"policies = {', '.join(specs) or 'none'}: at least one is needed, and no name twice"
             + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
         )
-    return {checked_name(name, "policy", "NAME=FILE gives a name"): make_policy(spec, config) for name, spec in pairs}
+    return {
+        checked_name(name, "policy", "NAME=FILE gives a name"): make_policy(spec, config, vibration)
+        for name, spec in pairs
+    }
 
 
 def name_and_spec(given: str) -> tuple[str, str]:
@@ -56,20 +65,23 @@ def _is_file(spec: str) -> bool:
     return Path(spec).suffix in (".csv", ".toml", ".npz") and Path(spec).exists()
 
 
-def make_policy(spec: str, config: TaskConfig) -> Policy:
+def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
     """A policy by its name, from a schedule file (.csv, .toml) or from an agent's bundle (.npz).
 
-    Trained agents that ship go by NAME, which is training seed 0, or NAME@SEED.
+    ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
+    NAME, which is training seed 0, or NAME@SEED.
 
     Raises:
         ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
     spec = policy_file(spec)
-    for known in (BUILT_IN, MAP_POLICIES):
-        if spec in known:
-            kind, arguments = known[spec]
-            return kind(config, **arguments)
+    if spec in BUILT_IN:
+        kind, arguments = BUILT_IN[spec]
+        return kind(config, **arguments)
+    if spec in MAP_POLICIES:
+        on_map, settings = MAP_POLICIES[spec]
+        return on_map(config, vibration=vibration or stored_map(), **settings)
     if spec in STORED:
         return Scheduled(config, Schedule.read(DATA / f"{spec}.csv"))
     if spec == BY_DIAMETER:
@@ -87,6 +99,16 @@ def make_policy(spec: str, config: TaskConfig) -> Policy:
         f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
         " schedule file (.csv, .toml) nor an agent's bundle (.npz)"
     )
+
+
+def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str, Domain | None]:
+    """What each of ``named_policies`` was made for; None: nothing in particular."""
+    found: dict[str, Domain | None] = {}
+    for name, spec in map(name_and_spec, specs):
+        policy = policies[name]
+        shipped = policy_file(spec) in (*STORED, BY_DIAMETER)
+        found[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
+    return found
 
 
 def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:

@@ -88,7 +88,7 @@ class View(Model):
         if self.friction_estimate:
             names = [*MEASURED, *(name for name in SHAPE if name in self.observations)]
             physical = in_si_units(config, np.asarray(rows))
-            friction = friction_from_tension({name: physical[name] for name in names})
+            friction = friction_from_tension({name: physical[name] for name in names}, config.scene)
             scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
             seen = np.column_stack([seen, scaled]).astype(np.float32)
         repeated = np.tile(seen, len(self.averages))

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Unpack, cast
 
 import gymnasium as gym
 import numpy as np
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.env import Observation, task_config
+from probe_env.envs.env import Observation
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED
-from probe_env.envs.starts import SETTLING, Contexts, Starts, drawn_context, scene_of
+from probe_env.envs.starts import DEFAULTS, EpisodeSettings, PlaceSettings, Starts, drawn_context, placed, settling
 from probe_env.envs.task import TaskConfig, action_of, share_of
-from probe_env.envs.trials import Candidate, Controller, judge, section_scenes, try_insertions, try_sections
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.envs.trials import SENSOR_END, Candidate, Controller, judge, section_scenes, try_insertions, try_sections
+from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
+from probe_env.settings import check_known
 
 STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
 
@@ -76,7 +77,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
     inspection time, air, inspected length, drive margin: least mean root tension less the required one, ...).
 
     ## Arguments
-    * `config`, `scene`, `contexts`: as for `Insertion-v1`.
+    * `config`, `scene`, `contexts`, `tube`: as for `Insertion-v1`.
     * `fidelity`: preset or settings; time-lapse counts for whole insertions only. Default "standard".
     * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h. For whole insertions also a
       policy with SB3's `predict`.
@@ -92,19 +93,24 @@ class DesignEnv(gym.Env[Observation, Observation]):
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
-        scene: Scene | Mapping[str, Any] | None = None,
-        fidelity: str | Fidelity | Mapping[str, Any] = "standard",
-        contexts: Contexts = "random",
+        *,
         feed: Schedule | Controller | None = None,
         full: bool = False,
         render_mode: str | None = None,
+        **settings: Unpack[PlaceSettings],
     ) -> None:
+        check_known(type(self).__name__, settings, PlaceSettings.__annotations__)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
-        self.config, self.scene, self.contexts = task_config({}, config), scene_of(scene), contexts
+        self.config, left = placed({}, config, cast(EpisodeSettings, settings))
+        self.contexts = left.get("contexts", DEFAULTS["contexts"])
+        reach = SENSOR_END + RANGES["guide_length"][1]
+        if self.scene.tube.helix_length < reach:
+            length = self.scene.tube.helix_length
+            raise ValueError(f"helix_length = {length:g} m: designs are judged over {reach:g} m, which it must have")
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build
-        self.starts = Starts(self.config, self.scene, contexts, "random", *SETTLING)
-        self.fidelity = resolve_fidelity(fidelity, self.starts.stiffest, full)
+        self.starts = Starts(self.config, self.contexts, "random", *settling(self.config, {}))
+        self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.starts.stiffest, full)
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
         if not full and not isinstance(self.feed, Schedule):
             raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")
@@ -113,6 +119,11 @@ class DesignEnv(gym.Env[Observation, Observation]):
         self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(RANGES),), dtype=np.float32)
         self.context: Context | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """What designs and contexts change."""
+        return self.config.scene
 
     @staticmethod
     def action_of(design: Design) -> Observation:
@@ -163,9 +174,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
         feed = _Follow(self.feed, self.config) if self.full and isinstance(self.feed, Schedule) else self.feed
         candidate = Candidate(design, self.context, feed, int(self.np_random.integers(2**31)))
         if self.full:
-            trial = try_insertions([candidate], self.config, self.fidelity, self.scene, threads=1)
+            trial = try_insertions([candidate], self.config, self.fidelity, threads=1)
         else:
-            trial = try_sections([candidate], self.config, self.fidelity, self.scene)
+            trial = try_sections([candidate], self.config, self.fidelity)
         terms, kpis = judge([design], trial, self.config, self.scene.tube.helix_length)
         info = {
             "design": design.built.model_dump(),

@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import EpisodeSettings
+from probe_env.envs.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
-from probe_env.settings import tuples
 
 if TYPE_CHECKING:
     from probe_env.envs.render import Renderer
@@ -25,17 +24,6 @@ def spaces_of(config: TaskConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:
     """Observation and action space of a task."""
     low, high = np.array([bounds[:2] for bounds in config.observations.values()], dtype=np.float32).T
     return gym.spaces.Box(low, high, dtype=np.float32), gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
-
-
-def task_config(defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, Any] | None) -> TaskConfig:
-    """The environment's task: defaults, changed by a mapping, or a whole configuration.
-
-    Raises:
-        ValueError: a field that is not known or not valid.
-    """
-    if isinstance(config, TaskConfig):
-        return config
-    return TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
 
 
 def check_episode_steps(steps: int | None) -> None:
@@ -59,7 +47,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
-        self.config = task_config(self.defaults, config)
+        self.config, settings = placed(self.defaults, config, settings)
         self.episodes = Episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
@@ -162,11 +150,14 @@ class InsertionEnv(ProbeEnv):
 
     ## Arguments
     * `config`: fields of `TaskConfig` to change, or a whole one.
-    * `scene`: what contexts and options change; default table 2 of the study. A `Scene`, or a mapping of what differs
-      from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
+    * `tube`: a plant of one's own, the path of its `tube.toml`, its fields as a mapping or a `probe_env.Plant`: sets
+      the scene, the task's ranges and limits, and what is known of friction, stiffness and drag, from which random
+      contexts are drawn. `config` then changes fields of its task.
+    * `scene`: what contexts and options change, without a tube; default table 2 of the study. A `Scene`, or a mapping
+      of what differs from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
     * `fidelity`: "standard", "fast", another preset, "auto" or settings of one's own, see `probe_env.fidelity`.
     * `contexts`: "random", or a shipped list: "train", "validation", "test".
-    * `feed_speed`, `air_supply_rate`: of the settling, SI units.
+    * `feed_speed`, `air_supply_rate`: of the settling, SI units; default 0.2 m/s and 63 m3/h, or the nearest in range.
     * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
       agent serves many probes; it shows in the reset's `info["probe"]` and, with `config={"observe_probe": True}`, in
       the observation; a constant length is cut to whole pitches.

@@ -19,7 +19,7 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.kpis import Tally
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import observe
-from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, scene_of
+from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
     MEASURES,
     Ending,
@@ -76,14 +76,13 @@ class Episodes:
         **settings: Unpack[EpisodeSettings],
     ) -> None:
         check_known(type(self).__name__, settings, DEFAULTS)
+        config, settings = placed({}, config, settings)
         given = DEFAULTS | settings
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         self.config = config
-        feed_speed, air_supply_rate = given["feed_speed"], given["air_supply_rate"]
-        self.starts = Starts(
-            config, scene_of(given["scene"]), given["contexts"], given["probes"], feed_speed, air_supply_rate
-        )
+        feed_speed, air_supply_rate = settling(config, settings)
+        self.starts = Starts(config, given["contexts"], given["probes"], feed_speed, air_supply_rate)
         self.fidelity = resolve_fidelity(given["fidelity"], self.starts.stiffest, config.growing)
         self.start_action = config.action(feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:

@@ -11,9 +11,10 @@ from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context, Ranges, Split, draw_context, load_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.plants import GivenPlant, plant_of
+from probe_env.envs.task import TaskConfig, scene_of
 from probe_env.fidelity import Fidelity
-from probe_env.scene import Probe, Scene
+from probe_env.scene import Scene, whole_pitches
 from probe_env.settings import explain, tuples
 
 NamedContexts = Literal["random"] | Split
@@ -24,31 +25,44 @@ SHORTEST_START: Final = 5.0  # [m] inserted
 SETTLING: Final = (0.2, 63.0 / 3600.0)
 """Feed speed [m/s] and air supply [m3/s] before an episode, unless others are given."""
 CARRIER_AT_START: Final = 2.5  # [m], at least
+RANDOM_TUBES: Final = 1024
+"""Of a plant, from which a random context is drawn."""
 
 
-class EpisodeSettings(TypedDict, total=False):
-    """What episodes share besides the task: keyword arguments of everything that plays them.
+class PlaceSettings(TypedDict, total=False):
+    """Where something is tried and how closely it is simulated.
 
     Attributes:
+        tube: a plant, its file or its fields, see ``plants.Plant``: sets the scene, what is not given of the task, and
+            what random contexts are drawn from. None (default): table 2's.
         scene: what contexts and options change, a mapping of what differs from table 2's, or None for that (default).
         fidelity: preset name (default "standard"), settings or a mapping of them, see ``fidelity.PRESETS``.
         contexts: "random" (default), the shipped list ("train", "validation", "test") that every reset draws from, a
             list of one's own, or ranges.
-        feed_speed: of the settling before an episode [m/s], default 0.2.
-        air_supply_rate: of the settling [m3/s], default 63 m3/h.
-        probes: "scene" (default), or "random": every reset draws a ``Design``.
     """
 
+    tube: GivenPlant
     scene: Scene | Mapping[str, Any] | None
     fidelity: str | Fidelity | Mapping[str, Any]
     contexts: Contexts
+
+
+class EpisodeSettings(PlaceSettings, total=False):
+    """What episodes share besides the task: keyword arguments of everything that plays them.
+
+    Attributes:
+        feed_speed: of the settling before an episode [m/s], default 0.2 or the nearest in the task's range.
+        air_supply_rate: of the settling [m3/s], default 63 m3/h, alike.
+        probes: "scene" (default), or "random": every reset draws a ``Design``.
+    """
+
     feed_speed: float
     air_supply_rate: float
     probes: Probes
 
 
 DEFAULTS: Final[EpisodeSettings] = {
-    "scene": None, "fidelity": "standard", "contexts": "random",
+    "tube": None, "scene": None, "fidelity": "standard", "contexts": "random",
     "feed_speed": SETTLING[0], "air_supply_rate": SETTLING[1], "probes": "scene",
 }  # fmt: skip
 
@@ -57,17 +71,11 @@ VERSIONS: Final[dict[str, EpisodeSettings]] = {"v0": {"fidelity": "standard-v0"}
 """Versions of the environments, with what each sets otherwise than ``DEFAULTS``: the physics that results are of."""
 
 
-def scene_of(scene: Scene | Mapping[str, Any] | None) -> Scene:
-    """What is simulated: table 2's scene, changed by a mapping, or a whole one.
-
-    A mapping of plain values goes through JSON, and so does an environment's ``spec``.
-
-    Raises:
-        ValueError: a field that is not known or not valid.
-    """
-    if scene is None or isinstance(scene, Scene):
-        return scene or Scene()
-    return Scene.model_validate(dict(scene))
+def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, float]:
+    """Feed speed [m/s] and air supply [m3/s] before an episode: as given, else the usual, or the nearest in range."""
+    ranges = config.feed_speeds, config.air_supply_rates
+    feed, air = (float(np.clip(usual, *range_)) for usual, range_ in zip(SETTLING, ranges, strict=True))
+    return settings.get("feed_speed", feed), settings.get("air_supply_rate", air)
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,7 @@ class Starts:
     """What episodes begin from.
 
     Attributes:
-        config: the task.
-        scene: what contexts and options change.
+        config: the task, with the scene that contexts and options change.
         contexts: "random", the shipped list that is drawn from, a list of one's own, or ranges.
         probes: "scene", or "random": a ``Design`` is drawn.
         feed_speed, air_supply_rate: of the settling before an episode [m/s], [m3/s].
@@ -86,7 +93,6 @@ class Starts:
     """
 
     config: TaskConfig
-    scene: Scene
     contexts: Contexts
     probes: Probes
     feed_speed: float
@@ -98,6 +104,11 @@ class Starts:
         object.__setattr__(self, "contexts", checked_contexts(self.contexts))
 
     @property
+    def scene(self) -> Scene:
+        """What contexts and options change."""
+        return self.config.scene
+
+    @property
     def stiffest(self) -> Scene:
         """The scene with the hardest contact and the lightest floats that may be drawn: a step for it holds for all."""
         source = checked_contexts(self.contexts)
@@ -106,7 +117,7 @@ class Starts:
         if self.probes == "random":
             lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
             probe = Design.model_validate(lightest).probe(self.scene.probe)
-            update |= {"probe": probe, "carrier_length": _whole_pitches(self.scene.carrier_length, probe)}
+            update |= {"probe": probe, "carrier_length": whole_pitches(self.scene.carrier_length, probe)}
         return self.scene.model_copy(update=update)
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
@@ -130,7 +141,7 @@ class Starts:
         probe = scene.probe.model_copy(update=changes.get("probe", {}))
         carrier = changes.get("carrier_length", scene.carrier_length)
         if self.probes == "random":  # of any pitch
-            carrier = _whole_pitches(carrier, probe)
+            carrier = whole_pitches(carrier, probe)
         if self.config.growing:
             start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
             carrier = round((start - probe.guide_length) / probe.float_pitch) * probe.float_pitch
@@ -143,9 +154,34 @@ class Starts:
         return scene.model_copy(update=update)
 
 
-def _whole_pitches(length: float, probe: Probe) -> float:
-    """A length cut to whole float pitches [m]."""
-    return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
+def placed(
+    defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, Any] | None, settings: EpisodeSettings
+) -> tuple[TaskConfig, EpisodeSettings]:
+    """The task with the scene that it is done in, and what is left of the settings: contexts, fidelity and the rest.
+
+    Args:
+        defaults: an environment's own fields of the task.
+        config: fields of the task that differ, or a whole one.
+        settings: as given, with a ``tube`` or a ``scene``.
+
+    Raises:
+        ValueError: a field that is not known or not valid, or settings that exclude each other.
+    """
+    left = settings.copy()
+    plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
+    if plant is None:
+        task = config if isinstance(config, TaskConfig) else None
+        task = task or TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
+        return (task if scene is None else task.model_copy(update={"scene": scene_of(scene)})), left
+    if scene is not None:
+        raise ValueError("tube and scene: give one of them, a tube has a scene of its own")
+    if isinstance(config, TaskConfig):
+        raise ValueError(
+            "config beside a tube must be a mapping of the fields that differ: a tube has a task of its own"
+        )
+    if left.get("contexts", "random") == "random":
+        left["contexts"] = plant.contexts(RANDOM_TUBES)
+    return plant.configured(defaults, config), left
 
 
 def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:

@@ -5,15 +5,17 @@ Knows no simulator and no environment. Everything is for N probes at once, one r
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED, PROBE
+from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
 Measure = Literal["displacement", "velocity", "acceleration"]
@@ -30,22 +32,39 @@ SHOWN: Final = ("observe_root_tension", "privileged", "observe_probe")
 """Fields of the task that say what is observed, and change nothing else."""
 
 
+def scene_of(given: Any) -> Any:
+    """What is simulated: table 2's scene where nothing is given, changed by a mapping, or a whole one.
+
+    A mapping of plain values goes through JSON, and so does an environment's ``spec``.
+
+    Raises:
+        ValueError: a field that is not known or not valid.
+    """
+    return Scene.fitted(given) if isinstance(given, Mapping) else given
+
+
 class TaskConfig(Model):
     """Control period, limits and weights of the task, SI units.
 
     Weights: reward per metre inspected, per metre at the vibration limit (grows with the square, up to
     ``ratio_cap`` squared), per second, per m3 of air, and per squared change of the action.
 
+    Feed and air are set in whole ``feed_speed_step`` and ``air_supply_step``, the nearest to what is asked for; 0: any.
+
     Sensors: relative noise of the eddy-current noise and of the root tension (standard deviations), and how many
     periods an observation is late; the actions in it are late as well.
     """
 
+    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
+    """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
     growing: bool = True
     period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
     time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
     settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
     feed_speeds: tuple[float, float] = (0.02, 0.4)
     air_supply_rates: tuple[float, float] = (30.0 / 3600.0, 130.0 / 3600.0)
+    feed_speed_step: Annotated[float, quantity(0.0, 1.0, "m/s")] = 0.0
+    air_supply_step: Annotated[float, quantity(0.0, 0.1, "m3/s")] = 0.0
     ramp: Annotated[float, quantity(1e-3, 1e3, "m/s2")] = 0.5
     air_lag: Annotated[float, quantity(0.0, 100.0, "s")] = 1.0
     vibration_measure: Measure = "displacement"
@@ -119,7 +138,12 @@ class TaskConfig(Model):
             row, column = np.argwhere(bad)[0]
             raise ValueError(f"action[{column}] = {values[row, column]!r} is outside the accepted range -1 to 1")
         low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        return np.asarray(low + share_of(values) * (high - low))
+        wanted = low + share_of(values) * (high - low)
+        for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
+            if step > 0.0:
+                set_to = step * np.round(wanted[:, column] / step)
+                wanted[:, column] = np.clip(set_to, low[column], high[column])
+        return np.asarray(wanted)
 
     def actions(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) actions that ask for feed speeds [m/s] and air supplies [m3/s], or the nearest in the task's range."""

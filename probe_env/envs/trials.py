@@ -110,7 +110,6 @@ def try_sections(
     candidates: Sequence[Candidate],
     config: TaskConfig,
     fidelity: Fidelity | None = None,
-    scene: Scene | None = None,
     threads: int | None = None,
 ) -> Trial:
     """N probes at constant length, the sensor at ``POSITIONS``, all in one batch.
@@ -119,15 +118,14 @@ def try_sections(
 
     Args:
         candidates: N.
-        config: the task, for the required tension.
+        config: the task, with the scene that designs and contexts change.
         fidelity: method, step and mesh; there is no time-lapse at constant length.
-        scene: what designs and contexts change; default table 2.
         threads: at most so many; default: all cores.
 
     Raises:
         ValueError: a policy, or a schedule over time.
     """
-    fidelity, base = fidelity or Fidelity(), scene or Scene()
+    fidelity, base = fidelity or Fidelity(), config.scene
     shape = (len(candidates), len(POSITIONS))
     scenes = [
         scene
@@ -183,7 +181,6 @@ def try_insertions(
     candidates: Sequence[Candidate],
     config: TaskConfig,
     fidelity: Fidelity | str = "standard",
-    scene: Scene | None = None,
     threads: int | None = None,
 ) -> Trial:
     """N whole insertions side by side, gathered by metre of the sensor's position; arguments as ``try_sections``.
@@ -192,7 +189,7 @@ def try_insertions(
         ValueError: a feed that is no policy with SB3's ``predict``.
     """
     count = len(candidates)
-    episodes = Episodes(count, config, scene=scene, fidelity=fidelity, threads=threads)
+    episodes = Episodes(count, config, fidelity=fidelity, threads=threads)
     options = {
         k: {"context": candidate.context, "probe": candidate.design.built.model_dump()}
         for k, candidate in enumerate(candidates)

@@ -19,10 +19,9 @@ from probe_env.envs.env import (
     SnapshotEnv,
     check_episode_steps,
     spaces_of,
-    task_config,
 )
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import EpisodeSettings
+from probe_env.envs.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 
@@ -59,7 +58,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         check_episode_steps(max_episode_steps)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
-        self.config = task_config(self.single.defaults, config)
+        self.config, settings = placed(self.single.defaults, config, settings)
         self.episodes = Episodes(num_envs, self.config, threads=threads, **settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)

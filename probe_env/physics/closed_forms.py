@@ -11,7 +11,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.physics.bare_chains import linear_matrix, masses
 from probe_env.physics.chain import Chain, air_speed, build_chain
-from probe_env.scene import Probe, Scene
+from probe_env.scene import Scene
 
 MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
 """What the estimate looks at, SI units."""
@@ -41,21 +41,27 @@ def steady_root_tension(scene: Scene) -> float:
     return tension
 
 
-def friction_from_tension(seen: Mapping[str, FloatArray]) -> FloatArray:
+def drag_per_metre(scene: Scene) -> float:
+    """Drag of the carrier's floats a metre over the square of the wind [N s2/m3], after (10)."""
+    probe = scene.probe
+    return float(_drag_per_metre(scene, np.array(probe.carrier_float_diameter), np.array(probe.float_pitch)))
+
+
+def friction_from_tension(seen: Mapping[str, FloatArray], scene: Scene) -> FloatArray:
     """Friction coefficient (n,) at which steady sliding has the measured root tension, by bisection.
 
     Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / d_h), with the drag q of the guide's floats, then of
-    the carrier's; tension falls as friction rises. Drag, but for the probe's floats, is table 2's.
+    the carrier's; tension falls as friction rises.
 
     Args:
-        seen: ``MEASURED``, (n,) each; ``SHAPE`` where the probe is not table 2's.
+        seen: ``MEASURED``, (n,) each; ``SHAPE`` where the probe is not the scene's.
+        scene: bore, air and probe.
     """
     tension, length, diameter = (seen[name] for name in ("root_tension", "inserted_length", "helix_diameter"))
-    scene = Scene()
     wind = np.array([air_speed(scene, float(q)) for q in seen["air_supply_rate"]]) - seen["feed_speed"]
     table = {name: np.full_like(tension, getattr(scene.probe, name)) for name in SHAPE}
     guide, *diameters, pitch = (seen.get(name, table[name]) for name in SHAPE)
-    forces = [_drag_per_metre(d, pitch) * wind * np.abs(wind) for d in diameters]
+    forces = [_drag_per_metre(scene, d, pitch) * wind * np.abs(wind) for d in diameters]
     guide = np.minimum(guide, length)
     radius = diameter / 2.0
     low, high = np.zeros_like(tension), np.full_like(tension, 2.0)
@@ -69,9 +75,9 @@ def friction_from_tension(seen: Mapping[str, FloatArray]) -> FloatArray:
     return np.asarray(0.5 * (low + high) / (1.0 - diameters[1] / diameter))
 
 
-def _drag_per_metre(float_diameter: FloatArray, pitch: FloatArray) -> FloatArray:
+def _drag_per_metre(scene: Scene, float_diameter: FloatArray, pitch: FloatArray) -> FloatArray:
     """Drag force a metre over the square of the wind [N s2/m3], after (10)."""
-    air, cable = Scene().air, Probe().cable_diameter
+    air, cable = scene.air, scene.probe.cable_diameter
     frontal = math.pi / 4.0 * (float_diameter**2 - cable**2)
     return 0.5 * air.drag_coefficient * air.density * frontal / pitch
 

@@ -13,6 +13,7 @@ from scipy.stats import trim_mean
 from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.report import evaluate, plan_of, write_report
 from agents.policies.fixed import Constant, SlowDown
+from agents.policies.places import place_of
 from agents.records.columns import KPIS
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
 from agents.rollouts.statistics import (
@@ -125,7 +126,7 @@ def test_what_is_shown_and_fields_newer_than_the_results_make_no_other_setting(t
 
 def test_a_replay_tube_by_tube_would_draw_other_probes(tmp_path):
     with pytest.raises(ValueError, match=r"check_fidelity = 'replayed'.*must be no, half-step or acting"):
-        evaluate(plan_of(["constant"], "test", 1, 1, "fast", "random"), tmp_path, Checks("replayed"))
+        evaluate(plan_of(["constant"], place_of(None, "test", 1), 1, "fast", "random"), tmp_path, Checks("replayed"))
     assert not list(tmp_path.iterdir())
 
 
@@ -228,5 +229,5 @@ def test_the_report_is_one_page_without_a_network(tmp_path):
 def test_bad_arguments_are_named_and_nothing_is_written(arguments, message, tmp_path):
     specs, contexts, limit, seeds = arguments
     with pytest.raises(ValueError, match=message):
-        evaluate(plan_of(specs, contexts, limit, seeds, "fast"), tmp_path / "out")
+        evaluate(plan_of(specs, place_of(None, contexts, limit), seeds, "fast"), tmp_path / "out")
     assert not (tmp_path / "out").exists()

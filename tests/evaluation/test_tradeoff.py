@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.tradeoff import FAMILIES, front_of, hypervolumes, run_tradeoff
+from agents.policies.places import place_of
 
 
 def table_of(points, contexts=6, scatter=0.0):
@@ -43,5 +44,5 @@ def test_scatter_widens_the_intervals():
 )
 def test_bad_arguments_are_named(names, limit, message, tmp_path):
     with pytest.raises(ValueError, match=message):
-        run_tradeoff(names, tmp_path / "out", "test", limit, "fast")
+        run_tradeoff(names, tmp_path / "out", place_of(None, "test", limit), "fast")
     assert not (tmp_path / "out").exists()

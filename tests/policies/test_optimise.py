@@ -9,8 +9,8 @@ import pytest
 
 from agents.policies import search as optimise
 from agents.policies.catalogue import BY_DIAMETER, make_policy
-from agents.policies.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
-from agents.policies.vibration_map import stored_map
+from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
+from agents.policies.maps.vibration_map import stored_map
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule

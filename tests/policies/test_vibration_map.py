@@ -6,30 +6,22 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from agents.policies.on_map import (
-    AREA,
-    KNOTS,
-    Adaptive,
-    Privileged,
-    TensionScheduled,
-    best_schedule_for,
-    expected_costs,
-    grid,
-)
-from agents.policies.vibration_map import (
+from agents.policies.maps.fit import Wandering, fit_map
+from agents.policies.maps.lookup import best_schedule_for, expected_costs, grid, knots
+from agents.policies.maps.vibration_map import (
     CONTEXT,
     VibrationMap,
-    Wandering,
     expected_cost,
     features_of,
-    fit_map,
     load_quality,
     stored_map,
 )
+from agents.policies.on_map import Adaptive, Privileged, TensionScheduled
 from agents.policies.view import HALF_RANGE, MIDDLE, View
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
+from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension
 
 CONFIG = TaskConfig(privileged=True)
@@ -104,7 +96,7 @@ def test_best_schedule_for_a_tube_is_the_least_cost_and_slower_where_friction_is
     feed, air = grid(CONFIG)
     for k in (3, 15):
         least = costs[k].argmin()
-        at_knot = schedules[1].at(KNOTS[k])
+        at_knot = schedules[1].at(knots(CONFIG)[k])
         assert (float(at_knot[0]), float(at_knot[1])) == pytest.approx((feed[least], air[least]))
 
 
@@ -122,7 +114,7 @@ def test_friction_from_the_closed_form_s_tension(friction, length, helix_diamete
         "root_tension": steady_root_tension(scene), "inserted_length": length, "feed_speed": 0.15,
         "air_supply_rate": 0.025, "helix_diameter": helix_diameter,
     } | {name: getattr(scene.probe, name) for name in SHAPE}  # fmt: skip
-    found = friction_from_tension({name: np.array([value]) for name, value in seen.items()})
+    found = friction_from_tension({name: np.array([value]) for name, value in seen.items()}, Scene())
     assert found[0] == pytest.approx(friction, rel=0.06)  # floats are discrete; the closed form there sums over them
 
 
@@ -156,10 +148,10 @@ def test_the_map_was_fitted_on_training_tubes_alone():
     assert quality["episodes"] % len(load_contexts("train")) == 0
 
 
-def test_what_a_map_policy_is_depends_on_the_map(monkeypatch):
-    before = Privileged(CONFIG).describe()
-    monkeypatch.setattr("agents.policies.on_map._map_hash", lambda: "another")
-    assert Privileged(CONFIG).describe() != before
+def test_what_a_map_policy_is_depends_on_the_map(tmp_path):
+    constant_map(0.0, 0.1).save(tmp_path / "map.npz")
+    other = Privileged(CONFIG, vibration=VibrationMap.load(tmp_path / "map.npz"))
+    assert other.describe() != Privileged(CONFIG).describe() == Privileged(CONFIG).describe()
 
 
 def settled(decades, tension_share=1.0, seconds=120, length=40.0):
@@ -208,7 +200,7 @@ def test_the_adaptive_policy_blows_what_keeps_the_cable_taut():
     scene = Scene(contact={"friction": 0.2}, carrier_length=17.5, feed_speed=feed, air_supply_rate=air)
     assert 0.2 * steady_root_tension(scene) > 1.9
     assert air > settled(-1.0, length=20.0)[1]
-    assert air > feed * AREA
+    assert air > feed / air_speed(Scene(), 1.0)
 
 
 def test_an_agent_that_sees_the_probe_estimates_friction_with_its_floats():

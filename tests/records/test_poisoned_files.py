@@ -25,8 +25,8 @@ from agents.learning.train import CHECKPOINT, RUN, train_all
 from agents.policies.bundle import Description, Network, _hash, build_policy, save_bundle
 from agents.policies.catalogue import name_and_spec, named_policies
 from agents.policies.fixed import Constant
-from agents.policies.vibration_map import STORED as MAP
-from agents.policies.vibration_map import VibrationMap
+from agents.policies.maps.vibration_map import STORED as MAP
+from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.view import View
 from agents.records.journal import set_aside
 from agents.records.models import TRIAL_KPIS

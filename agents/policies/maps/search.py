@@ -19,11 +19,12 @@ from cmaes import CMA
 from tqdm import tqdm
 
 from agents.policies.fixed import Scheduled
-from agents.policies.on_map import LEAST_AIR
-from agents.policies.vibration_map import CONTEXT, FEEDS, VibrationMap, expected_cost, features_of, stored_map
+from agents.policies.maps.lookup import FIRST, least_air
+from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, expected_cost, feeds, stored_map
+from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, run_plan
-from probe_env import Context, load_contexts
+from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
@@ -32,8 +33,18 @@ from probe_env.schedule import Schedule
 
 KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
 AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
-METRES: Final = np.arange(5.5, 60.0, 1.0)
 POPULATION: Final = 16
+
+
+def metres(config: TaskConfig) -> FloatArray:
+    """Middles of the metres of an insertion [m]."""
+    return np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
+
+
+def _stretched(knots: Sequence[float], config: TaskConfig) -> tuple[float, ...]:
+    """Knots of a helix of 60 m in proportion to the task's."""
+    ratio = (config.scene.tube.helix_length - FIRST) / (KNOTS[-1] - FIRST)
+    return tuple(FIRST + (knot - FIRST) * ratio for knot in knots)
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,7 @@ class Family:
     """A family of schedules: logarithms of feed speed at some lengths and air supply at some, each in [0, 1].
 
     Attributes:
-        knots, air_knots: lengths [m]; a single one is a constant.
+        knots, air_knots: lengths [m] of a helix of 60 m, in proportion in others; a single one is a constant.
         start: where the search begins.
         helix_diameter: of the tubes that it is for [m]; None: all.
     """
@@ -53,12 +64,14 @@ class Family:
 
     def schedule(self, x: list[float], config: TaskConfig) -> Schedule:
         """The schedule of a point of the search space."""
-        low, high = np.log(FEEDS)
+        low, high = np.log(feeds(config))
         feed = np.exp(low + np.array(x[: len(self.knots)]) * (high - low))
-        air = LEAST_AIR + np.array(x[len(self.knots) :]) * (config.air_supply_rates[1] - LEAST_AIR)
-        places = sorted({*self.knots, *self.air_knots})
-        feeds, airs = np.interp(places, self.knots, feed), np.interp(places, self.air_knots, air)
-        return Schedule("inserted_length", "linear", tuple(places), tuple(map(float, feeds)), tuple(map(float, airs)))
+        least, most = least_air(config), config.air_supply_rates[1]
+        air = least + np.array(x[len(self.knots) :]) * (most - least)
+        knots, air_knots = (_stretched(places, config) for places in (self.knots, self.air_knots))
+        places = sorted({*knots, *air_knots})
+        fed, blown = np.interp(places, knots, feed), np.interp(places, air_knots, air)
+        return Schedule("inserted_length", "linear", tuple(places), tuple(map(float, fed)), tuple(map(float, blown)))
 
     def tubes(self, contexts: tuple[Context, ...]) -> tuple[Context, ...]:
         """Those of the contexts that it is for."""
@@ -76,6 +89,10 @@ FAMILIES: Final[dict[str, Family]] = {
 }
 
 
+OF_A_PLANT: Final = ("best-constant", "best-schedule")
+"""Families that are searched for a plant unless others are asked for."""
+
+
 @dataclass(frozen=True)
 class MapCost:
     """Expected cost of schedules on tubes by a map, and so their reward."""
@@ -87,23 +104,33 @@ class MapCost:
     @cached_property
     def _tiled(self) -> tuple[FloatArray, FloatArray]:
         values = np.array([[getattr(c, name) for name in CONTEXT] for c in self.tubes])
-        return np.tile(METRES, len(values)), np.repeat(values, len(METRES), axis=0)
+        places = metres(self.config)
+        return np.tile(places, len(values)), np.repeat(values, len(places), axis=0)
 
     def reward(self, schedule: Schedule) -> float:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         lengths, tubes = self._tiled
         feed, air = schedule.at(lengths)
-        cost = expected_cost(
-            *self.vibration.distribution(features_of(lengths, feed, air, tubes)), feed, air, self.config
-        )
-        return float(len(METRES) * (self.config.progress_weight - cost.mean()))
+        told = self.vibration.tells(lengths, feed, air, tubes, self.config.scene)
+        cost = expected_cost(*told, feed, air, self.config)
+        return float(len(metres(self.config)) * (self.config.progress_weight - cost.mean()))
 
 
-def run_search(family_name: str, trials: int, output: Path, work: Path, vibration: VibrationMap) -> Schedule:
+def run_search(
+    family_name: str, trials: int, output: Path, work: Path, vibration: VibrationMap, plant: Plant | None = None
+) -> Schedule:
     """Search a family; stores NAME.csv (the schedule), NAME-trials.csv and NAME.json in ``output``.
 
     A search takes less than a minute and is the same each time, so an interrupted one begins again; the simulated
     episodes on the validation tubes are kept in ``work``.
+
+    Args:
+        family_name: of ``FAMILIES``.
+        trials: schedules tried.
+        output: folder of what is found.
+        work: folder of the episodes.
+        vibration: the map that tells what a schedule costs.
+        plant: for whose tubes; default: the shipped lists.
 
     Raises:
         ValueError: no such family, or a budget out of range.
@@ -112,12 +139,14 @@ def run_search(family_name: str, trials: int, output: Path, work: Path, vibratio
         raise ValueError(f"family = {family_name!r} is not one of {', '.join(FAMILIES)}")
     if trials < 1:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
-    family, config = FAMILIES[family_name], TaskConfig()
-    cost = MapCost(family.tubes(load_contexts("train")), config, vibration)
+    family = FAMILIES[family_name]
+    train, validation = (place_of(plant, split) for split in ("train", "validation"))
+    config = train.config
+    cost = MapCost(family.tubes(train.contexts), config, vibration)
     points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, family_name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
     table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
-    tubes = family.tubes(load_contexts("validation"))
+    tubes = family.tubes(validation.contexts)
     plan = Plan({family_name: Scheduled(config, best)}, tubes, config=config, fidelity=PRESETS["fast"])
     simulated = run_plan(plan, work / family_name)
     setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": float(rewards.max())}

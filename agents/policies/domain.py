@@ -1,0 +1,94 @@
+"""What a policy was made for, and where it is used beyond that: nothing fails there, so it is said."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.policies.maps.vibration_map import CONTEXT, VibrationMap
+from probe_env import Context
+from probe_env.envs.contexts import Ranges
+from probe_env.envs.starts import Contexts, checked_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.scene import Probe
+
+UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
+
+
+class OutsideDomain(UserWarning):
+    """A policy is used beyond what it was made for."""
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Tubes that something was made for.
+
+    Other air is none of it: a map takes the supply that pulls as strongly, and drag counts relative to the scene's.
+
+    Attributes:
+        ranges: least and greatest of fields of ``Context``.
+        inner_diameter: of the tubes [m].
+        helix_length: the longest [m].
+        probe: that was in them; None: any.
+    """
+
+    ranges: dict[str, tuple[float, float]]
+    inner_diameter: float
+    helix_length: float
+    probe: Probe | None
+
+    @classmethod
+    def of_map(cls, vibration: VibrationMap, any_probe: bool = False) -> Domain:
+        """What a vibration map tells of."""
+        low, high = vibration.ranges.tolist()
+        ranges = {name: (low[k], high[k]) for k, name in enumerate(CONTEXT)}
+        tube = vibration.scene.tube
+        return cls(ranges, tube.inner_diameter, tube.helix_length, None if any_probe else vibration.scene.probe)
+
+    def outside(self, config: TaskConfig, contexts: Iterable[Context]) -> list[str]:
+        """What of a task and its tubes lies beyond: field, value and range, one each."""
+        scene, told = config.scene, []
+        if not math.isclose(scene.tube.inner_diameter, self.inner_diameter, rel_tol=1e-3):
+            told.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
+        if scene.tube.helix_length > self.helix_length * (1.0 + 1e-9):
+            told.append(f"helix_length = {scene.tube.helix_length:g} m, beyond {self.helix_length:g} m")
+        if self.probe is not None and scene.probe != self.probe:
+            names = (name for name in Probe.model_fields if getattr(scene.probe, name) != getattr(self.probe, name))
+            told.append(f"probe: another {', '.join(names)}")
+        tubes = list(contexts)
+        for name, (low, high) in self.ranges.items():
+            values = [getattr(tube, name) for tube in tubes]
+            least, most = min(values), max(values)
+            if least < low * (1.0 - 1e-3) or most > high * (1.0 + 1e-3):
+                told.append(f"{name} = {least:g} to {most:g}{UNITS[name]}, beyond {low:g} to {high:g}{UNITS[name]}")
+        return told
+
+
+def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
+    """Least and greatest of the fields of some tubes, or of those that are drawn from ranges."""
+    tubes = checked_contexts(contexts)
+    if isinstance(tubes, Ranges):
+        listed = {name: np.atleast_1d(getattr(tubes, name)).tolist() for name in CONTEXT}
+        return {name: (min(values), max(values)) for name, values in listed.items()}
+    return {name: (min(getattr(c, name) for c in tubes), max(getattr(c, name) for c in tubes)) for name in CONTEXT}
+
+
+def check_domains(
+    domains: dict[str, Domain | None], config: TaskConfig, contexts: Sequence[Context], strict: bool
+) -> None:
+    """Warn of every policy that is used beyond what it was made for.
+
+    Raises:
+        ValueError: ``strict``, and there is one.
+    """
+    for name, domain in domains.items():
+        told = domain.outside(config, contexts) if domain else []
+        if told:
+            text = f"{name} was not made for these tubes: {'; '.join(told)}"
+            if strict:
+                raise ValueError(f"{text}. Make a map of them (probe-env map --tube), or leave out --strict")
+            warnings.warn(text, OutsideDomain, stacklevel=2)

@@ -1,0 +1,137 @@
+"""The vibration map of some tubes: wandering insertions, and a small network fitted to their metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+import pandas as pd
+
+from agents.policies.fixed import FixedPolicy
+from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, features_of, feeds
+from agents.records.provenance import provenance, write_json
+from agents.records.reading import read_parquet
+from agents.records.tables import PROFILE
+from agents.rollouts.plan import Plan, run_plan
+from probe_env import Context, Plant, Scene, load_contexts
+from probe_env.arrays import FloatArray
+from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS
+
+SEGMENT: Final = 3.0  # [m] of constant feed and air
+HIDDEN, EPOCHS, BATCH = 64, 300, 512
+HELD_OUT: Final = 12
+"""Tubes, the first of the training list, on which the map is tested and not fitted: two of each helix diameter."""
+LEAST_SPREAD: Final = 0.05
+"""Of an input over a plant's insertions: one that does not vary there stays near its centre."""
+
+
+@dataclass
+class Wandering(FixedPolicy):
+    """Feed and air held for ``SEGMENT``, then drawn anew: to explore. An episode's own noise seeds its draws."""
+
+    seed: int = 0
+    memory: ClassVar[int] = 1
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Feed is uniform in its logarithm, air in itself. Memory: the first noise that was measured."""
+        memory[:, 0] = np.where(memory[:, 0] > 0.0, memory[:, 0], seen["rf_noise"])
+        shares = np.empty((2, len(memory)))
+        for k, (first, length) in enumerate(zip(memory[:, 0], seen["inserted_length"], strict=True)):
+            entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / SEGMENT)]
+            shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
+        least, most = self.config.air_supply_rates
+        slow, fast = feeds(self.config)
+        feed = slow * (fast / slow) ** shares[0]
+        return feed, least + shares[1] * (most - least)
+
+
+def fit_map(profile: pd.DataFrame, seed: int = 0, scene: Scene | None = None) -> tuple[VibrationMap, dict[str, float]]:
+    """Fit by the likelihood of the metres on all but the first ``HELD_OUT`` tubes, and say how well it tells those.
+
+    Args:
+        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
+        seed: of the network's start.
+        scene: of a plant of one's own; default: table 2's.
+
+    Returns:
+        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on the tubes
+        that were left out.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
+    tubes = profile[list(CONTEXT)].to_numpy(float)
+    inputs, scaling = features_of(length, feed, air, tubes), None
+    if scene is not None:
+        scaling = np.array([inputs.mean(axis=0), np.maximum(inputs.std(axis=0), LEAST_SPREAD)])
+        inputs = (inputs - scaling[0]) / scaling[1]
+    logarithm = np.log10(np.maximum(profile["radial_rms_m"].to_numpy(float), 1e-7) / 1e-4)
+    held = profile["context"].to_numpy() < HELD_OUT
+    x, y = (torch.tensor(values, dtype=torch.float32) for values in (inputs[~held], logarithm[~held]))
+    network = torch.nn.Sequential(
+        torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, 2),
+    )  # fmt: skip
+    optimiser = torch.optim.AdamW(network.parameters(), lr=3e-3, weight_decay=1e-3)
+    steps = EPOCHS * max(len(x) // BATCH, 1)
+    pace = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for _ in range(steps):
+        chosen = torch.randint(len(x), (BATCH,))
+        out = network(x[chosen])
+        loss = torch.nn.functional.gaussian_nll_loss(out[:, 0], y[chosen], torch.exp(2.0 * out[:, 1].clamp(-5, 1)))
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        pace.step()
+    parts = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    layers = tuple(
+        (p.weight.detach().numpy().T.astype(np.float32).copy(), p.bias.detach().numpy().copy()) for p in parts
+    )
+    fitted = VibrationMap(layers)
+    if scene is not None:
+        fitted = VibrationMap(layers, scene, np.array([tubes.min(axis=0), tubes.max(axis=0)]), scaling)
+    error = fitted.distribution(inputs[held])[0] - logarithm[held]
+    explained = 1.0 - float((error**2).mean() / logarithm[held].var())
+    return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
+
+
+def make_map(seeds: int, output: Path, target: Path, plant: Plant | None = None) -> VibrationMap:
+    """Wander on training tubes (resumable in ``output``), fit the map, store it in ``target``.
+
+    Args:
+        seeds: insertions on each tube.
+        output: folder of the insertions.
+        target: file of the map.
+        plant: whose tubes; default: the shipped list.
+
+    Raises:
+        ValueError: the number of seeds is out of range.
+    """
+    if not 1 <= seeds <= 100:
+        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 100")
+    goes_on = {"lost_drive_periods": 1000}  # without drive: that is seen in the table
+    config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)
+    contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
+    plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
+    run_plan(plan, output)
+    profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts)
+    fitted, quality = fit_map(profile, scene=plant.scene if plant else None)
+    fitted.save(target)
+    setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
+    write_json(target.with_suffix(".json"), provenance() | setting | quality)
+    print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
+    return fitted
+
+
+def with_contexts(profile: pd.DataFrame, contexts: Sequence[Context]) -> pd.DataFrame:
+    """The profile with the columns of ``CONTEXT``."""
+    values = np.array([[getattr(c, name) for name in CONTEXT] for c in contexts])
+    columns: dict[str, Any] = {name: values[profile["context"], k] for k, name in enumerate(CONTEXT)}
+    return profile.assign(**columns)

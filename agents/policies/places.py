@@ -1,0 +1,84 @@
+"""Where policies are judged: the task, tubes and vibration map of a plant, or table 2's and the shipped lists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from agents.policies.maps.vibration_map import VibrationMap, stored_map
+from agents.records.reading import FileError
+from probe_env import Context, Plant
+from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
+from probe_env.envs.plants import plant_of
+from probe_env.envs.task import TaskConfig
+
+MAP_SUFFIX: Final = "-map.npz"
+SPLITS: Final = tuple(SPLIT_SIZES)
+
+
+class Place(NamedTuple):
+    """Task, tubes and map."""
+
+    config: TaskConfig
+    contexts: tuple[Context, ...]
+    vibration: VibrationMap
+
+
+def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> Place:
+    """The shipped list of a name, or as many tubes drawn from what is known of a plant, of each list others.
+
+    Args:
+        plant: default: table 2's, in the shipped lists.
+        split: which tubes.
+        limit: so many of them, the first; 0: all.
+        vibration: the map; default: the shipped one.
+
+    Raises:
+        ValueError: no such list, or a limit out of range.
+    """
+    known = vibration or stored_map()
+    if plant is None:
+        return Place(TaskConfig(), spread_contexts(split, limit), known)
+    if not 0 <= limit <= SPLIT_SIZES[split]:
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {SPLIT_SIZES[split]}")
+    return Place(plant.configured(), plant.contexts(limit or SPLIT_SIZES[split], SPLITS.index(split)), known)
+
+
+def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
+    """The place of a plant's file, with the map beside it; None: the shipped list.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: the file or its map is not valid, or as ``place_of``.
+    """
+    plant = plant_of(tube)
+    return place_of(plant, split, limit, map_of(tube, plant))
+
+
+def map_beside(tube: Path) -> Path:
+    """Where the map of a plant is kept: beside its file, NAME-map.npz."""
+    return tube.with_name(f"{tube.stem}{MAP_SUFFIX}")
+
+
+def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
+    """The map beside a plant's file, where there is one, else the shipped one.
+
+    Raises:
+        FileError: the map is damaged, or of another bore, length, probe or air than the file now says.
+    """
+    if tube is None or plant is None or not map_beside(tube).exists():
+        return stored_map()
+    path, here = map_beside(tube), plant.scene
+    known = VibrationMap.load(path)
+    for name in ("inner_diameter", "helix_length"):
+        before, now = getattr(known.scene.tube, name), getattr(here.tube, name)
+        if before != now:
+            raise FileError(
+                path, f"{name} = {before!r} m, and {tube.name} says {now!r} m: make it anew with `probe-env map`"
+            )
+    for name in ("probe", "air"):
+        if getattr(known.scene, name) != getattr(here, name):
+            raise FileError(
+                path, f"made for another [{name}] than {tube.name} has now: make it anew with `probe-env map`"
+            )
+    return known

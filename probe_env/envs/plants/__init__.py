@@ -1,0 +1,9 @@
+"""A plant's own tubes: what is known of them enters as one file, scene, task and tubes to simulate leave.
+
+Imports contexts and the task of ``envs``, scenes and settings; knows no simulator and no environment.
+"""
+
+from probe_env.envs.plants.figures import Between, Figure, Normal
+from probe_env.envs.plants.plant import GivenPlant, Plant, plant_of
+
+__all__ = ["Between", "Figure", "GivenPlant", "Normal", "Plant", "plant_of"]

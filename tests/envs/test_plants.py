@@ -1,0 +1,201 @@
+"""Plants: a file of one's own tubes is read, refused by name, and the same in every environment."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import tomli_w
+from scipy.stats import ks_1samp, norm, uniform
+
+import probe_env
+from agents.vec_env import ProbeVecEnv
+from probe_env import Plant, TaskConfig
+from probe_env.envs.contexts import Context
+from probe_env.envs.plants.figures import Normal, middle, quantiles
+from probe_env.settings import tuples
+
+TEXT = """
+[tube]
+helix_diameter = [1.0, 1.4, 2.0]
+inner_diameter = 22.1e-3
+helix_length = 40.0
+straight_length = 12.0
+[contact]
+friction = {low = 0.12, high = 0.22}
+stiffness = {mean = 1e5, std = 2e4}
+[air]
+density = 1.1
+drag_coefficient = {mean = 0.5, std = 0.02}
+air_lag = 2.0
+[feed]
+feed_speeds = [0.02, 0.15]
+[task]
+vibration_limit = 2e-4
+"""
+SETTINGS = {"fidelity": "fast"}
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "tube.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def test_a_plant_is_a_scene_a_task_and_tubes(file):
+    plant = Plant.from_toml(file)
+    scene, task = plant.scene, plant.configured()
+    assert (scene.tube.inner_diameter, scene.tube.helix_length, scene.carrier_length) == (22.1e-3, 40.0, 37.5)
+    assert scene.contact.friction == pytest.approx(0.17)
+    assert (scene.air.density, scene.air.drag_coefficient) == (1.1, pytest.approx(0.5))
+    assert (task.feed_speeds, task.air_lag, task.vibration_limit) == ((0.02, 0.15), 2.0, 2e-4)
+    assert task.scene == scene
+    assert task.time_limit == TaskConfig().time_limit
+    long = Plant(tube={"helix_length": 80.0}).configured()
+    assert long.time_limit == pytest.approx(TaskConfig().time_limit * 80.0 / 60.0)
+    assert Plant(tube={"helix_length": 80.0}, task={"time_limit": 700.0}).configured().time_limit == 700.0
+    assert Plant().configured() == TaskConfig()
+
+
+@pytest.mark.parametrize(
+    "given", [lambda path: path, str, Plant.from_toml, lambda path: Plant.from_toml(path).model_dump()]
+)
+def test_every_environment_takes_it_in_every_form(file, given):
+    tube, plant = given(file), Plant.from_toml(file)
+    single = gym.make("probe_env/Insertion-v1", tube=tube, **SETTINGS)
+    assert single.unwrapped.config == plant.configured() == single.unwrapped.episodes.config
+    batch = gym.make_vec("probe_env/Insertion-v1", 2, tube=tube, **SETTINGS)
+    native = ProbeVecEnv("probe_env/Insertion-v1", 2, tube=tube, **SETTINGS)
+    first, info = single.reset(seed=5)
+    assert (batch.reset(seed=5)[0][0] == first).all()
+    native.seed(5)
+    assert (native.reset()[0] == first).all()
+    assert info["feed_speed"] == pytest.approx(0.15)  # 0.2 m/s, with which it settles elsewhere, is beyond the range
+    assert info["context"] in [context.model_dump() for context in plant.contexts(1024)]
+    assert gym.make("probe_env/Snapshot-v1", tube=tube).unwrapped.config.period == 0.1
+
+
+def test_an_insertion_ends_where_the_helix_does():
+    """A fed probe needs no carrier length that fits the tube: the scene's default of 50 m is cut to what there is."""
+    for given in ({"tube": {"tube": {"helix_length": 8.0}}}, {"scene": {"tube": {"helix_length": 8.0}}}):
+        env = gym.make("probe_env/Insertion-v1", **given, **SETTINGS)
+        env.reset(seed=0)
+        ended = False
+        while not ended:
+            *_, ended, _, info = env.step(np.array([1.0, 0.0], dtype=np.float32))
+        assert info["inserted_length"] == pytest.approx(8.0)
+        assert info["episode_kpis"]["complete"] == 1.0
+
+
+def test_a_spec_goes_through_json(file):
+    env = gym.make("probe_env/Insertion-v1", tube=str(file), config={"time_weight": 0.2}, **SETTINGS)
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.config == env.unwrapped.config
+    assert env.unwrapped.config == Plant.from_toml(file).configured(changes={"time_weight": 0.2})
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments", "message"),
+    [
+        ("Insertion", {"tube": {}, "scene": {}}, "tube and scene: give one of them"),
+        ("Insertion", {"tube": {}, "config": TaskConfig()}, "config beside a tube must be a mapping"),
+        ("Insertion", {"tube": "none.toml"}, "none.toml"),
+        ("Design", {"tube": {"tube": {"helix_length": 30.0}}}, "helix_length = 30 m: designs are judged over 60 m"),
+    ],
+)
+def test_what_cannot_be_is_refused(env_id, arguments, message):
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        gym.make(f"probe_env/{env_id}-v1", **arguments)
+
+
+BROKEN = {
+    "tubes: there is no such field; accepted: tube, probe, contact, air, feed, task": {"tubes": {}},
+    "tube.helix_diameter: helix_diameter = 0.1 m is outside the accepted": {"tube": {"helix_diameter": [0.1]}},
+    "tube.helix_diameter.*at least 1": {"tube": {"helix_diameter": []}},
+    "contact.friction.high: Field required": {"contact": {"friction": {"low": 0.1}}},
+    "contact.friction.* low = 0.3 must not exceed high = 0.2": {"contact": {"friction": {"low": 0.3, "high": 0.2}}},
+    "contact.friction: high = 1.3 is outside the accepted range 0 to 1": {
+        "contact": {"friction": {"low": 0.3, "high": 1.3}}
+    },
+    "contact.friction: must be a number, a table of low and high, or one of mean and std": {
+        "contact": {"friction": {"lo": 0.1}}
+    },
+    "contact.stiffness.*must be a number": {"contact": {"stiffness": "stiff"}},
+    "contact.stiffness.std.*greater than 0": {"contact": {"stiffness": {"mean": 1e5, "std": 0.0}}},
+    "air.drag_coefficient: value = nan": {"air": {"drag_coefficient": float("nan")}},
+    r"task.ramp: stands in \[feed\]": {"task": {"ramp": 1.0}},
+    r"task.air_lag: stands in \[air\]": {"task": {"air_lag": 1.0}},
+    r"task.scene: stands in \[tube\]": {"task": {"scene": {}}},
+    "task.privileged: is set by who looks at it": {"task": {"privileged": True}},
+    "task.perod: there is no such field; accepted: ": {"task": {"perod": 1.0}},
+    "feed.ramp: .*outside the accepted range": {"feed": {"ramp": -1.0}},
+    r"feed_speeds = \(0.3, 0.1\) must ascend": {"feed": {"feed_speeds": [0.3, 0.1]}},
+    "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter": {"tube": {"inner_diameter": 0.018}},
+    "float_pitch = 0.6 m must not exceed half of tube.helix_diameter = 1 m": {
+        "tube": {"helix_diameter": [2.0, 1.0]}, "probe": {"float_pitch": 0.6, "guide_length": 2.4}
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("message", BROKEN)
+def test_what_is_wrong_with_a_file_is_one_line_that_names_file_and_field(message, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps(BROKEN[message]))
+    with pytest.raises(ValueError, match=message) as error:
+        Plant.from_toml(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+def test_tubes_are_spread_over_what_is_known_and_prefixes_stay(file):
+    """Of 300 tubes; the bounds are those of Kolmogorov's test at 1e-4, which a spread sequence is far within."""
+    plant = Plant.from_toml(file)
+    tubes = plant.contexts(300)
+    assert tubes[:7] == plant.contexts(7)
+    assert plant.contexts(7, seed=1) != tubes[:7]
+    assert [c.helix_diameter for c in tubes[:4]] == [1.0, 1.4, 2.0, 1.0]
+    for values, distribution in (
+        ([c.friction for c in tubes], uniform(0.12, 0.10)),
+        ([c.contact_stiffness for c in tubes], norm(1e5, 2e4)),
+        ([c.drag_factor for c in tubes], norm(1.0, 0.04)),
+    ):
+        assert ks_1samp(values, distribution.cdf).pvalue > 1e-4
+    for count in (3, 12, 48):
+        assert abs(np.mean([c.friction for c in tubes[:count]]) - 0.17) < 0.10 / count**0.5
+    with pytest.raises(ValueError, match="tubes = 0 is outside the accepted range 1 to 4096"):
+        plant.contexts(0)
+
+
+def test_a_normal_figure_is_cut_off_where_its_range_ends():
+    figure = Normal(mean=0.05, std=0.1)
+    values = quantiles(figure, np.linspace(1e-6, 1.0 - 1e-6, 1001), 0.0, 1.0)
+    assert values.min() >= 0.0
+    assert (np.diff(values) > 0.0).all()
+    # the median of a normal distribution that is cut off at 0, by the definition
+    whole = norm(0.05, 0.1)
+    assert whole.cdf(middle(figure, 0.0, 1.0)) == pytest.approx(0.5 * (whole.cdf(0.0) + whole.cdf(1.0)))
+    assert middle(0.2, 0.0, 1.0) == 0.2
+
+
+def test_feed_and_air_are_set_in_the_devices_steps():
+    task = Plant(feed={"feed_speed_step": 0.05}, air={"air_supply_step": 10.0 / 3600.0}).configured()
+    targets = task.targets(np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2)))
+    feed, air = targets[:, 0], targets[:, 1] * 360.0
+    inner = (feed > 0.02) & (feed < 0.4)
+    assert np.allclose(feed[inner] / 0.05, np.round(feed[inner] / 0.05), atol=1e-9)
+    assert np.allclose(air, np.round(air), atol=1e-9)
+    assert feed.min() >= 0.02
+    assert np.abs(targets - TaskConfig().targets(np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2)))).max() <= 0.025
+
+
+def test_contexts_of_ones_own_stay_beside_a_tube(file):
+    own = [{"friction": 0.3, "helix_diameter": 1.1}]
+    env = gym.make("probe_env/Insertion-v1", tube=file, contexts=own, **SETTINGS)
+    assert env.reset(seed=0)[1]["context"] == Context.model_validate(own[0]).model_dump()
+    assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
+
+
+def test_a_plant_is_public_and_frozen():
+    assert probe_env.Plant is Plant
+    plant = Plant.model_validate(tuples({"tube": {"helix_diameter": [1.0, 2.0]}}))
+    with pytest.raises(ValueError, match="frozen"):
+        plant.tube = None
