@@ -48,7 +48,7 @@ test-bounds: setup
 PYTHONS ?= 3.12 3.13
 PYTHON3.12 ?= python3.12
 PYTHON3.13 ?= python3.13
-WITHOUT_TORCH := cmaes moocore optuna
+WITHOUT_TORCH := cmaes moocore openpyxl optuna pint
 test-pythons: $(PYTHONS:%=test-python-%)
 
 test-python-%:

@@ -9,7 +9,9 @@ from typing import Any, Final
 
 from agents.processes.interrupts import heard, tell
 
-AGENTS: Final = ("cmaes", "moocore", "optuna", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
+AGENTS: Final = (
+    "cmaes", "moocore", "openpyxl", "optuna", "pint", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"
+)  # fmt: skip
 """Modules of the extra "agents", which commands import when they need them."""
 
 

@@ -28,6 +28,10 @@ USERS: Final = {
         "feed:Evaluate", "feed policies on the same tubes: figures with intervals, a report",
         "probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast",
     ),
+    "log": Entry(
+        "log:ReadLog", "a rig's log, read, shown and made a schedule of",
+        "probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png",
+    ),
     "render": Entry(
         "feed:Render", "a film of an insertion under a policy",
         "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",

@@ -97,6 +97,7 @@ def test_the_wheel_holds_what_users_name(wheel):
         "probe_env/data/contexts.csv",
         "agents/policies/data/vibration-map.npz",
         "agents/shipped/schedules/example.csv",
+        "agents/shipped/logs/example-rig.csv",
     }
     assert bundles | files | data | {"probe_env/py.typed", "agents/py.typed"} <= names
     assert not [
@@ -137,6 +138,7 @@ def test_without_the_extra_one_line_names_it(run, tmp_path):
         (["optimise"], "cmaes"),
         (["tradeoff"], "moocore"),
         (["map"], "torch"),
+        (["log", "example-rig"], "pint"),
         (["evaluate", "pi", "ppo"], "torch"),
     ):
         told = run("probe-env", *arguments, status=2, PYTHONPATH=str(tmp_path / "hidden"))

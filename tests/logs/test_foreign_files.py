@@ -1,0 +1,345 @@
+"""What other people's rigs write is read as they meant it, or refused in one line that says where and what to do."""
+
+import io
+import os
+import struct
+import zipfile
+from datetime import datetime, time, timedelta
+
+import numpy as np
+import pytest
+
+from agents.logs.cleaning import Bounds
+from agents.logs.log import read_log
+from probe_env.files import FileError
+
+HEAD = "time [s];length [m];feed [m/s];air [m3/h]"
+ROWS = ((0, 5.0), (1, 5.2), (2, 5.4), (3, 5.6))
+"""Time [s] and length [m] of all files that are read, at 0.2 m/s and 63 m3/h."""
+
+
+def lines(separator=";", sign=".", head=HEAD, row="{t};{x};{v};{a}", **given):
+    """The text of the log that all files here hold."""
+    texts = [
+        row.format(t=t, x=f"{x:.2f}", v="0.20", a="63.0", **{k: f(t, x) for k, f in given.items()}) for t, x in ROWS
+    ]
+    return "\n".join(
+        [head.replace(";", separator), *(text.replace(".", sign).replace(";", separator) for text in texts)]
+    )
+
+
+def sheet(*rows, name="Messung"):
+    """A workbook."""
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.title = "Notizen"
+    book.active.append(["nothing"])
+    page = book.create_sheet(name)
+    for row in rows:
+        page.append(row)
+    buffer = io.BytesIO()
+    book.save(buffer)
+    return buffer.getvalue()
+
+
+def stamp(text):
+    return lambda t, _: (datetime(2024, 5, 31, 23, 59, 58) + timedelta(seconds=t)).strftime(text)
+
+
+CLOCK = "{c};{x};{v};{a}"
+GERMAN = "Zeit [s];Weg [mm];Vorschub [mm/s];Luft (Nm³/h)"
+IN_MM = {"row": "{t};{mm};200.0;63.0", "mm": lambda _, x: f"{1e3 * x:.1f}"}
+OTHER = "Kanal 1;Kanal 2;Kanal 3;Kanal 4"
+NAMED = ("Kanal 1=time", "Kanal 2=inserted_length[m]", "Kanal 3=feed_speed[m/s]", "Kanal 4=air_supply[m3/h]")
+FOREIGN = {
+    "commas": (lines(","), ()),
+    "semicolons and decimal commas": (lines(sign=","), ()),
+    "tabs": (lines("\t"), ()),
+    "pipes": (lines("|"), ()),
+    "a table of pipes": (lines(" | ").replace("\n", " |\n| ").replace("time", "| time", 1) + " |", ()),
+    "spaces": (lines("   ", sign=","), ()),
+    "spaces before": ("  " + lines("  ").replace("\n", "\n   "), ()),
+    "a separator at the end": (lines().replace("\n", ";\n").replace("m3/h];", "m3/h]") + ";", ()),
+    "quotes and decimal commas": (
+        lines(row='"{t}";"{x}";"{v}";"{a}"', head=HEAD.replace(";", '";"').join('""')).replace(".",
+        ",").replace(";", ","),
+        (),
+    ),
+    "a byte order mark": (("\ufeff" + lines()).encode(), ()),
+    "UTF-16": (lines(sign=",", head=GERMAN, **IN_MM).encode("utf-16"), ()),
+    "UTF-16 without a mark": (lines(sign=",", head=GERMAN, **IN_MM).encode("utf-16-be"), ()),
+    "Windows' Western European": (lines(sign=",", head=GERMAN, **IN_MM).encode("cp1252"), ()),
+    "lines of Windows and Ctrl-Z": (lines().replace("\n", "\r\n") + "\r\n\x1a", ()),
+    "lines of an old Macintosh": (lines().replace("\n", "\r"), ()),
+    "a preamble": ("Rig 3; probe 7\nOperator;N. N.\n\n# by hand\n" + lines() + "\n\n% the end\n", ()),
+    "the head in a comment": ("#" + lines(), ()),
+    "units below": (lines(head="time;length;feed;air\ns;m;m/s;m³/h"), ()),
+    "units below in brackets": (lines(head="time;length;feed;air\n[s];[m];[m/s];[m^3/h]"), ()),
+    "German heads": (lines(sign=",", head=GERMAN, **IN_MM), ()),
+    "names of clean files": (
+        lines(",", head="time_s;inserted_length_m;feed_speed_m_per_s;air_supply_m3_per_h"),
+        (),
+    ),
+    "units in names": (
+        lines(head="time_ms;length_mm;feed_mm_per_s;air_m3_per_h", row="{ms};{mm};200.0;63.0",
+              ms=lambda t, _: f"{1000.0 * t:.1f}", mm=IN_MM["mm"]), (),
+    ),
+    "any heads": (lines(head=OTHER), NAMED),
+    "a head with its unit": (
+        lines(head="a [s];b [m];c (m/s);d [m3/h];", row="{t};{x};{v};{a};"),
+        ("a=time", "b [m]=inserted_length", "c (m/s)=feed_speed", "d=air_supply"),
+    ),
+    "a head with =": (lines(head=HEAD.replace("feed [m/s]", "v=x/t")), ("v=x/t=feed_speed[m/s]",)),
+    "feet and litres a minute": (
+        lines(head="time [min];length [ft];feed [ft/min];air [l/min]", row="{m};{f};39.3700787;1050.0",
+              m=lambda t, _: f"{t / 60.0:.9f}", f=lambda _, x: f"{x / 0.3048:.9f}"), (),
+    ),
+    "timestamps": (lines(row=CLOCK, c=stamp("%Y-%m-%dT%H:%M:%S")), ()),
+    "timestamps with fractions and a zone": (lines(row=CLOCK, c=stamp("%Y-%m-%d %H:%M:%S.250+02:00")), ()),
+    "timestamps between spaces": (lines("  ", row=CLOCK, c=stamp("%Y-%m-%d %H:%M:%S")), ()),
+    "German dates": (
+        lines(row=CLOCK, c=stamp("%d_%m_%Y %H:%M:%S,5")).replace("_", ".").replace("length.", "length"), (),
+    ),
+    "a clock across midnight": (lines(row=CLOCK, c=stamp("%H:%M:%S")), ()),
+    "a clock with decimal commas": (lines(sign=",", row=CLOCK, c=stamp("%H:%M:%S.500")), ()),
+    "no time at first": (lines(row=CLOCK, c=stamp("%H:%M:%S")).replace("\n", "\nn/a;4.9;0.2;63.0\n", 1), ()),
+    "seconds from anywhere": (lines(row=CLOCK, c=lambda t, _: f"{1.7e9 + t:.1f}"), ()),
+    "thousands by points": (
+        lines(head=GERMAN, row="{t};{mm};200,0;63,0", mm=lambda _, x: f"{x:.3f},0"), (),
+    ),
+    "thousands by apostrophes": (
+        lines(head=GERMAN, row="{t};{mm};200.0;63.0", mm=lambda _, x: f"{x:.3f}.0".replace(".", "’", 1)), (),
+    ),
+    "thousands by thin spaces": (
+        lines(head=GERMAN, row="{t};{mm};200,0;63,0", mm=lambda _, x: f"{x:.3f},0".replace(".", "\u202f")), (),
+    ),
+    "exponents and signs": (lines(row="+{t}E+0;{mm}e-3;2.0E-1;+6.3e1", mm=IN_MM["mm"]), ()),
+    "other columns": (
+        lines(head=HEAD + ";p [bar];note", row="{t};{x};{v};{a};1.013;ok; ".rstrip("; ")), (),
+    ),
+    "a sheet": (
+        sheet(["rig 3"], ["Zeit", "Weg", "Vorschub", "Luft"], ["s", "mm", "mm/s", "m³/h"],
+              *([t, 1e3 * x, 200, 63.0] for t, x in ROWS)), (),
+    ),
+    "a sheet with clock and text": (
+        sheet(["Zeit", "Weg [m]", "Luft [m3/h]"], *([time(23, 59, 57 + t) if t < 3 else time(0), f"{x:.2f}", 63]
+                                                   for t, x in ROWS)), (),
+    ),
+    "a sheet with dates": (
+        sheet(["Zeit", "Weg [m]", "Luft [m3/h]"], *([datetime(2024, 1, 1) + timedelta(seconds=t), x, 63]
+                                                   for t, x in ROWS)), (),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FOREIGN)
+def test_foreign_files_are_read_as_they_are_meant(case, tmp_path):
+    content, columns = FOREIGN[case]
+    path = tmp_path / "rig.log"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    log = read_log(path, columns, sheet="Messung" if case.startswith("a sheet") else None)
+    assert log.time == pytest.approx([0, 1, 2, 3], abs=1e-6)
+    assert log.inserted_length == pytest.approx([5.0, 5.2, 5.4, 5.6], abs=2e-6)
+    assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
+    assert log.air_supply_rate == pytest.approx([63.0 / 3600.0] * 4, rel=1e-6)
+    assert log.notes == ()  # the speed column agrees
+
+
+BAD = lines()
+
+
+def changed(old, new, text=BAD):
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+BROKEN = {
+    "empty": ("", "empty: a head"),
+    "blank": ("\n \n\n", "empty: a head"),
+    "head only": (HEAD, "line 1: a head, but no rows"),
+    "head and units only": ("time;feed;air\ns;m/s;m3/h\n", "line 1: a head, but no rows"),
+    "one row": ("\n".join(BAD.split("\n")[:2]), "1 rows have a time: at least two"),
+    "unknown heads": (lines(head=OTHER), "line 1: no head that names two quantities; found: 'Kanal 1', 'Kanal 2'"),
+    "prose": ("Dear all,\nthis is not a log.\n", "no head that names two quantities"),
+    "garbage": (bytes(range(256)) * 8, "line 2: not a text file (byte 0x81)"),
+    "random bytes": (np.random.default_rng(0).bytes(4096), "not a text file"),
+    "a broken UTF-16": (b"\xff\xfe" + lines().encode("utf-16-le")[:-1], "not a text file"),
+    "an escape sequence": (changed("feed", "\x1b[31mfeed"), "line 1: not a text file: a control character (0x1b)"),
+    "a NUL": (changed("5.40", "5.4\0"), "line 4: not a text file"),
+    "truncated": (BAD[:-9], "line 5: 3 values for 4 columns, separated by ';' - the file ends within it"),
+    "a short row": (changed("1;5.20;0.20;63.0", "1;5.20"), "line 3: 2 values for 4 columns"),
+    "a long row": (changed("1;5.20;0.20;63.0", "1;5.20;0.20;63.0;7;8"), "line 3: 6 values for 4 columns"),
+    "decimal and separating commas": (lines(",", row="{t};5,0;0,2;63,0"), "export it with semicolons"),
+    "text for a number": (changed("5.40", "fast"), "line 4, column 'length [m]': 'fast' is not a finite number"),
+    "infinite": (changed("5.40", "inf"), "line 4, column 'length [m]': 'inf' is not a finite number"),
+    "too great": (changed("5.40", "1e999"), "line 4, column 'length [m]': '1e999' is not a finite number"),
+    "a formula": (changed("5.40", "=1+1"), "line 4, column 'length [m]': '=1+1' is not a finite number"),
+    "NaN all over": (lines(row="{t};nan;{v};{a}"), "line 2, column 'length [m]': no value in the whole column"),
+    "a head once more": (changed("2;5.40;0.20;63.0", HEAD), "line 4, column 'time [s]': 'time [s]' is not a finite"),
+    "mixed decimal signs": (changed("5.40", "5,40"), "line 4, column 'length [m]': '5,40' has another decimal sign"),
+    "thousands or decimals": (
+        lines(head=GERMAN, row="{t};{x}0;200;63"),
+        "line 2, column 'Weg [mm]': '5.000' may have a decimal sign or thousands",
+    ),
+    "thousands or decimals in quotes": (
+        lines(",", head=GERMAN, row='{t};"{x}0";200;63').replace(".", ","),
+        "'5,000' may have a decimal sign or thousands",
+    ),
+    "wrong groups": (changed("5.40", "5,40,1.5"), "line 4, column 'length [m]': '5,40,1.5' is not a finite number"),
+    "times backwards": (changed("\n2;", "\n0.5;"), "line 4, column 'time [s]': the time '0.5' is 0.5 s before the row"),
+    "a time that stands": (lines(row="7;{x};{v};{a}"), "the time never changes"),
+    "a time in years": (changed("\n3;", "\n3e9;"), "line 5, column 'time [s]': 3e+09 s are more than the 100000 s"),
+    "no such day": (lines(row=CLOCK, c=stamp("2024-02-31T%H:%M:%S")), "line 2, column 'time [s]': '2024-02-31T23"),
+    "no such hour": (lines(row=CLOCK, c=lambda t, _: f"25:00:0{t}"), "line 2, column 'time [s]': '25:00:00' is not a"),
+    "clock and seconds": (
+        lines(row=CLOCK, c=lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]'",
+    ),
+    "an unknown unit": (changed("m/s", "furlongs/s?"), "column 'feed [furlongs/s?]': 'furlongs/s?' is not a unit"),
+    "an unknown word": (changed("m/s", "wubbles"), "column 'feed [wubbles]': the unit 'wubbles' is not known"),
+    "a feed in kg": (changed("m/s", "kg"), "column 'feed [kg]': 'kg' is not a unit of feed_speed - give one like m/s"),
+    "a power without end": (changed("m/s", "m**9**9**9**9"), "is not a unit"),
+    "no unit": (changed(" [m/s]", ""), "column 'feed' has no unit: give it, --columns 'feed=feed_speed[UNIT]'"),
+    "two feeds": (
+        changed("length [m]", "Vorschub [m/s]"), "columns 'Vorschub [m/s]' and 'feed [m/s]' are both feed_speed",
+    ),
+    "no time": (changed("time", "clock?"), "no column is known as time; found: 'clock? [s]', 'length [m]'"),
+    "no air": (changed("air", "p"), "no column is known as air_supply; found: 'time [s]'"),
+    "neither length nor feed": (
+        changed("length", "p", changed("feed", "q")), "no column is known as feed_speed or inserted_length",
+    ),
+    "a hole": (changed("\n2;", "\n9;", changed("\n3;", "\n10;")), "lines 3 to 4: no rows for 8 s, more than the 5 s"),
+    "cells missing for long": (
+        HEAD + "\n" + "\n".join(f"{t};{'' if 2 < t < 12 else 5.5};0.0;63.0" for t in range(20)),
+        "lines 4 to 14: column 'length [m]' has no values for 10 s, more than the 5 s",
+    ),
+    "moves back": (
+        changed("3;5.60", "3;5.10"), "line 5, column 'length [m]': the probe moves back to 5.1 m from 5.4 m",
+    ),
+    "leaps": (changed("3;5.60", "3;9.60"), "lines 4 to 5: the inserted length leaps from 5.4 to 9.6 m, at 4.2 m/s"),
+    "length in mm called m": (
+        lines(row="{t};{mm};{v};{a}", mm=IN_MM["mm"]),
+        "line 2, column 'length [m]': inserted_length = 5000 m is outside",
+    ),
+    "too much air": (changed("63.0", "6300.0"), "line 2, column 'air [m3/h]': air_supply = 6300 m3/h is outside"),
+    "a quote without end": (changed("5.20", '"5.20'), "line 3"),
+    "many columns": (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
+    "an old workbook": (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
+    "no workbook": (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
+    "another archive": (b"PK\x05\x06" + bytes(18), "not a text file"),
+    "no sheet's head": (sheet(["a", "b"]), "row 1: no head that names two quantities; found: 'nothing'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_files_are_refused_in_one_line(case, tmp_path):
+    content, told = BROKEN[case]
+    path = tmp_path / "rig.log"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(FileError) as caught:
+        read_log(path)
+    assert str(caught.value).startswith(str(path))
+    assert told in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def archive(parts):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in parts.items():
+            file.writestr(name, content)
+    return buffer.getvalue()
+
+
+def with_part(content, name, old, new):
+    """A workbook with something replaced in one of its parts."""
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        parts = {part: file.read(part) for part in file.namelist()}
+    assert old in parts[name]
+    return archive(parts | {name: parts[name].replace(old, new)})
+
+
+GOOD_SHEET = sheet(["time [s]", "feed [m/s]", "air [m3/h]"], [0, 0.2, 63], [1, 0.2, 63])
+PAGE = "xl/worksheets/sheet2.xml"
+SHEETS = {
+    "unpacks to more than memory": (
+        archive({"xl/a.xml": b"0" * 1000}).replace(struct.pack("<I", 1000), struct.pack("<I", 4_000_000_000)), None,
+        "1 parts of 4000000000 bytes unpacked are more than a log may have",
+    ),
+    "truncated": (GOOD_SHEET[:-200], None, "not an Excel workbook"),
+    "no parts": (archive({"a.txt": b"1"}), None, "not an Excel workbook that can be read (KeyError)"),
+    "not XML": (with_part(GOOD_SHEET, PAGE, b"<row", b"<<row"), "Messung", "not an Excel workbook that can be read"),
+    "no such sheet": (GOOD_SHEET, "sheet\x1b[31m", "no sheet 'sheet\\x1b[31m'; there are 'Notizen', 'Messung'"),
+    "an entity of entities": (
+        with_part(GOOD_SHEET, PAGE, b"<worksheet", b'<!DOCTYPE w [<!ENTITY a "' + b"ha" * 1000 + b'">'
+                  + b"".join(b'<!ENTITY %c "%s">' % (k + 1, b"&%c;" % k * 60) for k in range(97, 103))
+                  + b"]><worksheet>&g;</worksheet><worksheet"), "Messung", "not an Excel workbook that can be read",
+    ),
+    "text for a number": (
+        sheet(["time [s]", "feed [m/s]", "air [m3/h]"], [0, 0.2, 63], [1, True, 63]), "Messung",
+        "row 3, column 'feed [m/s]': 'True' is not a finite number",
+    ),
+    "a formula that nobody computed": (
+        sheet(["time [s]", "feed [m/s]", "air [m3/h]"], [0, "=1+1", 63], [1, "=1+1", 63]), "Messung",
+        "row 2, column 'feed [m/s]': no value in the whole column",
+    ),
+    "wide": (
+        sheet(["time [s]", "feed [m/s]", "air [m3/h]"], [0] * 300), "Messung", "row 2: more than 256 columns",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SHEETS)
+def test_broken_workbooks_are_refused_in_one_line(case, tmp_path):
+    content, name, told = SHEETS[case]
+    path = tmp_path / "rig.xlsx"
+    path.write_bytes(content)
+    with pytest.raises(FileError) as caught:
+        read_log(path, sheet=name)
+    assert told in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_sheet_may_claim_any_size(tmp_path):
+    path = tmp_path / "rig.xlsx"
+    path.write_bytes(with_part(GOOD_SHEET, PAGE, b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
+    assert read_log(path, sheet="Messung").mended.rows == 2
+
+
+def test_what_is_no_file(tmp_path, monkeypatch):
+    with pytest.raises(FileError, match="a folder, not a file"):
+        read_log(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="a pipe or a device"):
+        read_log(tmp_path / "pipe")
+    with pytest.raises(FileNotFoundError):
+        read_log(tmp_path / "nowhere.csv")
+    monkeypatch.setattr("agents.logs.log.MOST_BYTES", 100)
+    (tmp_path / "large.csv").write_bytes(bytes(101))
+    with pytest.raises(FileError, match="101 bytes are more than the 100"):
+        read_log(tmp_path / "large.csv")
+
+
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        (["feed"], "columns = 'feed' is not HEAD=QUANTITY"),
+        (["feed=speed"], "columns = 'feed=speed' is not HEAD=QUANTITY"),
+        (["a=time", "b=time"], "columns = 'b=time': time is named twice"),
+        (["nowhere=time"], "column 'nowhere' of --columns is not there; found: 'time [s]'"),
+        (["feed=feed_speed", "feed=rf_noise_rms"], "column 'feed' is named twice in --columns"),
+        (["feed=feed_speed[kg]"], "column 'feed [m/s]': 'kg' is not a unit of feed_speed"),
+    ],
+)
+def test_columns_that_make_no_sense(columns, told, tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(BAD)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 (the message is compared below)
+        read_log(path, columns)
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [{"gap": 0.0}, {"every": 6.0}, {"tolerance": float("nan")}, {"backward": -1.0}])
+def test_bounds_are_named(given):
+    with pytest.raises(ValueError, match=next(iter(given))):
+        Bounds(**given)

@@ -1,0 +1,212 @@
+"""What holds for every log: it feeds the same after thinning, a clean file stays as it is, units convert."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from agents.logs.cleaning import Bounds
+from agents.logs.log import read_log
+from agents.logs.quantities import QUANTITIES, known_as, split_head
+from agents.logs.thinning import held, kept_rows, outside
+from agents.logs.units import factor
+from probe_env.schedule import Schedule
+
+QUIET = settings(max_examples=25, deadline=None, database=None, derandomize=True)
+TOLERANCE = 1e-3
+"""[m], the usual one."""
+
+
+@st.composite
+def insertions(draw):
+    """Time [s], true length [m] and encoder [m] of an insertion with standstills, sampled unevenly."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    n, spacing = draw(st.integers(20, 600)), draw(st.sampled_from([0.02, 0.1, 0.5]))
+    time = np.cumsum(np.append(0.0, spacing * rng.uniform(0.5, 1.5, n - 1)))
+    speeds = rng.uniform(0.02, 0.4, 1 + n // 20) * (rng.uniform(size=1 + n // 20) > 0.3)
+    length = 5.0 + np.append(0.0, np.cumsum(np.diff(time) * speeds[np.arange(n - 1) // 20]))
+    noise = draw(st.sampled_from([0.0, 2e-4, 2e-3]))
+    return time, length, length + noise * rng.uniform(-1.0, 1.0, n)
+
+
+def written(path, time, encoder, **measured):
+    columns = {
+        "time_s": time,
+        "inserted_length_m": encoder,
+        "air_supply_m3_per_h": np.full(len(time), 63.0),
+        **measured,
+    }
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.9f", ";", header=";".join(columns), comments="")
+    return path
+
+
+@QUIET
+@given(insertions(), st.sampled_from([0.2, 1.0, 5.0]))
+def test_thinning_keeps_what_is_fed(tmp_path_factory, insertion, every):
+    time, length, encoder = insertion
+    log = read_log(written(tmp_path_factory.mktemp("log") / "rig.csv", time, encoder), bounds=Bounds(every=every))
+    fed = log.inserted_length[0] + np.append(0.0, np.cumsum(log.feed_speed[:-1] * np.diff(log.time)))
+    assert fed == pytest.approx(log.inserted_length, abs=1e-9)
+    noise = np.abs(encoder - length).max()
+    wrong = np.abs(np.interp(time, log.time, fed) - length).max()
+    assert wrong <= TOLERANCE + noise + 2e-6  # between the encoder's least and greatest, each off by its noise
+    assert log.deviation <= TOLERANCE
+    assert np.diff(log.time).max() <= max(every, np.diff(time).max()) + 1e-6
+
+
+@QUIET
+@given(insertions())
+def test_a_clean_file_stays_as_it_is_and_is_a_schedule(tmp_path_factory, insertion):
+    time, _, encoder = insertion
+    folder = tmp_path_factory.mktemp("log")
+    noise = np.random.default_rng(len(time)).uniform(1e-6, 1e-4, len(time))
+    log = read_log(written(folder / "rig.csv", time, encoder, rf_noise_rms_m=noise))
+    (folder / "clean.csv").write_text(log.to_csv())
+    again = read_log(folder / "clean.csv")
+    assert again.to_csv() == log.to_csv()
+    assert again.mended == replace(again.mended, untimed=0, duplicates=0, missing=0, backward=0)
+    schedule = Schedule.read(folder / "clean.csv")
+    assert (schedule.over, schedule.interpolation) == ("time", "steps")
+    played = np.cumsum(schedule.at(log.time[:-1])[0] * np.diff(log.time))
+    assert played == pytest.approx(log.inserted_length[1:] - log.inserted_length[0], abs=1e-5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_standstills_last_and_are_exactly_none(tmp_path, noise):
+    time = np.arange(0.0, 60.0, 0.1)
+    speed = np.where((time >= 20.0) & (time < 35.0), 0.0, 0.1)
+    length = 5.0 + np.append(0.0, np.cumsum(speed[:-1] * 0.1))
+    encoder = length + noise * np.random.default_rng(1).normal(size=len(time))
+    log = read_log(written(tmp_path / "rig.csv", time, encoder))
+    (dwell,) = log.dwells
+    # the noise hides the tolerance and itself, at both ends, at 0.1 m/s: hundredths of a second; rows are 0.1 s apart
+    assert dwell.time == pytest.approx(20.0, abs=0.15)
+    assert dwell.duration == pytest.approx(15.0, abs=0.3)
+    assert dwell.inserted_length == pytest.approx(7.0, abs=TOLERANCE + noise)
+    inside = (log.time >= dwell.time) & (log.time < dwell.time + dwell.duration)
+    assert (log.feed_speed[inside] == 0.0).all()
+    assert inside.sum() >= 14  # a row a second, so that what is measured keeps its resolution
+
+
+def test_slow_creeping_is_no_standstill(tmp_path):
+    time = np.arange(0.0, 100.0, 0.5)
+    log = read_log(written(tmp_path / "rig.csv", time, 5.0 + 1e-3 * time))
+    assert log.dwells == ()
+    assert log.inserted_length[-1] == pytest.approx(5.0995, abs=TOLERANCE)
+
+
+@QUIET
+@given(insertions(), st.sampled_from([1e-4, 1e-3, 1e-2]))
+@example((np.arange(9.0), np.full(9, 5.0), np.full(9, 5.0)), 1e-3)
+def test_rows_are_kept_where_lines_leave_the_band(insertion, tolerance):
+    time, length, _ = insertion
+    still, ends = held(time, length, (length, length), tolerance)
+    assert np.abs(still - length).max() <= tolerance * (1.0 + 1e-9)
+    assert (np.diff(still) >= 0.0).all()
+    rows = kept_rows(time, still, (still, still), ends, tolerance, every=1e3)
+    assert outside(time, rows, still, (still, still)).max() <= tolerance
+    assert set(ends) <= set(rows)
+
+
+@QUIET  # the first example loads pint
+@given(st.floats(1e-3, 1e3), st.sampled_from([
+    ("feed_speed", "mm/s", 1e-3), ("feed_speed", "ft/min", 0.3048 / 60.0), ("feed_speed", "m/min", 1.0 / 60.0),
+    ("feed_speed", "m s^-1", 1.0), ("air_supply", "Nm³/h", 1.0 / 3600.0), ("air_supply", "l/min", 1e-3 / 60.0),
+    ("air_supply", "Nl/min", 1e-3 / 60.0), ("air_supply", "m^3/s", 1.0), ("air_supply", "ft3/min", 0.3048**3 / 60.0),
+    ("root_tension", "kN", 1e3), ("root_tension", "lbf", 4.4482216152605), ("root_tension", "daN", 10.0),
+    ("radial_acceleration_rms", "g", 9.80665), ("radial_acceleration_rms", "mg", 9.80665e-3),
+    ("axial_acceleration_rms", "m/s² rms", 1.0), ("rf_noise_rms", "µm", 1e-6), ("rf_noise_rms", "μm", 1e-6),
+    ("inserted_length", "mm", 1e-3), ("inserted_length", "ft", 0.3048), ("time", "ms", 1e-3), ("time", "Std.", 3600.0),
+]))  # fmt: skip
+def test_units_convert(value, unit):
+    name, text, expected = unit
+    assert value * factor(text, QUANTITIES[name]) == pytest.approx(value * expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["g", "kg", "V", "%", "°C", "bar", "m/s/s/s", "1", "-", "9**9**9**9", "m" * 1000, "__import__('os')"]
+)
+def test_other_units_are_refused(text):
+    with pytest.raises(ValueError, match="unit"):
+        factor(text, QUANTITIES["feed_speed"])
+
+
+@pytest.mark.parametrize(
+    ("head", "quantity", "unit"),
+    [
+        *((q.column, q.name, q.unit) for q in QUANTITIES.values() if "s2" not in q.column),
+        ("Einschubgeschwindigkeit [m/min]", "feed_speed", "m/min"), ("FEED SPEED (mm/s)", "feed_speed", "mm/s"),
+        ("Luft-Volumenstrom", None, ""), ("Weg in mm", "inserted_length", "mm"), ("Zeitstempel", "time", ""),
+        ("Radialbeschleunigung RMS [g]", "radial_acceleration_rms", "g"), ("root_tension_kN", "root_tension", "kN"),
+        ("feed_set", None, ""), ("[m]", None, ""), ("", None, ""), ("Geschwindigkeit Soll [m/s]", None, "m/s"),
+        ("axial_acceleration_rms_m_per_s2", "axial_acceleration_rms", "m/s2"),
+    ],
+)  # fmt: skip
+def test_heads(head, quantity, unit):
+    assert (known_as(head), split_head(head)[1]) == (quantity, unit)
+
+
+def test_what_went_wrong_is_mended_and_counted(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(
+        "time [s];length [m];air [m3/h];noise [µm]\n"
+        "0;5.00;60;3\n1;5.10;60;3\n1;5.12;66;4\n;5.15;60;3\n2;5.22;;3\n3;5.30;66;3\n4;5.295;66;3\n7;5.60;66;n/a\n8;5.7;66;3\n"
+    )
+    log = read_log(path)
+    mended = log.mended
+    assert (mended.rows, mended.untimed, mended.duplicates, mended.missing) == (9, 1, 1, 2)
+    assert (mended.gaps, mended.longest_gap) == (1, 3.0)
+    assert (mended.backward, mended.most_backward) == (1, pytest.approx(0.005))
+    by_time = dict(zip(log.time, zip(log.inserted_length, log.air_supply_rate * 3600.0, strict=True), strict=True))
+    assert by_time[1.0] == pytest.approx((5.11, 63.0))
+    assert by_time[2.0] == pytest.approx((5.22, 64.5))
+    assert by_time[3.0][0] == pytest.approx(5.2975, abs=TOLERANCE)
+    assert log.measured["rf_noise_rms"][1] == pytest.approx(np.sqrt(12.5) * 1e-6)
+
+
+def test_speed_alone_is_integrated_and_speed_beside_the_encoder_compared(tmp_path):
+    path = tmp_path / "rig.csv"
+    time = np.arange(0.0, 20.0, 0.1)
+    speed = 0.1 + 0.005 * time
+    rows = [f"{t:.1f},{v:.6f},63.5" for t, v in zip(time, speed, strict=True)]
+    path.write_text("\n".join(["t [s],Vorschub [m/s],Luft [m3/h]", *rows]))
+    log = read_log(path, bounds=Bounds(start_length=7.0))
+    length = 7.0 + 0.1 * log.time + 0.0025 * log.time**2
+    assert log.inserted_length == pytest.approx(length, abs=TOLERANCE)
+    rows = [f"{row},{5.0 + 0.2 * t:.4f}" for row, t in zip(rows, time, strict=True)]
+    path.write_text("\n".join(["t [s],Vorschub [m/s],Luft [m3/h],Weg [m]", *rows]))
+    log = read_log(path)
+    assert log.inserted_length == pytest.approx(5.0 + 0.2 * log.time, abs=TOLERANCE)
+    (note,) = log.notes
+    assert "disagree" in note
+    assert "the encoder is taken" in note
+
+
+def test_channels_are_averaged_over_their_interval(tmp_path):
+    time = np.arange(0.0, 10.0, 0.01)
+    rng = np.random.default_rng(2)
+    tension, noise = rng.normal(10.0, 3.0, len(time)), rng.uniform(0.0, 1e-4, len(time))
+    path = written(tmp_path / "rig.csv", time, 5.0 + 0.1 * time, root_tension_n=tension, rf_noise_rms_m=noise)
+    log = read_log(path)
+    edges = np.append(np.searchsorted(time, log.time[:-1] - 1e-9), len(time) - 1)
+    for k, (a, b) in enumerate(itertools.pairwise(edges)):
+        assert log.measured["root_tension"][k] == pytest.approx(tension[a:b].mean(), rel=1e-6)
+        assert log.measured["rf_noise_rms"][k] == pytest.approx(np.sqrt(np.mean(noise[a:b] ** 2)), rel=1e-4)
+
+
+def test_a_million_rows(tmp_path):
+    count = 1_000_000
+    time = np.arange(count) * 0.01
+    length = 5.0 + np.cumsum(np.where(time % 500.0 < 30.0, 0.0, 0.006)) * 0.01
+    block = "".join(f"{t:.2f},{x:.4f},63.0\n" for t, x in zip(time, length, strict=True))
+    path = tmp_path / "rig.csv"
+    path.write_text("time [s],Weg [m],Luft [m3/h]\n" + block)
+    log = read_log(path)
+    assert log.mended.rows == count
+    assert len(log.time) < 1.2 * time[-1]  # about a row a second is left
+    assert np.abs(np.interp(time, log.time, log.inserted_length) - length).max() <= TOLERANCE + 5e-5
+    assert len(log.dwells) == 20
+    assert sum(dwell.duration for dwell in log.dwells) == pytest.approx(600.0, abs=20 * 0.5)
