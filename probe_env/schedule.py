@@ -59,7 +59,8 @@ class Schedule:
         """Read a schedule or a measured log.
 
         A CSV file has the columns ``time_s`` or ``inserted_length_m``, ``feed_speed_m_per_s`` and
-        ``air_supply_m3_per_h`` (others are ignored, so a log can be replayed) and may begin with the line
+        ``air_supply_m3_per_h`` (others are ignored, so a log can be replayed; one with time and length goes by time,
+        in which standstills last) and may begin with the line
         ``# interpolation: steps``. A TOML file has ``interpolation`` and ``points``, a list of tables with these keys.
 
         Raises:
@@ -140,8 +141,8 @@ def _from_toml(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
 def _check_columns(path: Path, columns: Iterable[str]) -> None:
     columns_given = set(columns)
     listed = ", ".join(sorted(columns_given)) or "none"
-    if sum(name in columns_given for name in POSITIONS) != 1:
-        raise FileError(path, f"exactly one of the columns {', '.join(POSITIONS)} is needed; found: {listed}")
+    if not columns_given & set(POSITIONS):
+        raise FileError(path, f"one of the columns {', '.join(POSITIONS)} is needed; found: {listed}")
     for name in (FEED, AIR):
         if name not in columns_given:
             raise FileError(path, f"the column {name} is missing; found: {listed}")

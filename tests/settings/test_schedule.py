@@ -47,11 +47,23 @@ def test_a_measured_log_is_replayed_whatever_else_it_holds(tmp_path):
     assert schedule.at(0.75)[0] == pytest.approx(0.15)
 
 
+def test_a_log_with_time_and_length_goes_by_time_and_stands_still_where_it_did(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("# interpolation: steps\ntime_s," + HEAD + "0,5,0.2,63\n10,7,0,63\n30,7,0.1,63\n40,8,0.1,63\n")
+    schedule = Schedule.read(path)
+    assert (schedule.over, schedule.position) == ("time", (0.0, 10.0, 30.0, 40.0))
+    assert schedule.at([9.9, 10.0, 29.9, 30.0])[0] == pytest.approx([0.2, 0.0, 0.0, 0.1])
+    path.write_text("time_s," + HEAD + "0,5,0.2,63\n10,4,0,63\n")
+    assert Schedule.read(path).over == "time"  # where it is by length is not its business
+    path.write_text("time_s," + HEAD + "0,5,0.2,63\n0,7,0,63\n")
+    with pytest.raises(ValueError, match=r"line 3, time_s = 0\.0 must be greater than 0\.0 before it"):
+        Schedule.read(path)
+
+
 BROKEN = {
     "empty": ("", "empty: a header"),
     "no rows": (HEAD, "no rows"),
-    "no position": ("feed_speed_m_per_s,air_supply_m3_per_h\n0.2,63\n", "exactly one of the columns time_s"),
-    "two positions": ("time_s," + HEAD + "0,5,0.2,63\n", "exactly one of the columns time_s"),
+    "no position": ("feed_speed_m_per_s,air_supply_m3_per_h\n0.2,63\n", "one of the columns time_s"),
     "no feed": ("time_s,air_supply_m3_per_h\n0,63\n", "column feed_speed_m_per_s is missing"),
     "no air": ("time_s,feed_speed_m_per_s\n0,0.2\n", "column air_supply_m3_per_h is missing"),
     "wrong unit": ("time_s,feed_speed_mm_per_s,air_supply_m3_per_h\n0,200,63\n", "feed_speed_m_per_s is missing"),
