@@ -132,13 +132,13 @@ class Map:
         import_module("torch")  # for the fit, which comes after half an hour of simulation
 
         from agents.policies.maps.fit import make_map
-        from agents.policies.places import map_beside
-        from probe_env.envs.plants import plant_of
+        from agents.policies.places import map_beside, plant_at
 
-        target = self.target or (map_beside(self.tube) if self.tube else self.output / "vibration-map.npz")
+        own = self.tube and self.tube.exists()  # nothing is written beside one that ships
+        target = self.target or (map_beside(self.tube) if self.tube and own else self.output / "vibration-map.npz")
         if target.suffix != ".npz":
             raise ValueError(f"target = {str(target)!r} is not a file of arrays (.npz)")
-        make_map(self.seeds, self.output, target, plant_of(self.tube))
+        make_map(self.seeds, self.output, target, plant_at(self.tube))
         print(f"written: {target}")
 
 
@@ -165,13 +165,12 @@ class Optimise:
         """Search, simulate on the validation tubes, store, print."""
         from agents.policies.maps.search import FAMILIES, OF_A_PLANT, run_search
         from agents.policies.maps.vibration_map import VibrationMap
-        from agents.policies.places import map_of
-        from probe_env.envs.plants import plant_of
+        from agents.policies.places import map_of, plant_at
 
         for family in self.families:
             if family not in FAMILIES:
                 raise ValueError(f"family = {family!r} is not one of {', '.join(FAMILIES)}")
-        plant = plant_of(self.tube)
+        plant = plant_at(self.tube)
         vibration = VibrationMap.load(self.vibration_map) if self.vibration_map else map_of(self.tube, plant)
         output = self.output or Path(f"output/optimise-{self.tube.stem}" if self.tube else "output/optimise")
         for family in self.families or (FAMILIES if plant is None else OF_A_PLANT):
@@ -199,14 +198,14 @@ class Train:
         """Train, print the learning curves."""
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
+        from agents.policies.places import plant_at
         from agents.records.shipped import file_or_shipped
-        from probe_env.envs.plants import plant_of
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:
-            training = training.model_copy(update={"environment": {"tube": plant_of(self.tube)}})
+            training = training.model_copy(update={"environment": {"tube": plant_at(self.tube)}})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
         print(f"written: {output}/seed-*/ (agent.npz: the best by validation, learning.csv, run.json, logs)")
@@ -266,10 +265,11 @@ class Render:
     def run(self) -> None:
         """Simulate, draw, write."""
         from agents.evaluation.film import render_episode
+        from agents.policies.places import plant_at
 
         kpis = render_episode(
             self.env_id, self.output, self.policy, self.every, self.seed,
-            tube=self.tube, fidelity=self.fidelity, contexts=self.contexts,
+            tube=plant_at(self.tube), fidelity=self.fidelity, contexts=self.contexts,
         )  # fmt: skip
         for name, value in kpis.items():
             print(f"{name:40s} {value:.6g}")

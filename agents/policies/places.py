@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.records.reading import FileError
+from agents.records.shipped import file_or_shipped
 from probe_env import Context, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
-from probe_env.envs.plants import plant_of
 from probe_env.envs.task import TaskConfig
 
 MAP_SUFFIX: Final = "-map.npz"
@@ -45,14 +45,24 @@ def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibra
 
 
 def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
-    """The place of a plant's file, with the map beside it; None: the shipped list.
+    """The place of a plant's file or name, with the map beside it; None: the shipped list.
 
     Raises:
         FileNotFoundError: no such file.
         ValueError: the file or its map is not valid, or as ``place_of``.
     """
-    plant = plant_of(tube)
+    plant = plant_at(tube)
     return place_of(plant, split, limit, map_of(tube, plant))
+
+
+def plant_at(tube: Path | None) -> Plant | None:
+    """A plant by its file, or by the name of one that ships.
+
+    Raises:
+        FileNotFoundError: neither.
+        ValueError: the file is not valid.
+    """
+    return None if tube is None else Plant.from_toml(file_or_shipped("tubes", tube))
 
 
 def map_beside(tube: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Files that come with the package, found by their names: agents, scenes, schedules, logs, designs, training files.
+"""Files that come with the package, by their names: agents, scenes, schedules, logs, tubes, designs, training files.
 
 An installed package holds them in ``agents/shipped``; a checkout has them where they are made and edited. There is no
 second copy: the wheel is built from the checkout's.
@@ -10,15 +10,15 @@ import errno
 from pathlib import Path
 from typing import Final, Literal
 
-Kind = Literal["agents", "scenes", "schedules", "logs", "design", "train"]
+Kind = Literal["agents", "scenes", "schedules", "logs", "tubes", "design", "train"]
 PACKAGE: Final = Path(__file__).parents[1]
 AGENT_FILE: Final = "agent.npz"
 DEFAULT_SEED: Final = 0
 """Training seed of an agent that is named without one: the first, not the luckiest. What is published under the name of
 an agent alone is this one's."""
 _CALLED: Final[dict[Kind, str]] = {
-    "agents": "agents", "scenes": "scenes", "schedules": "schedules", "logs": "logs", "design": "designs",
-    "train": "training files",
+    "agents": "agents", "scenes": "scenes", "schedules": "schedules", "logs": "logs", "tubes": "tubes",
+    "design": "designs", "train": "training files",
 }  # fmt: skip
 
 

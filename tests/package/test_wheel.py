@@ -98,6 +98,7 @@ def test_the_wheel_holds_what_users_name(wheel):
         "agents/policies/data/vibration-map.npz",
         "agents/shipped/schedules/example.csv",
         "agents/shipped/logs/example-rig.csv",
+        "agents/shipped/tubes/example.toml",
     }
     assert bundles | files | data | {"probe_env/py.typed", "agents/py.typed"} <= names
     assert not [

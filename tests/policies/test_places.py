@@ -1,6 +1,8 @@
 """Policies in a plant of one's own: what they take from it, what they say they were made for, maps of its tubes."""
 
+import tomllib
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension, steady_root_tension
 from probe_env.schedule import Schedule
 
+ROOT = Path(__file__).parents[2]
 NARROW = Plant(tube={"inner_diameter": 22.1e-3})
 OTHER = Plant(
     tube={"inner_diameter": 26e-3, "helix_length": 80.0},
@@ -224,3 +227,16 @@ def test_commands_take_the_file(small, tmp_path, capsys):
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
+
+
+def test_the_shipped_example_is_a_plant_and_what_the_page_shows():
+    shipped = place_at(Path("example"), "test", 3)
+    assert shipped.config.scene.tube.helix_length == 45.0
+    page = (ROOT / "docs" / "inspection" / "tube.md").read_text()
+    shown = tomllib.loads(page.split("```toml\n")[1].split("```")[0])
+    whole = tomllib.loads((ROOT / "configs" / "tubes" / "example.toml").read_text())
+    for table, fields in shown.items():
+        assert fields.items() <= whole[table].items()
+    with pytest.raises(FileNotFoundError) as error:
+        place_at(Path("nowhere.toml"), "test")
+    assert "tubes that ship, by name: example" in error.value.hint
