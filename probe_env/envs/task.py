@@ -88,11 +88,12 @@ class TaskConfig(Model):
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> TaskConfig:
-        for name, most in (("feed_speeds", 2.0), ("air_supply_rates", 0.2)):
+        # a feed that stands still would never end: what is not inspected costs what the slowest feed takes
+        for name, least, most in (("feed_speeds", 1e-3, 2.0), ("air_supply_rates", 0.0, 0.2)):
             low, high = getattr(self, name)
-            if not 0.0 <= low < high <= most:
+            if not least <= low < high <= most:
                 raise PydanticCustomError(
-                    "range", f"{name} = ({low!r}, {high!r}) must ascend within the accepted range 0 to {most}"
+                    "range", f"{name} = ({low!r}, {high!r}) must ascend within the accepted range {least:g} to {most:g}"
                 )
         return self
 

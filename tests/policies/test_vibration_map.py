@@ -55,8 +55,10 @@ def synthetic(episodes=64, seed=0):
     return table.assign(radial_rms_m=1e-4 * 10.0**logarithm), logarithm
 
 
-def test_a_known_law_is_found_again():
-    """Of three seeds 0.0485 to 0.0498 decades are left, of which the deviation tells 0.0484 to 0.0492, and 99.5 %."""
+def test_a_known_law_is_found_again(monkeypatch):
+    """A fifth of the usual epochs. Of four seeds 0.0534 to 0.0554 decades are left, of which the deviation tells 0.0529
+    to 0.0558, and 99.4 %; with all of them 0.0485 to 0.0498."""
+    monkeypatch.setattr("agents.policies.maps.fit.EPOCHS", 60)
     table, logarithm = synthetic()
     fitted, quality = fit_map(table)
     columns = [table[name].to_numpy() for name in ("inserted_length", "feed_speed", "air_supply_rate")]
