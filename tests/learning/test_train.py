@@ -18,6 +18,7 @@ from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
 
 COARSE = Fidelity(time_lapse=20.0)
+LAPSE = Fidelity(time_lapse=10.0)
 SHORT = {"settle_time": 0.1, "time_limit": 20.0}
 TINY = {
     "environment": {"num_envs": 4, "fidelity": COARSE, "task": SHORT},
@@ -167,7 +168,7 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
     """
     task = {"settle_time": 0.5, "feed_speeds": (0.1, 0.4)}
     training = Training(
-        environment={"num_envs": 8, "fidelity": PRESETS["fast"], "task": task, "reward_scale": 0.2},
+        environment={"num_envs": 8, "fidelity": LAPSE, "task": task, "reward_scale": 0.2},
         network={"net_arch": (32,)}, phases=1, phase_steps=512, averages=(5.0,), friction_estimate=True,
         learning={"n_steps": 64, "batch_size": 128, "n_epochs": 4, "learning_rate": 1e-4, "gamma": 0.99},
         imitation={"teacher": "tension-scheduled", "rounds": 1, "steps": 1536, "epochs": 30},
@@ -179,7 +180,7 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
     torch.manual_seed(0)
     untrained = Agent(trained.description, build_policy(trained.description), config, "untrained")
     policies = {"trained": trained, "untrained": untrained, "constant": Constant(config)}
-    plan = Plan(policies, load_contexts("test")[:4], (0,), config, PRESETS["fast"])
+    plan = Plan(policies, load_contexts("test")[:2], (0,), config, LAPSE)
     reward = run_plan(plan, tmp_path / "evaluation", progress=False).groupby("policy")["reward"].mean()
     print(reward)
     assert reward["trained"] > reward["constant"]
