@@ -1,6 +1,7 @@
 """Policies: observations enter, actions leave; fixed laws, schedules, the vibration map, trained networks.
 
-``catalogue`` finds one by its name or file, ``places`` is where they act, ``domain`` what they were made for. Imports rollouts and records; torch for trained networks and the map's fit.
+``catalogue`` finds one by its name or file, ``places`` is where they act, ``domain`` what they were made for. Imports
+rollouts and records; torch for trained networks and the map's fit.
 """
 
 from __future__ import annotations

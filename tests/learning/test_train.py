@@ -15,7 +15,6 @@ from agents.rollouts.plan import Plan, run_plan
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import PRESETS
 
 COARSE = Fidelity(time_lapse=20.0)
 LAPSE = Fidelity(time_lapse=10.0)

@@ -124,7 +124,8 @@ def test_by_name_in_an_empty_folder(run, python):
     assert (run.folder / "out" / "report.html").stat().st_size > 100_000
     assert json.loads((run.folder / "out" / "provenance.json").read_text())["commit"] == "unknown"
 
-    run("probe-env", "simulate", "fig11_l10", "--method", "superelement32", "--duration", "0.3", "--statistics-from", "0.1")
+    briefly = ["--duration", "0.3", "--statistics-from", "0.1"]
+    run("probe-env", "simulate", "fig11_l10", "--method", "superelement32", *briefly)
     assert (run.folder / "output" / "fig11_l10" / "signals.npz").exists()
     assert {path.name for path in run.folder.iterdir()} == {"out", "output"}
     assert installed_files(site) == before  # nothing was written there
