@@ -122,6 +122,9 @@ BROKEN = {
     "contact.stiffness.*must be a number": {"contact": {"stiffness": "stiff"}},
     "contact.stiffness.std.*greater than 0": {"contact": {"stiffness": {"mean": 1e5, "std": 0.0}}},
     "air.drag_coefficient: value = nan": {"air": {"drag_coefficient": float("nan")}},
+    "air.drag_coefficient: 2e-06 to 2 times its median is beyond 0.1 to 10 times": {
+        "air": {"drag_coefficient": {"low": 0.0, "high": 0.5}}
+    },
     r"task.ramp: stands in \[feed\]": {"task": {"ramp": 1.0}},
     r"task.air_lag: stands in \[air\]": {"task": {"air_lag": 1.0}},
     r"task.scene: stands in \[tube\]": {"task": {"scene": {}}},

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from scipy.stats import qmc
 
+from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.plants.figures import Figure, checked, middle, quantiles
 from probe_env.envs.task import SHOWN, TaskConfig
@@ -24,6 +25,9 @@ from probe_env.settings import Model, explain, quantity, tuples, within
 MOST_TUBES: Final = 4096
 FRICTION, STIFFNESS, DRAG = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0)
 """Accepted range of each figure that may be unknown, in the units of its field."""
+FACTORS: Final = (0.1, 10.0)
+"""Accepted drag of a ``Context`` over the scene's."""
+RARE: Final = 1e-6
 LONGEST: Final = 60.0  # [m], of a helix that the task's own time limit is for
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
 """Fields of the task that stand in the tables of the feed device and of the air."""
@@ -119,6 +123,11 @@ class Plant(Model):
             if name in misplaced or name in SHOWN:
                 place = f"stands in [{misplaced[name]}]" if name in misplaced else "is set by who looks at it"
                 raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {place}"})
+        least, most = self._drag_factors(np.array([RARE, 1.0 - RARE]))
+        low, high = FACTORS
+        if not low <= least <= most <= high:
+            text = f"air.drag_coefficient: {least:g} to {most:g} times its median is beyond {low:g} to {high:g} times"
+            raise PydanticCustomError("drag", "{text}", {"text": text})
         try:
             self._scenes()
             self.configured()
@@ -176,6 +185,12 @@ class Plant(Model):
         values |= dict(defaults or {}) | {name: value for name, value in device.items() if value is not None}
         return TaskConfig.model_validate(tuples(values | self.task | dict(changes or {})))
 
+    def _drag_factors(self, shares: FloatArray) -> FloatArray:
+        """(n,) drag over its median at shares (n,) in (0, 1)."""
+        usual = middle(self.air.drag_coefficient, *DRAG)
+        drag = quantiles(self.air.drag_coefficient, shares, *DRAG)
+        return drag / usual if usual > 0.0 else np.ones(len(shares))
+
     def contexts(self, count: int, seed: int = 0) -> tuple[Context, ...]:
         """So many tubes: helices in turn, and friction, stiffness and drag spread over what is known of them.
 
@@ -190,9 +205,7 @@ class Plant(Model):
         shares = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(count)
         friction = quantiles(self.contact.friction, shares[:, 0], *FRICTION)
         stiffness = quantiles(self.contact.stiffness, shares[:, 1], *STIFFNESS)
-        drag = quantiles(self.air.drag_coefficient, shares[:, 2], *DRAG)
-        usual = middle(self.air.drag_coefficient, *DRAG)
-        factor = drag / usual if usual > 0.0 else np.ones(count)
+        factor = np.clip(self._drag_factors(shares[:, 2]), *FACTORS)  # but for one in a million within it
         return tuple(
             Context(
                 friction=round(float(friction[k]), 4),
