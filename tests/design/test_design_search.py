@@ -71,11 +71,11 @@ def test_broken_off_in_any_trial_equals_never_broken_off(number, tmp_path, whole
 
 
 def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path, whole):
-    """Each run is killed in its second trial, by turns asked and judged but not yet told, and just told."""
+    """Each run is killed in its fourth trial, by turns asked and judged but not yet told, and just told."""
     kills = 0
-    while killed_at("optuna.study.Study.tell", 2, run, tmp_path, 30, after=kills % 2 == 1):
+    while killed_at("optuna.study.Study.tell", 4, run, tmp_path, 30, after=kills % 2 == 1):
         kills += 1
-    assert kills == 20  # by turns one and two more of 30 trials are told
+    assert kills == 8  # by turns three and four more of 30 trials are told
     assert run(tmp_path, 30).equals(whole)
 
 

@@ -111,7 +111,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
     """Twice over: the bounds are far from where the task is."""
     rng = np.random.default_rng(0)
     tubes = [context for split in ("train", "validation", "test") for context in load_contexts(split)]
-    starts = Starts(TaskConfig(), Scene(), "random", "random", 0.2, MOST_AIR)
+    starts = Starts(TaskConfig(), "random", "random", 0.2, MOST_AIR)
     hard = Schedule("inserted_length", "linear", (5.0,), (0.02,), (MOST_AIR,))
     for k, context in enumerate(tubes):
         # superelements look for modes and mass of every probe: every seventh tube, of all diameters
@@ -201,7 +201,7 @@ def test_an_overloaded_load_cell_shows_its_end():
 
 
 def test_every_accepted_feed_and_air_is_within_the_space():
-    config = TaskConfig(feed_speeds=(0.0, 2.0), air_supply_rates=(0.0, 0.2))
+    config = TaskConfig(feed_speeds=(1e-3, 2.0), air_supply_rates=(0.0, 0.2))
     assert config.observations["feed_speed"][1] > 2.0 / 0.4
     assert config.observations["air_supply_rate"][1] > 0.2 * 3600.0 / 130.0
 

@@ -143,7 +143,7 @@ def test_make_vec_options_and_refusals():
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
         ProbeVecEnv(max_episode_steps=0)
     with pytest.raises(
-        TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are scene, fidelity, contexts"
+        TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are tube, scene, fidelity, contexts"
     ):
         ProbeVecEnv(fidelty="fast")
     env = gym.make_vec("probe_env/Snapshot-v1", num_envs=2, **CASES["probe_env/Snapshot-v1"])

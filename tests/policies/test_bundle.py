@@ -80,7 +80,6 @@ def test_an_agent_picks_what_it_looks_at_from_a_task_that_shows_more(tmp_path):
     [
         ({"observe_root_tension": False}, "observations = root_tension are not shown"),
         ({"period": 2.0}, "period = 2.0 differs from 1.0"),
-        ({"feed_speeds": (0.02, 0.3)}, "feed_speeds = "),
         ({"growing": False, "period": 0.1}, "growing = False"),
     ],
 )

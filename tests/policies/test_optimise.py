@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.policies import search as optimise
 from agents.policies.catalogue import BY_DIAMETER, make_policy
+from agents.policies.maps import search as optimise
 from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
 from agents.policies.maps.vibration_map import stored_map
 from probe_env.envs.contexts import HELIX_DIAMETERS
@@ -16,7 +16,7 @@ from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig(privileged=True)
-DATA = Path(optimise.__file__).parent / "data"
+DATA = Path(optimise.__file__).parents[1] / "data"
 
 
 def test_a_point_of_the_search_is_a_schedule():
