@@ -33,12 +33,16 @@ def test_a_point_of_the_search_is_a_schedule():
 def test_stored_schedules_are_the_best_of_their_trials(name):
     trials, made = pd.read_csv(DATA / f"{name}-trials.csv"), json.loads((DATA / f"{name}.json").read_text())
     assert len(trials) == made["trials"]
-    best = trials.loc[trials["reward"].idxmax()]
-    assert best["reward"] == pytest.approx(made["reward_by_map"], rel=1e-3)
-    point = [best[f"x{k}"] for k in range(len(FAMILIES[name].start))]
-    expected, stored = FAMILIES[name].schedule(point, CONFIG), Schedule.read(DATA / f"{name}.csv")
-    assert stored.feed_speed == pytest.approx(expected.feed_speed, rel=3e-3)
-    assert stored.air_supply_rate == pytest.approx(expected.air_supply_rate, rel=3e-3)
+    best = trials[trials["reward"] == trials["reward"].max()]  # four digits are stored, in which some are equal
+    assert best["reward"].iloc[0] == pytest.approx(made["reward_by_map"], rel=1e-3)
+    stored = Schedule.read(DATA / f"{name}.csv")
+    points = best[[f"x{k}" for k in range(len(FAMILIES[name].start))]].to_numpy().tolist()
+    schedules = [FAMILIES[name].schedule(point, CONFIG) for point in points]
+    assert any(
+        expected.feed_speed == pytest.approx(stored.feed_speed, rel=3e-3)
+        and expected.air_supply_rate == pytest.approx(stored.air_supply_rate, rel=3e-3)
+        for expected in schedules
+    )
 
 
 def test_the_schedule_of_the_nearest_diameter_is_taken():
