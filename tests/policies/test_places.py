@@ -13,7 +13,7 @@ from agents.policies.catalogue import make_policy
 from agents.policies.domain import Domain, OutsideDomain, ranges_of
 from agents.policies.maps import fit as map_fit
 from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.maps.search import FAMILIES, metres
+from agents.policies.maps.search import FAMILIES, metres, run_search
 from agents.policies.maps.vibration_map import VibrationMap, equivalent_air, stored_map
 from agents.policies.places import map_beside, map_of, place_at, place_of
 from agents.rollouts.plan import Plan, run_plan
@@ -207,6 +207,12 @@ def test_results_of_different_plants_never_mix(small, tmp_path):
     run_plan(plan(Plant.from_toml(small)), tmp_path, progress=False)
     with pytest.raises(ValueError, match="another setting"):
         run_plan(plan(other), tmp_path, progress=False)
+
+
+def test_a_family_without_a_tube_in_the_plant_is_refused(small, tmp_path):
+    with pytest.raises(ValueError, match="best-schedule-d2': no tube has a helix of 2 m"):
+        run_search("best-schedule-d2", 16, tmp_path / "o", tmp_path / "w", stored_map(), Plant.from_toml(small))
+    assert not (tmp_path / "o").exists()
 
 
 def test_commands_take_the_file(small, tmp_path, capsys):

@@ -141,12 +141,13 @@ def run_search(
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
     family = FAMILIES[family_name]
     train, validation = (place_of(plant, split) for split in ("train", "validation"))
-    config = train.config
+    config, tubes = train.config, family.tubes(validation.contexts)
+    if not tubes:
+        raise ValueError(f"family = {family_name!r}: no tube has a helix of {family.helix_diameter:g} m")
     cost = MapCost(family.tubes(train.contexts), config, vibration)
     points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, family_name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
     table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
-    tubes = family.tubes(validation.contexts)
     plan = Plan({family_name: Scheduled(config, best)}, tubes, config=config, fidelity=PRESETS["fast"])
     simulated = run_plan(plan, work / family_name)
     setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": float(rewards.max())}
