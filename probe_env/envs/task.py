@@ -89,7 +89,7 @@ class TaskConfig(Model):
     @model_validator(mode="after")
     def _ranges_ascend(self) -> TaskConfig:
         # a feed that stands still would never end: what is not inspected costs what the slowest feed takes
-        for name, least, most in (("feed_speeds", 1e-3, 2.0), ("air_supply_rates", 0.0, 0.2)):
+        for name, least, most in (("feed_speeds", 1e-6, 2.0), ("air_supply_rates", 0.0, 0.2)):
             low, high = getattr(self, name)
             if not least <= low < high <= most:
                 raise PydanticCustomError(

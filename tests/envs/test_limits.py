@@ -201,7 +201,7 @@ def test_an_overloaded_load_cell_shows_its_end():
 
 
 def test_every_accepted_feed_and_air_is_within_the_space():
-    config = TaskConfig(feed_speeds=(1e-3, 2.0), air_supply_rates=(0.0, 0.2))
+    config = TaskConfig(feed_speeds=(1e-6, 2.0), air_supply_rates=(0.0, 0.2))
     assert config.observations["feed_speed"][1] > 2.0 / 0.4
     assert config.observations["air_supply_rate"][1] > 0.2 * 3600.0 / 130.0
 
