@@ -241,10 +241,13 @@ class Tune:
 
 @dataclass(frozen=True)
 class Render:
-    """Film an episode under a policy: the helix with the probe in it, feed, air, vibration, reward."""
+    """Film a probe under a policy: an episode, or the motion near its tip in slow motion."""
 
     output: Path = Path("output/insertion.gif")
     """File to write: .gif, .mp4, or .png for the last picture alone."""
+    view: Literal["helix", "strip"] = "helix"
+    """helix: a whole episode, the helix with the probe in it, feed, air, vibration, reward; strip: the tube unrolled
+    near the tip, 8 times slowed, with walls, floats, contacts and the sensor's motion."""
     env_id: Literal[
         "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
     ] = "probe_env/Insertion-v1"
@@ -256,7 +259,13 @@ class Render:
     contexts: Literal["random", "train", "validation", "test"] = "random"
     """Shipped list that the tube is drawn from; random: from the ranges that the lists were drawn from."""
     every: int = 4
-    """Control periods a frame: of 1 s in Insertion-v1, 0.1 s in Snapshot-v1."""
+    """Of the helix, control periods a frame: of 1 s in Insertion-v1, 0.1 s in Snapshot-v1."""
+    at: float | None = None
+    """Of the strip, the inserted length at which it begins [m]; default: three quarters of the helix."""
+    length: float = 10.0
+    """Of the strip, how far behind the tip it reaches [m]."""
+    duration: float = 0.5
+    """Of the strip, seconds of the probe's motion, up to 2; a picture each 5 ms."""
     seed: int = 0
     """Of the tube and the sensors' noise."""
     tube: Path | None = None
@@ -264,13 +273,17 @@ class Render:
 
     def run(self) -> None:
         """Simulate, draw, write."""
-        from agents.evaluation.film import render_episode
+        from agents.evaluation.film import Look, render_episode, render_strip
         from agents.policies.places import plant_at
 
-        kpis = render_episode(
-            self.env_id, self.output, self.policy, self.every, self.seed,
-            tube=plant_at(self.tube), fidelity=self.fidelity, contexts=self.contexts,
-        )  # fmt: skip
-        for name, value in kpis.items():
+        if self.at is not None and self.view != "strip":
+            raise ValueError(f"at = {self.at!r} m is of the strip: add --view strip")
+        of = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
+        if self.view == "strip":
+            look = Look(self.at, self.length, self.duration)
+            told = render_strip(self.env_id, self.output, self.policy, self.seed, look, **of)
+        else:
+            told = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **of)
+        for name, value in told.items():
             print(f"{name:40s} {value:.6g}")
         print(f"written: {self.output}")

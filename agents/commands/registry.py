@@ -33,7 +33,7 @@ USERS: Final = {
         "probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png",
     ),
     "render": Entry(
-        "feed:Render", "a film of an insertion under a policy",
+        "feed:Render", "a film of an insertion, or slow motion near the tip",
         "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
     ),
     "train": Entry(

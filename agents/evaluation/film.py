@@ -1,22 +1,80 @@
-"""A film of an episode, as GIF or MP4, or its last picture as PNG."""
+"""Films of a probe under a policy: an episode, or the motion near the tip in slow motion."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import gymnasium as gym
-import imageio.v3 as iio
 import numpy as np
+import numpy.typing as npt
 from tqdm import tqdm
 
 import probe_env
+from agents.evaluation.film_files import check_format, write_film
 from agents.policies.catalogue import make_policy
-from agents.records.atomic import write_atomically
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.pictures.motion import FRAME_PERIOD, SAMPLE_PERIOD, Motion, Watch
+from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
+from probe_env.envs.pictures.strip import SLOWED, Strip
 from probe_env.envs.task import SHOWN
+from probe_env.physics.signals import dominant_frequencies
+from probe_env.settings import whole_steps, within
 
-FORMATS = (".gif", ".mp4", ".png")
-FRAMES_PER_SECOND = 10
+FRAMES_PER_SECOND: Final = 10
+LONGEST: Final = 2.0
+"""Of the dynamics in slow motion [s]: 400 pictures."""
+FARTHEST: Final = 1000.0
+"""Behind the tip [m]."""
+RESOLVED: Final = 0.5
+"""Of the dynamics from which on a frequency is told [s]: to 2 Hz."""
+WHERE: Final = 0.75
+"""Of the helix, where slow motion begins if nothing is said."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What slow motion shows.
+
+    Attributes:
+        at: inserted length at which it begins [m]; None: three quarters of the helix, for a constant length at once.
+        length: how far behind the tip it reaches [m], at least to the sensor; cut to what is inserted.
+        duration: of the dynamics [s], a whole number of milliseconds.
+    """
+
+    at: float | None = None
+    length: float = 10.0
+    duration: float = 0.5
+
+
+class _Play:
+    """An episode under a policy, a control period at a time."""
+
+    def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
+        assert probe_env.__all__  # imported for its ids
+        self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
+        self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
+        self._policy = make_policy(policy, self.episodes.config)
+        self.ended, self.info = False, dict[str, Any]()
+
+    def reset(self, seed: int) -> None:
+        """Settle in a tube."""
+        self._observation, self.info = self.env.reset(seed=seed)
+        self._state, self._start = None, np.ones(1, dtype=bool)
+
+    def decide(self) -> npt.NDArray[np.float32]:
+        """The policy's action (2,) for the period to come."""
+        action, self._state = self._policy.predict(
+            self._observation[None], self._state, self._start, deterministic=True
+        )
+        self._start = np.zeros(1, dtype=bool)
+        return np.asarray(action[0], dtype=np.float32)
+
+    def step(self, action: npt.NDArray[np.float32]) -> None:
+        """A period with an action."""
+        self._observation, _, terminated, truncated, self.info = self.env.step(action)
+        self.ended = terminated or truncated
 
 
 def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int, **arguments: Any) -> dict[str, float]:
@@ -28,36 +86,106 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
     Raises:
         ValueError: an argument is not valid; nothing was written.
     """
-    assert probe_env.__all__  # imported for its ids
-    if output.suffix not in FORMATS:
-        raise ValueError(f"output = {str(output)!r} must end in one of {', '.join(FORMATS)}")
+    check_format(output)
     if every < 1:
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
-    env = gym.make(env_id, render_mode="rgb_array", config=dict.fromkeys(SHOWN, True), **arguments)
-    controller = make_policy(policy, env.unwrapped.config)  # type: ignore[attr-defined]
-    observation, _ = env.reset(seed=seed)
-    state, start = None, np.ones(1, dtype=bool)
-    frames: list[Any] = [env.render()]
-    steps, ended, info = 0, False, dict[str, Any]()
+    play = _Play(env_id, policy, render_mode="rgb_array", **arguments)
+    play.reset(seed)
+    whole = output.suffix != ".png"
+    frames: list[Any] = [play.env.render()] if whole else []
+    steps = 0
     with tqdm(desc=f"{env_id}", unit="period") as bar:
-        while not ended:
-            action, state = controller.predict(observation[None], state, start, deterministic=True)
-            start = np.zeros(1, dtype=bool)
-            observation, _, terminated, truncated, info = env.step(action[0])
-            ended, steps = terminated or truncated, steps + 1
-            if steps % every == 0 or ended:
-                frames.append(env.render())
+        while not play.ended:
+            play.step(play.decide())
+            steps += 1
+            if (whole and steps % every == 0) or play.ended:
+                frames.append(play.env.render())
             bar.update()
-    env.close()
-    write_atomically(output, _film(frames, output.suffix))
-    kpis: dict[str, float] = info["episode_kpis"]
+    play.env.close()
+    write_film(output, frames, FRAMES_PER_SECOND)
+    kpis: dict[str, float] = play.info["episode_kpis"]
     return kpis
 
 
-def _film(frames: list[Any], suffix: str) -> bytes:
-    """The frames as a file of a format, or the last of them."""
-    if suffix == ".png":
-        return iio.imwrite("<bytes>", frames[-1], extension=suffix)
-    if suffix == ".gif":
-        return iio.imwrite("<bytes>", frames, extension=suffix, duration=1000 / FRAMES_PER_SECOND, loop=0)
-    return iio.imwrite("<bytes>", frames, extension=suffix, fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=8)
+def render_strip(env_id: str, output: Path, policy: str, seed: int, look: Look, **arguments: Any) -> dict[str, float]:
+    """Film the motion near the tip in slow motion, from an inserted length on that a policy has fed in.
+
+    Returns:
+        what the film shows, SI units.
+
+    Raises:
+        ValueError: an argument is not valid, or the episode ended before the length was reached; nothing was written.
+        SimulationError: the state diverged while it was looked at.
+    """
+    check_format(output)
+    play = _Play(env_id, policy, **arguments)
+    at = _checked(look, play.episodes)
+    play.reset(seed)
+    motion = _motion(play, at, look)
+    strip = Strip(motion, Path(policy).stem)
+    shown = range(len(motion.time)) if output.suffix != ".png" else [len(motion.time) - 1]
+    frames = [strip.picture(k) for k in tqdm(shown, desc="pictures", unit="")]
+    write_film(output, frames, SLOW_FRAMES_PER_SECOND)
+    return _told(motion)
+
+
+def _told(motion: Motion) -> dict[str, float]:
+    """Figures of a motion, SI units."""
+    told = {"inserted_length_m": float(motion.inserted_length[0]), "shown_s": float(motion.time[-1])}
+    told["times_slowed"] = SLOWED
+    for name, values in (("axial", motion.signal_axial), ("radial", motion.signal_radial)):
+        during = values[motion.signal_time >= 0.0]
+        told[f"sensor_{name}_rms_m"] = float(during.std())
+        peaks = dominant_frequencies(during, SAMPLE_PERIOD, 1) if motion.time[-1] >= RESOLVED else ()
+        told |= {f"sensor_{name}_peak_hz": frequency for frequency in peaks}
+    return told
+
+
+def _motion(play: _Play, at: float, look: Look) -> Motion:
+    """What is seen near the tip from the control period on in which a length [m] has been reached."""
+    episodes = play.episodes
+    period = episodes.config.period / episodes.fidelity.time_lapse  # of the dynamics
+    with tqdm(desc="feeding", unit="period") as bar:
+        while play.info["inserted_length"] < at and not play.ended:
+            play.step(play.decide())
+            bar.update()
+    if play.ended:
+        raise ValueError(
+            f"at = {at:g} m was not reached: the episode ended at {play.info['inserted_length']:.4g} m"
+            f"{', the drive lost' if play.info['lost_drive'] else ''}{', diverged' if play.info['diverged'] else ''}"
+        )
+    felt, left = episodes.window, look.duration
+    before = (
+        (felt.axial[:, 0], felt.radial[:, 0]) if felt and felt.axial is not None and felt.radial is not None else ()
+    )
+    watch = Watch(episodes.batch.simulators[0], look.length, *(before or (np.zeros(0), np.zeros(0))))
+    while left > 0.5 * SAMPLE_PERIOD and not play.ended:
+        action = play.decide()
+        feed_speed, air_supply_rate = episodes.config.targets(action[None])[0]
+        watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(left, period))
+        play.step(action)
+        left -= period
+    return watch.motion()
+
+
+def _checked(look: Look, episodes: Episodes) -> float:
+    """The inserted length at which to look [m].
+
+    Raises:
+        ValueError: something is out of range.
+    """
+    simulator = episodes.batch.simulators[0]  # not settled, in no tube that was drawn
+    start, end = simulator.inserted_length, simulator.scene.tube.helix_length
+    within("length", look.length, simulator.scene.probe.guide_length, FARTHEST, "m")  # the sensor is in the picture
+    within("duration", look.duration, FRAME_PERIOD, LONGEST, "s")
+    whole_steps("duration", look.duration, SAMPLE_PERIOD)
+    if not episodes.config.growing:
+        if look.at is not None:
+            raise ValueError(f"at = {look.at!r} m needs a probe that is fed in; here its length stays {start:g} m")
+        return start
+    at = WHERE * end if look.at is None else look.at
+    if not start <= at < end:
+        raise ValueError(
+            f"at = {at!r} m is outside the accepted range {start:g} m, where it starts, to less than {end:g} m"
+        )
+    return at

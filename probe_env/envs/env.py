@@ -14,7 +14,7 @@ from probe_env.envs.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 if TYPE_CHECKING:
-    from probe_env.envs.render import Renderer
+    from probe_env.envs.pictures.episode import Renderer
 
 Observation = npt.NDArray[np.float32]
 RENDER_MODES = ("rgb_array", "human")
@@ -60,10 +60,10 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         observation, infos = self.episodes.reset([0], {0: self.np_random}, {0: options})
         if self.render_mode is not None:
-            from probe_env.envs.render import Renderer  # and with it matplotlib
+            from probe_env.envs.pictures.episode import Renderer  # and with it matplotlib
 
-            self._renderer = Renderer(self.episodes)
-            self._renderer.add(infos[0], 0.0)
+            self._renderer = self._renderer or Renderer(self.episodes)
+            self._renderer.begin(infos[0])
             if self.render_mode == "human":
                 self.render()
         return observation[0], infos[0]

@@ -3,11 +3,14 @@
 import json
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
+import imageio.v3 as iio
 import numpy as np
 import pandas as pd
 import pytest
+from imageio_ffmpeg import count_frames_and_secs
 
 from agents.cli import main
 from probe_env import Scene
@@ -92,13 +95,90 @@ def test_study_stores_rows_and_does_not_repeat_them(tmp_path, capsys, monkeypatc
     pd.testing.assert_frame_equal(merged[first.columns], first)
 
 
-@pytest.mark.parametrize("name", ["film.gif", "film.mp4", "picture.png"])
-def test_render_writes_a_film(name, tmp_path, capsys):
+FILMS = [("film.gif", 3), ("film.mp4", 3), ("picture.png", 1)]
+
+
+@pytest.mark.parametrize(("name", "pictures"), FILMS)
+def test_render_writes_a_film(name, pictures, tmp_path, capsys):
     output = tmp_path / name
     arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--every", "40"]
     assert main(["render", *arguments]) == 0
     assert "share_within_limit" in capsys.readouterr().out
     assert output.stat().st_size > 20_000
+    check_film(output, pictures)
+
+
+@pytest.mark.parametrize(("name", "pictures"), [(name, 11 if count > 1 else 1) for name, count in FILMS])
+def test_render_writes_slow_motion(name, pictures, tmp_path, capsys):
+    """A picture each 5 ms of 0.05 s, 40 ms each where the file says how long."""
+    output = tmp_path / name
+    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--duration", "0.05"]
+    assert main(["render", "--view", "strip", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "times_slowed                             8\n" in printed
+    assert "inserted_length_m                        52.5\n" in printed
+    check_film(output, pictures)
+    if output.suffix == ".gif":
+        assert iio.immeta(output)["duration"] == 40
+    if output.suffix == ".mp4":
+        assert count_frames_and_secs(output)[1] == pytest.approx(11 / 25, abs=0.01)
+
+
+def check_film(path, pictures):
+    """So many, of the size that was drawn, mostly white, and none like another; of an MP4 the number alone."""
+    if path.suffix == ".mp4":
+        assert count_frames_and_secs(path)[0] == pictures
+        return
+    frames = iio.imread(path, index=None if path.suffix == ".png" else ...)
+    frames = frames.reshape(-1, 600, 1000, frames.shape[-1])[..., :3].astype(int)
+    assert len(frames) == pictures
+    assert (frames > 250).all(axis=-1).mean() > 0.6
+    assert all((np.abs(a - b) > 50).any() for a, b in pairwise(frames))
+
+
+def test_slow_motion_begins_where_it_is_asked_to(tmp_path, capsys):
+    output = tmp_path / "strip.png"
+    where = ["--at", "6.5", "--length", "4", "--duration", "0.6", "--tube", "example"]
+    assert main(["render", "--view", "strip", "--fidelity", "fast", "--output", str(output), *where]) == 0
+    told = dict(line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("written"))
+    assert 6.5 <= float(told["inserted_length_m"]) <= 6.5 + 0.35  # at the first control period of 1 s behind it
+    assert float(told["shown_s"]) == pytest.approx(0.6)  # over three periods of 0.25 s of the dynamics
+    assert {"sensor_axial_rms_m", "sensor_radial_rms_m", "sensor_axial_peak_hz"} <= set(told)
+
+
+def test_slow_motion_that_is_not_reached_is_told(tmp_path, capsys):
+    short = ["--fidelity", "fast", "--at", "59", "--policy", str(tmp_path / "slow.csv"), "--output"]
+    (tmp_path / "slow.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.02,30\n")
+    assert main(["render", "--view", "strip", *short, str(tmp_path / "strip.gif")]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "at = 59 m was not reached: the episode ended at " in error
+    assert not (tmp_path / "strip.gif").exists()
+
+
+STRIP = ["render", "--view", "strip"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["render", "--at", "45"], "at = 45.0 m is of the strip: add --view strip"),
+        ([*STRIP, "--at", "60"], "at = 60.0 m is outside the accepted range 5 m, where it starts, to less than 60 m"),
+        ([*STRIP, "--at", "46", "--tube", "example"], "to less than 45 m"),
+        ([*STRIP, "--at", "nan"], "at = nan m"),
+        ([*STRIP, "--at", "30", "--env-id", "probe_env/Snapshot-v1"], "at = 30.0 m needs a probe that is fed in"),
+        ([*STRIP, "--length", "2"], "length = 2.0 m is outside the accepted range 2.5 to 1000 m"),
+        ([*STRIP, "--duration", "2.5"], "duration = 2.5 s is outside the accepted range 0.005 to 2 s"),
+        ([*STRIP, "--duration", "0.1005"], "duration = 0.1005 s is not a whole number"),
+        ([*STRIP, "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
+        ([*STRIP, "--policy", "fastest"], "policy = 'fastest'"),
+    ],
+)
+def test_what_a_strip_cannot_show_is_refused_before_anything_is_simulated(arguments, message, capsys, monkeypatch):
+    monkeypatch.setattr("probe_env.envs.episodes.Episodes.reset", lambda *_: pytest.fail("simulated"))
+    assert main(arguments) == 2
+    (error,) = capsys.readouterr().err.strip().splitlines()
+    assert error.startswith("probe-env: error: ")
+    assert message in error
 
 
 def test_a_reader_that_has_enough_is_no_error():

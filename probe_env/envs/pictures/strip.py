@@ -1,0 +1,148 @@
+"""The tube unrolled near the tip, in slow motion: walls, floats, contacts, the cable and the sensor's signals."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from probe_env.arrays import FloatArray
+from probe_env.envs.pictures.motion import FRAME_PERIOD, SAMPLE_PERIOD, Motion
+from probe_env.envs.pictures.plate import (
+    DPI,
+    GREEN,
+    ORANGE,
+    QUIET_MM,
+    RED,
+    SIZE,
+    Picture,
+    Plate,
+    label_of,
+    limits_around,
+)  # fmt: skip
+
+FRAMES_PER_SECOND: Final = 25
+SLOWED: Final = 1.0 / (FRAMES_PER_SECOND * FRAME_PERIOD)
+"""How much slower than the probe the strip moves."""
+AXIAL: Final = 50.0
+"""Exaggeration of the axial displacement, which would be less than a pixel."""
+SHOWN: Final = 0.5
+"""How much of the signals is shown [s]."""
+AHEAD: Final = 0.04
+"""Room before the tip and behind the last node, of the length."""
+BESIDE: Final = 0.12
+"""Room beyond either wall, of the bore."""
+MARKED: Final = 0.05
+"""Where contacts are marked, beyond their wall, of the bore."""
+FREE: Final = "#9bb8d9"
+"""Colour of a float that touches nothing."""
+
+
+class Strip:
+    """Pictures of a motion near the tip of a probe; the inner wall is below, the way in is to the right.
+
+    Args:
+        motion: what is shown.
+        policy: who feeds the probe, for the title.
+
+    Attributes:
+        axial_scale, radial_scale: of the drawing, pixels a metre.
+    """
+
+    def __init__(self, motion: Motion, policy: str) -> None:
+        self.motion = motion
+        figure = Figure(figsize=SIZE, dpi=DPI)
+        self._tube = figure.add_axes((0.075, 0.44, 0.91, 0.41))
+        self._signals = [figure.add_axes((0.075, bottom, 0.91, 0.11)) for bottom in (0.235, 0.09)]
+        self._draw_tube()
+        self._draw_signals()
+        size = self._tube.get_window_extent()
+        (left, right), (low, high) = self._tube.get_xlim(), self._tube.get_ylim()
+        self.axial_scale, self.radial_scale = size.width / (right - left), 1e3 * size.height / (high - low)
+        title = f"The last {motion.distance[-1]:g} m behind the tip, unrolled, {SLOWED:g} times slower than it is"
+        figure.text(0.075, 0.955, title, fontsize=11)
+        figure.text(0.985, 0.955, f"{policy}; {label_of(motion.scene)}", fontsize=8, color="0.35", ha="right")
+        scale = (
+            f"radial direction stretched x {self.radial_scale / self.axial_scale:.0f},"
+            f" axial displacement drawn x {AXIAL:g}"
+        )
+        figure.text(0.985, 0.915, scale, fontsize=8, color="0.35", ha="right")
+        self._now = figure.text(0.075, 0.915, "", fontsize=9)
+        moving = (self._floats, self._cable, *self._contacts, self._sensor, *self._lines, self._now)
+        self._plate = Plate(figure, moving)
+
+    def picture(self, k: int) -> Picture:
+        """(h, w, 3) RGB picture of the k-th look."""
+        motion, drawn = self.motion, self.drawn(k)
+        centre = drawn + [0.0, 1e3] * np.column_stack([np.zeros_like(motion.lever), motion.lever])
+        self._cable.set_data(*centre.T)
+        floats = motion.floats
+        top = drawn[floats] + np.column_stack([np.zeros(floats.sum()), 2e3 * motion.lever[floats]])
+        self._floats.set_segments(list(np.stack([drawn[floats], top], axis=1)))
+        self._floats.set_color(self._colours(k))
+        bore = motion.scene.tube.inner_diameter * 1e3
+        walls = ((motion.on_inner_wall, -MARKED * bore), (motion.on_outer_wall, (1.0 + MARKED) * bore))
+        for marks, (touching, height) in zip(self._contacts, walls, strict=True):
+            where = drawn[touching[k], 0]
+            marks.set_data(where, np.full(len(where), height))
+        self._sensor.set_data(*centre[motion.sensor][:, None])
+        time = motion.signal_time - motion.time[k]
+        seen = (time > -SHOWN - SAMPLE_PERIOD) & (time < 0.5 * SAMPLE_PERIOD)
+        for line, values in zip(self._lines, (motion.signal_radial, motion.signal_axial), strict=True):
+            line.set_data(time[seen], values[seen] * 1e3)
+        self._now.set_text(f"{motion.inserted_length[k]:.2f} m inserted, {motion.time[k]:.3f} s")
+        return self._plate.picture()
+
+    def drawn(self, k: int) -> FloatArray:
+        """(n, 2) place along the tube [m], the unstretched tip at 0, and edge nearest to the inner wall [mm]."""
+        motion = self.motion
+        return np.column_stack([AXIAL * motion.axial[k] - motion.distance, 1e3 * motion.radial[k]])
+
+    def _colours(self, k: int) -> list[str]:
+        """Of the floats: free, on the inner wall, on the outer wall."""
+        inner, outer = (
+            flags[k, self.motion.floats] for flags in (self.motion.on_inner_wall, self.motion.on_outer_wall)
+        )
+        return [RED if i else ORANGE if o else FREE for i, o in zip(inner, outer, strict=True)]
+
+    def _draw_tube(self) -> None:
+        motion, axes = self.motion, self._tube
+        bore, length = motion.scene.tube.inner_diameter * 1e3, float(motion.distance[-1])
+        room = AHEAD * length + AXIAL * float(np.abs(motion.axial).max())
+        axes.set(xlim=(-length - room, room), ylim=(-BESIDE * bore, (1.0 + BESIDE) * bore))
+        axes.set_xlabel("from the tip [m]", fontsize=8)
+        axes.set_ylabel("from the inner wall [mm]", fontsize=8)
+        axes.tick_params(labelsize=7)
+        axes.axhline(0.0, color="black", linewidth=1.5)
+        modelled = bool(np.isfinite(motion.outer_gap).all())
+        axes.axhline(bore, color="black", linewidth=1.5, linestyle="-" if modelled else ":")
+        (self._cable,) = axes.plot([], [], color="0.25", linewidth=1.2)
+        self._floats = LineCollection([], linewidths=self._float_width(), capstyle="butt")
+        axes.add_collection(self._floats)
+        self._contacts = [axes.plot([], [], m, color=c, markersize=3)[0] for m, c in (("^", RED), ("v", ORANGE))]
+        (self._sensor,) = axes.plot([], [], "o", color=GREEN, markersize=8, markeredgecolor="white")
+        for colour, name in ((FREE, "float"), (RED, "on the inner wall"), (ORANGE, "on the outer wall")):
+            axes.plot([], [], color=colour, linewidth=4, label=name)
+        axes.plot([], [], "o", color=GREEN, markersize=6, label="sensor")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8, borderpad=0.1)
+
+    def _float_width(self) -> float:
+        """Points: two fifths of a pitch; the model knows no length of floats."""
+        low, high = self._tube.get_xlim()
+        pitch = self.motion.scene.probe.float_pitch / (high - low) * self._tube.get_window_extent().width
+        return float(0.4 * pitch * 72.0 / DPI)
+
+    def _draw_signals(self) -> None:
+        motion = self.motion
+        self._lines = []
+        signals = ((motion.signal_radial, "radial"), (motion.signal_axial, "axial"))
+        for axes, (values, name) in zip(self._signals, signals, strict=True):
+            axes.set(xlim=(-SHOWN, 0.0), ylim=limits_around(values * 1e3, (0.0, QUIET_MM)))
+            axes.set_ylabel(f"sensor,\n{name} [mm]", fontsize=8)
+            axes.yaxis.set_label_coords(-0.04, 0.5)
+            axes.tick_params(labelsize=7, labelbottom=axes is self._signals[-1])
+            axes.grid(color="0.92")
+            self._lines += axes.plot([], [], color=GREEN, linewidth=1.0)
+        self._signals[-1].set_xlabel("time before this picture [s]", fontsize=8)

@@ -1,0 +1,122 @@
+"""Pictures of an episode: right although most of them is kept from the last one, and cheap because of it."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import probe_env
+from probe_env.envs.pictures.episode import Renderer
+from probe_env.envs.pictures.plate import outward
+
+LOUD = {"friction": 0.25, "helix_diameter": 1.0}
+
+
+def started(env_id="probe_env/Insertion-v1", **arguments):
+    env = gym.make(env_id, render_mode="rgb_array", **arguments).unwrapped
+    env.reset(seed=0)
+    return env
+
+
+def anew(env):
+    """The picture by a renderer that has drawn nothing yet."""
+    fresh = Renderer(env.episodes)
+    fresh.history, fresh._felt = env._renderer.history, env._renderer._felt
+    return fresh.picture()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments"),
+    [("probe_env/Insertion-v1", {"fidelity": "fast"}), ("probe_env/Snapshot-v1", {"scene": {"carrier_length": 30.0}})],
+)
+def test_what_is_kept_is_what_would_be_drawn_anew(env_id, arguments):
+    """Pixel by pixel, while axes grow with what is shown."""
+    env = started(env_id, **arguments)
+    env.reset(seed=0, options=LOUD)
+    limits = set()
+    for k in range(25):
+        env.step(np.ones(2, dtype=np.float32))
+        picture = env.render()
+        limits.add(tuple(axes.get_ylim() for axes in env._renderer._drawn[2]._axes))
+        if k % 6 == 0:
+            assert (picture == anew(env)).all()
+    assert len(limits) >= 3  # so axes were drawn again over what is kept
+
+
+def test_a_figure_is_drawn_as_a_whole_once_an_episode(monkeypatch):
+    """What stays is most of the cost: axes, numbers, the tube, the scale of colours."""
+    drawn, original = [], Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda self, renderer: (drawn.append(self), original(self, renderer))[1])
+    env = started(fidelity="fast")
+    for _ in range(5):
+        env.step(np.zeros(2, dtype=np.float32))
+        env.render()
+    assert len(drawn) == 1
+    env.reset(seed=1, options={"helix_diameter": 2.0})
+    env.render()
+    assert len(drawn) == 2  # another tube
+
+
+def test_a_new_episode_shows_nothing_of_the_last_one():
+    env = started(fidelity="fast")
+    first = env.render()
+    for _ in range(3):
+        env.step(np.ones(2, dtype=np.float32))
+        env.render()
+    env.reset(seed=0)
+    assert (env.render() == first).all()
+
+
+def test_one_s_own_tube_is_drawn():
+    """Its length is where the axes end, its bore and floats are said, and its turns are drawn."""
+    tube = {"tube": {"helix_length": 20.0, "inner_diameter": 0.023, "helix_diameter": 1.3}}
+    env = started(tube=probe_env.Plant.model_validate(tube | {"probe": {"carrier_float_diameter": 0.0185}}))
+    env.render()
+    plate, helix, traces = env._renderer._drawn
+    assert [axes.get_xlim()[1] for axes in traces._axes[1:]] == [20.0] * 4
+    texts = [text.get_text() for text in helix._title.axes.texts]
+    assert "bore 23 mm, floats 18.5 and 19 mm" in texts
+    assert "of 20 m in a helix of 1.3 m" in helix._title.get_text()
+    spiral = helix._title.axes.lines[0].get_xydata()
+    turned = np.unwrap(np.arctan2(spiral[:, 1], spiral[:, 0]))[-1] / (2.0 * np.pi)
+    assert turned == pytest.approx(20.0 / (np.pi * 1.3), rel=1e-9)
+    assert plate.picture().shape == (600, 1000, 3)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_draws_the_same(duplicate):
+    env = started(fidelity="fast")
+    env.step(np.ones(2, dtype=np.float32))
+    picture = env.render()
+    assert (duplicate(env).render() == picture).all()
+    assert (env.render() == picture).all()
+
+
+def test_human_mode_has_one_window_for_all_episodes(monkeypatch):
+    """The window of a display is left out: what is asked of matplotlib is looked at."""
+    monkeypatch.setattr(plt, "pause", lambda seconds: None)
+    before = plt.get_fignums()
+    env = gym.make("probe_env/Insertion-v1", fidelity="fast", render_mode="human").unwrapped
+    for seed in range(2):
+        env.reset(seed=seed)
+        env.step(np.zeros(2, dtype=np.float32))
+        (number,) = set(plt.get_fignums()) - set(before)
+        (shown,) = plt.figure(number).axes[0].images
+        assert (shown.get_array() == env._renderer.picture()).all()
+        assert env.render() is None
+    plt.close(number)  # by hand
+    env.render()
+    assert len(set(plt.get_fignums()) - set(before)) == 1
+    env.close()
+    assert plt.get_fignums() == before
+
+
+@pytest.mark.parametrize(
+    ("value", "limit"), [(0.0, 0.0), (0.011, 0.02), (-3.0, -5.0), (10.0, 10.0), (0.2, 0.2), (-51.0, -100.0)]
+)
+def test_limits_are_round_and_hold_the_value(value, limit):
+    assert outward(value) == pytest.approx(limit, rel=1e-12)
