@@ -57,22 +57,53 @@ def friction_from_tension(seen: Mapping[str, FloatArray], scene: Scene) -> Float
         seen: ``MEASURED``, (n,) each; ``SHAPE`` where the probe is not the scene's.
         scene: bore, air and probe.
     """
-    tension, length, diameter = (seen[name] for name in ("root_tension", "inserted_length", "helix_diameter"))
-    wind = np.array([air_speed(scene, float(q)) for q in seen["air_supply_rate"]]) - seen["feed_speed"]
-    table = {name: np.full_like(tension, getattr(scene.probe, name)) for name in SHAPE}
-    guide, *diameters, pitch = (seen.get(name, table[name]) for name in SHAPE)
-    forces = [_drag_per_metre(scene, d, pitch) * wind * np.abs(wind) for d in diameters]
-    guide = np.minimum(guide, length)
+    tension, diameter = seen["root_tension"], seen["helix_diameter"]
+    pulled = _pulled_sections(seen, scene)
     radius = diameter / 2.0
     low, high = np.zeros_like(tension), np.full_like(tension, 2.0)
     for _ in range(30):
         middle = 0.5 * (low + high)
-        at_middle = np.zeros_like(tension)
-        for force, section in zip(forces, (guide, length - guide), strict=True):
-            decay = middle * section / radius
-            at_middle = at_middle * np.exp(-decay) - force * radius / middle * np.expm1(-decay)
-        low, high = np.where(at_middle > tension, middle, low), np.where(at_middle > tension, high, middle)
-    return np.asarray(0.5 * (low + high) / (1.0 - diameters[1] / diameter))
+        above = _sliding_tension(middle, pulled, radius) > tension
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    carrier = seen.get("carrier_float_diameter", np.full_like(tension, scene.probe.carrier_float_diameter))
+    return np.asarray(0.5 * (low + high) / (1.0 - carrier / diameter))
+
+
+def sliding_tension(friction: FloatArray, seen: Mapping[str, FloatArray], scene: Scene) -> FloatArray:
+    """Root tension (..., n) of steady sliding [N], as ``friction_from_tension`` has it.
+
+    Args:
+        friction: (..., 1) or (..., n), above 0.
+        seen: ``MEASURED`` but the tension, (n,) each; ``SHAPE`` where the probe is not the scene's.
+        scene: bore, air and probe.
+    """
+    diameter = seen["helix_diameter"]
+    carrier = seen.get("carrier_float_diameter", np.full_like(diameter, scene.probe.carrier_float_diameter))
+    return _sliding_tension(friction * (1.0 - carrier / diameter), _pulled_sections(seen, scene), diameter / 2.0)
+
+
+def _pulled_sections(seen: Mapping[str, FloatArray], scene: Scene) -> list[tuple[FloatArray, FloatArray]]:
+    """Drag a metre [N/m] and length [m] of the guide, then of the carrier, (n,) each."""
+    length = seen["inserted_length"]
+    wind = np.array([air_speed(scene, float(q)) for q in seen["air_supply_rate"]]) - seen["feed_speed"]
+    guide, *diameters, pitch = (seen.get(name, np.full_like(length, getattr(scene.probe, name))) for name in SHAPE)
+    guide = np.minimum(guide, length)
+    sections = (guide, length - guide)
+    return [
+        (_drag_per_metre(scene, d, pitch) * wind * np.abs(wind), section)
+        for d, section in zip(diameters, sections, strict=True)
+    ]
+
+
+def _sliding_tension(
+    friction: FloatArray, pulled: list[tuple[FloatArray, FloatArray]], radius: FloatArray
+) -> FloatArray:
+    """dT/ds = q - mu' T / r, solved from the tip to the root; ``friction`` is mu'."""
+    tension = np.zeros_like(friction)
+    for force, section in pulled:
+        decay = friction * section / radius
+        tension = tension * np.exp(-decay) - force * radius / friction * np.expm1(-decay)
+    return tension
 
 
 def _drag_per_metre(scene: Scene, float_diameter: FloatArray, pitch: FloatArray) -> FloatArray:

@@ -8,96 +8,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Any, Final, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from scipy.stats import qmc
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.plants.figures import Figure, checked, middle, quantiles
+from probe_env.envs.plants.figures import middle, quantiles
+from probe_env.envs.plants.posterior import Posterior, with_posterior
+from probe_env.envs.plants.tables import DRAG, FRICTION, STIFFNESS, FeedDevice, Supply, Tubes, Walls
 from probe_env.envs.task import SHOWN, TaskConfig
-from probe_env.scene import Air, Contact, Probe, Scene, Tube
-from probe_env.settings import Model, explain, quantity, tuples, within
+from probe_env.files import FileError, read_toml
+from probe_env.scene import Probe, Scene
+from probe_env.settings import Model, explain, tuples, within
 
 MOST_TUBES: Final = 4096
-FRICTION, STIFFNESS, DRAG = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0)
-"""Accepted range of each figure that may be unknown, in the units of its field."""
 FACTORS: Final = (0.1, 10.0)
 """Accepted drag of a ``Context`` over the scene's."""
 RARE: Final = 1e-6
 LONGEST: Final = 60.0  # [m], of a helix that the task's own time limit is for
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
 """Fields of the task that stand in the tables of the feed device and of the air."""
-
-
-def _figure(low: float, high: float, unit: str) -> AfterValidator:
-    return AfterValidator(lambda figure: checked(figure, low, high, unit))
-
-
-def _diameters(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
-    for diameter in value if isinstance(value, tuple) else (value,):
-        try:
-            within("helix_diameter", diameter, 0.3, 1e4, "m")
-        except ValueError as error:
-            raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
-    return value
-
-
-class Tubes(Model):
-    """Of a plant: one bore and one length, helices of one diameter or of some."""
-
-    helix_diameter: Annotated[
-        float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], AfterValidator(_diameters)
-    ] = Tube().helix_diameter
-    """Of the tube's axis [m], a number or a list."""
-    inner_diameter: float = Tube().inner_diameter
-    """Of the tubes [m]."""
-    helix_length: float = Tube().helix_length
-    """Along the tube's axis [m]."""
-    straight_length: Annotated[float, quantity(0.0, 1e3, "m")] | None = None
-    """Of the rising straight part [m]; kept with the results, nothing is computed from it."""
-    support_spacing: Annotated[float, quantity(1e-3, 100.0, "m")] | None = None
-    """Between two supports of the tube [m]; kept with the results, nothing is computed from it."""
-
-
-class Walls(Model):
-    """Contact of floats and wall."""
-
-    friction: Annotated[Figure, _figure(*FRICTION, "")] = Contact().friction
-    """Coulomb's coefficient [-]: a number, ``{low, high}`` or ``{mean, std}``."""
-    stiffness: Annotated[Figure, _figure(*STIFFNESS, "N/m")] = Contact().stiffness
-    """Of the wall under a float [N/m], alike."""
-    walls: Literal["both", "inner"] = "both"
-    """Walls that floats touch."""
-
-
-class Supply(Model):
-    """Air and how it is supplied."""
-
-    density: float = Air().density
-    """Of the air [kg/m3]."""
-    drag_coefficient: Annotated[Figure, _figure(*DRAG, "")] = Air().drag_coefficient
-    """Of a float [-]: a number, ``{low, high}`` or ``{mean, std}``."""
-    air_supply_rates: tuple[float, float] | None = None
-    """Least and most [m3/s]; default: the task's."""
-    air_supply_step: float | None = None
-    """Smallest step in which it is set [m3/s]; 0: any."""
-    air_lag: float | None = None
-    """Time constant with which it follows [s]."""
-
-
-class FeedDevice(Model):
-    """What feeds the cable."""
-
-    feed_speeds: tuple[float, float] | None = None
-    """Least and most [m/s]; default: the task's."""
-    feed_speed_step: float | None = None
-    """Smallest step in which it is set [m/s]; 0: any."""
-    ramp: float | None = None
-    """Acceleration of the feed [m/s2]."""
 
 
 class Plant(Model):
@@ -110,11 +44,26 @@ class Plant(Model):
     feed: FeedDevice = FeedDevice()
     task: dict[str, Any] = Field(default_factory=dict)
     """Fields of ``TaskConfig``: limits, weights, sensors."""
+    posterior: Posterior | None = None
+    """What a calibration found; it goes before the figures of the same quantities. A file names it by its path."""
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a plant's file, and the calibration beside it where it names one; raises as ``Model.from_toml``."""
+        data = read_toml(path)
+        try:
+            return cls.model_validate(with_posterior(data, Path(path).parent))
+        except ValidationError as error:
+            raise FileError(path, explain(error)) from error
+        except FileError:
+            raise
+        except (ValueError, OverflowError) as error:
+            raise FileError(path, str(error)) from error
 
     @model_validator(mode="before")
     @classmethod
     def _takes_lists(cls, given: Any) -> Any:
-        return tuples(dict(given)) if isinstance(given, Mapping) else given
+        return tuples(with_posterior(given)) if isinstance(given, Mapping) else given
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -123,6 +72,7 @@ class Plant(Model):
             if name in misplaced or name in SHOWN:
                 place = f"stands in [{misplaced[name]}]" if name in misplaced else "is set by who looks at it"
                 raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {place}"})
+        self._check_posterior()
         least, most = self._drag_factors(np.array([RARE, 1.0 - RARE]))
         low, high = FACTORS
         if not low <= least <= most <= high:
@@ -137,6 +87,29 @@ class Plant(Model):
             text = explain(error, "feed" if field in OF_FEED else "air" if field in OF_AIR else table)
             raise PydanticCustomError("plant", "{text}", {"text": text}) from error
         return self
+
+    def _check_posterior(self) -> None:
+        """Draws must be values that the fields accept."""
+        ranges = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "drag_coefficient": DRAG}
+        for name, draws in self.posterior.draws.items() if self.posterior else ():
+            low, high = ranges.get(name, (0.0, 1.0))
+            for value in (draws.min(), draws.max()):
+                try:
+                    within(f"posterior.draws.{name}", float(value), low, high, "")
+                except ValueError as error:
+                    raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
+
+    def _middle(self, name: str) -> float:
+        """Median of a quantity by the posterior, or by its figure."""
+        if self.posterior and name in self.posterior.draws:
+            return self.posterior.middle(name)
+        figures = {
+            "friction": (self.contact.friction, *FRICTION),
+            "contact_stiffness": (self.contact.stiffness, *STIFFNESS),
+            "drag_coefficient": (self.air.drag_coefficient, *DRAG),
+            "damping_time": (self.probe.damping_time, 0.0, 1.0),
+        }
+        return middle(*figures[name])
 
     @property
     def diameters(self) -> tuple[float, ...]:
@@ -153,15 +126,15 @@ class Plant(Model):
         """One for each helix diameter."""
         tube = self.tube.model_dump(include={"inner_diameter", "helix_length"})
         rest = {
-            "probe": self.probe,
+            "probe": self.probe.model_copy(update={"damping_time": self._middle("damping_time")}),
             "contact": {
-                "friction": middle(self.contact.friction, *FRICTION),
-                "stiffness": middle(self.contact.stiffness, *STIFFNESS),
+                "friction": self._middle("friction"),
+                "stiffness": self._middle("contact_stiffness"),
                 "walls": self.contact.walls,
             },
             "air": {
                 "density": self.air.density,
-                "drag_coefficient": middle(self.air.drag_coefficient, *DRAG),
+                "drag_coefficient": self._middle("drag_coefficient"),
             },
         }
         return [Scene.fitted({"tube": tube | {"helix_diameter": diameter}, **rest}) for diameter in self.diameters]
@@ -187,15 +160,18 @@ class Plant(Model):
 
     def _drag_factors(self, shares: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""
-        usual = middle(self.air.drag_coefficient, *DRAG)
-        drag = quantiles(self.air.drag_coefficient, shares, *DRAG)
+        usual = self._middle("drag_coefficient")
+        if self.posterior and "drag_coefficient" in self.posterior.draws:
+            drag = np.quantile(self.posterior.draws["drag_coefficient"], shares)
+        else:
+            drag = quantiles(self.air.drag_coefficient, shares, *DRAG)
         return drag / usual if usual > 0.0 else np.ones(len(shares))
 
     def contexts(self, count: int, seed: int = 0) -> tuple[Context, ...]:
         """So many tubes: helices in turn, and friction, stiffness and drag spread over what is known of them.
 
         Every prefix is as balanced as it can be (Halton's sequence, scrambled by the seed); a longer list begins as a
-        shorter one.
+        shorter one. What a posterior tells of belongs together; its damping is the median in all tubes.
 
         Raises:
             ValueError: the number is out of range.
@@ -203,13 +179,21 @@ class Plant(Model):
         if not 1 <= count <= MOST_TUBES:
             raise ValueError(f"tubes = {count!r} is outside the accepted range 1 to {MOST_TUBES}")
         shares = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(count)
-        friction = quantiles(self.contact.friction, shares[:, 0], *FRICTION)
-        stiffness = quantiles(self.contact.stiffness, shares[:, 1], *STIFFNESS)
-        factor = np.clip(self._drag_factors(shares[:, 2]), *FACTORS)  # but for one in a million within it
+        drawn = {
+            "friction": quantiles(self.contact.friction, shares[:, 0], *FRICTION),
+            "contact_stiffness": quantiles(self.contact.stiffness, shares[:, 1], *STIFFNESS),
+        }
+        factor = self._drag_factors(shares[:, 2])
+        if self.posterior:
+            joint = self.posterior.rows(shares[:, 0])
+            drawn |= {name: values for name, values in joint.items() if name in drawn}
+            if "drag_coefficient" in joint:
+                factor = joint["drag_coefficient"] / self._middle("drag_coefficient")
+        factor = np.clip(factor, *FACTORS)  # but for one in a million within it
         return tuple(
             Context(
-                friction=round(float(friction[k]), 4),
-                contact_stiffness=float(f"{stiffness[k]:.4g}"),
+                friction=round(float(drawn["friction"][k]), 4),
+                contact_stiffness=float(f"{drawn['contact_stiffness'][k]:.4g}"),
                 drag_factor=round(float(factor[k]), 4),
                 helix_diameter=self.diameters[k % len(self.diameters)],
             )

@@ -1,0 +1,124 @@
+"""What a calibration found of a plant: joint draws of friction and the rest, read from ``calibration.json``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from probe_env.arrays import FloatArray
+from probe_env.files import MEBI, FileError, read_bytes
+from probe_env.settings import Model, explain, tuples
+
+MOST_FILE: Final = 16 * MEBI
+MOST_DRAWS: Final = 4096
+OF: Final = {
+    "contact": {"friction": "friction", "stiffness": "contact_stiffness"},
+    "air": {"drag_coefficient": "drag_coefficient"},
+    "probe": {"damping_time": "damping_time"},
+}
+"""Table and field of a plant -> draws of a calibration."""
+Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MOST_DRAWS)]
+
+
+class Posterior(Model):
+    """Equally likely draws; the k-th of all belong together."""
+
+    friction: Draws | None = None
+    """[-]."""
+    contact_stiffness: Draws | None = None
+    """[N/m]."""
+    drag_coefficient: Draws | None = None
+    """[-]."""
+    damping_time: Draws | None = None
+    """[s]."""
+
+    @model_validator(mode="after")
+    def _belong_together(self) -> Self:
+        counts = {len(draws) for draws in self.draws.values()}
+        if len(counts) != 1:
+            raise PydanticCustomError("draws", "must be as many draws of each quantity, and of one at least")
+        return self
+
+    @property
+    def draws(self) -> dict[str, FloatArray]:
+        """What it tells of, (n,) each."""
+        listed = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: np.array(values) for name, values in listed.items() if values is not None}
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """The draws of a calibration.
+
+        Raises:
+            FileNotFoundError: no such file.
+            FileError: not a calibration.
+        """
+        try:
+            found = json.loads(read_bytes(path, MOST_FILE))
+        except (ValueError, RecursionError) as error:
+            if isinstance(error, FileError):
+                raise
+            raise FileError(path, f"not JSON: {error}") from error
+        draws = found.get("draws") if isinstance(found, dict) else None
+        if not isinstance(draws, dict):
+            raise FileError(path, "draws: missing, so it is not a calibration (probe-env calibrate writes one)")
+        try:
+            return cls.model_validate(tuples(draws))
+        except ValidationError as error:
+            raise FileError(path, explain(error, "draws")) from error
+
+    def of(self, names: frozenset[str]) -> Self:
+        """What it tells of some quantities alone."""
+        return type(self).model_validate({name: getattr(self, name) for name in names})
+
+    def rows(self, shares: FloatArray) -> dict[str, FloatArray]:
+        """Draws (n,) at shares (n,) in (0, 1) of their order by the first quantity; those of a row belong together."""
+        draws = self.draws
+        order = np.argsort(next(iter(draws.values())), kind="stable")
+        rows = order[np.minimum((np.asarray(shares) * len(order)).astype(int), len(order) - 1)]
+        return {name: values[rows] for name, values in draws.items()}
+
+    def middle(self, name: str) -> float:
+        """Median of a quantity."""
+        return float(np.median(self.draws[name]))
+
+
+def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
+    """A plant's tables with the draws in them that ``posterior = "calibration.json"`` stands for.
+
+    It may stand above all tables, in one of them, or for one figure, and tells of what stands there; a path is
+    relative to ``folder``, or to the present one.
+
+    Raises:
+        FileNotFoundError, FileError: see ``Posterior.read``.
+        ValueError: two different files.
+    """
+    tables = {name: dict(v) if isinstance(v, Mapping) else v for name, v in given.items()}
+    named: dict[str, set[str]] = {}
+    above = tables.get("posterior")
+    if isinstance(above, str | Path):
+        del tables["posterior"]
+        named[str(above)] = {quantity for fields in OF.values() for quantity in fields.values()}
+    for table, fields in OF.items():
+        here = tables.get(table)
+        if not isinstance(here, dict):
+            continue
+        if isinstance(here.get("posterior"), str | Path):
+            named.setdefault(str(here.pop("posterior")), set()).update(fields.values())
+        for field, quantity in fields.items():
+            figure = here.get(field)
+            if isinstance(figure, Mapping) and set(figure) == {"posterior"}:
+                named.setdefault(str(figure["posterior"]), set()).add(quantity)
+                del here[field]
+    if len(named) > 1:
+        raise ValueError(f"posterior: {' and '.join(map(repr, named))}, and only one file can be told of")
+    for file, names in named.items():
+        found = Posterior.read((folder or Path()) / file)
+        tables["posterior"] = found.of(frozenset(names) & found.draws.keys())
+    return tables

@@ -1,0 +1,82 @@
+"""The tables of a plant's file: tubes, walls, air and feed device."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from probe_env.envs.plants.figures import Figure, checked
+from probe_env.scene import Air, Contact, Tube
+from probe_env.settings import Model, quantity, within
+
+FRICTION, STIFFNESS, DRAG = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0)
+"""Accepted range of each figure that may be unknown, in the units of its field."""
+
+
+def _figure(low: float, high: float, unit: str) -> AfterValidator:
+    return AfterValidator(lambda figure: checked(figure, low, high, unit))
+
+
+def _diameters(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    for diameter in value if isinstance(value, tuple) else (value,):
+        try:
+            within("helix_diameter", diameter, 0.3, 1e4, "m")
+        except ValueError as error:
+            raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
+    return value
+
+
+class Tubes(Model):
+    """Of a plant: one bore and one length, helices of one diameter or of some."""
+
+    helix_diameter: Annotated[
+        float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], AfterValidator(_diameters)
+    ] = Tube().helix_diameter
+    """Of the tube's axis [m], a number or a list."""
+    inner_diameter: float = Tube().inner_diameter
+    """Of the tubes [m]."""
+    helix_length: float = Tube().helix_length
+    """Along the tube's axis [m]."""
+    straight_length: Annotated[float, quantity(0.0, 1e3, "m")] | None = None
+    """Of the rising straight part [m]; kept with the results, nothing is computed from it."""
+    support_spacing: Annotated[float, quantity(1e-3, 100.0, "m")] | None = None
+    """Between two supports of the tube [m]; kept with the results, nothing is computed from it."""
+
+
+class Walls(Model):
+    """Contact of floats and wall."""
+
+    friction: Annotated[Figure, _figure(*FRICTION, "")] = Contact().friction
+    """Coulomb's coefficient [-]: a number, ``{low, high}`` or ``{mean, std}``."""
+    stiffness: Annotated[Figure, _figure(*STIFFNESS, "N/m")] = Contact().stiffness
+    """Of the wall under a float [N/m], alike."""
+    walls: Literal["both", "inner"] = "both"
+    """Walls that floats touch."""
+
+
+class Supply(Model):
+    """Air and how it is supplied."""
+
+    density: float = Air().density
+    """Of the air [kg/m3]."""
+    drag_coefficient: Annotated[Figure, _figure(*DRAG, "")] = Air().drag_coefficient
+    """Of a float [-]: a number, ``{low, high}`` or ``{mean, std}``."""
+    air_supply_rates: tuple[float, float] | None = None
+    """Least and most [m3/s]; default: the task's."""
+    air_supply_step: float | None = None
+    """Smallest step in which it is set [m3/s]; 0: any."""
+    air_lag: float | None = None
+    """Time constant with which it follows [s]."""
+
+
+class FeedDevice(Model):
+    """What feeds the cable."""
+
+    feed_speeds: tuple[float, float] | None = None
+    """Least and most [m/s]; default: the task's."""
+    feed_speed_step: float | None = None
+    """Smallest step in which it is set [m/s]; 0: any."""
+    ramp: float | None = None
+    """Acceleration of the feed [m/s2]."""

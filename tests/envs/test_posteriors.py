@@ -1,0 +1,104 @@
+"""A calibration's posterior in a plant's file: where it may stand, what it replaces, what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from probe_env import Plant
+
+N = 200
+RNG = np.random.default_rng(3)
+FRICTION = RNG.uniform(0.12, 0.2, N)
+DRAWS = {
+    "friction": FRICTION.tolist(),
+    "contact_stiffness": (1e5 * FRICTION / 0.16).tolist(),  # wholly tied to the friction
+    "drag_coefficient": (0.44 * RNG.uniform(0.9, 1.1, N)).tolist(),
+    "damping_time": RNG.uniform(5e-5, 8e-5, N).tolist(),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With a calibration in it."""
+    (tmp_path / "calibration.json").write_text(json.dumps({"friction": {"mean": 0.16}, "draws": DRAWS}))
+    return tmp_path
+
+
+def plant_of_text(folder: Path, text: str) -> Plant:
+    """The plant of a file of this text, in a folder with a calibration."""
+    (folder / "tube.toml").write_text(text)
+    return Plant.from_toml(folder / "tube.toml")
+
+
+def test_tubes_are_draws_that_belong_together(folder: Path) -> None:
+    """Every tube is a draw: stiffness is tied to friction as it is in the draws; the middle of all is theirs."""
+    plant = plant_of_text(folder, 'posterior = "calibration.json"\n[tube]\nhelix_diameter = 1.4\n')
+    tubes = plant.contexts(96)
+    for tube in tubes:
+        assert tube.contact_stiffness == pytest.approx(1e5 * tube.friction / 0.16, rel=1e-3)  # rounded to 4 digits
+    # 96 points spread evenly over 200 draws: the mean of their order is that of all within a spacing
+    assert np.mean([t.friction for t in tubes]) == pytest.approx(FRICTION.mean(), abs=0.08 / 24)
+    assert plant.scene.contact.friction == pytest.approx(np.median(FRICTION))
+    assert plant.scene.probe.damping_time == pytest.approx(np.median(DRAWS["damping_time"]))
+    factors = np.array([t.drag_factor for t in tubes]) * plant.scene.air.drag_coefficient
+    assert set(np.round(factors, 3)) <= {round(v + d, 3) for v in DRAWS["drag_coefficient"] for d in (-1e-3, 0.0, 1e-3)}
+
+
+@pytest.mark.parametrize(
+    ("text", "of"),
+    [
+        ('posterior = "calibration.json"', {"friction", "contact_stiffness", "drag_coefficient", "damping_time"}),
+        ('[contact]\nposterior = "calibration.json"', {"friction", "contact_stiffness"}),
+        ('[contact]\nfriction = { posterior = "calibration.json" }', {"friction"}),
+        ('[air]\ndrag_coefficient = { posterior = "calibration.json" }\n[probe]\nposterior = "calibration.json"',
+         {"drag_coefficient", "damping_time"}),
+    ],
+)  # fmt: skip
+def test_it_tells_of_what_stands_where_it_is_named(folder: Path, text: str, of: set[str]) -> None:
+    """Above all tables of everything, in a table of its fields, for a figure of that alone."""
+    plant = plant_of_text(folder, text)
+    assert plant.posterior is not None
+    assert set(plant.posterior.draws) == of
+
+
+def test_it_is_part_of_the_plant(folder: Path) -> None:
+    """Draws go through JSON with the plant, and an environment's specification plays the same tubes."""
+    plant = plant_of_text(folder, 'posterior = "calibration.json"')
+    assert Plant.model_validate(json.loads(plant.model_dump_json())) == plant
+    env = gym.make("probe_env/Insertion-v1", tube=plant, fidelity="fast")
+    _, info = env.reset(seed=2)
+    assert info["context"]["friction"] in np.round(FRICTION, 4)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("{", "not JSON"),
+        ("[]", "draws: missing"),
+        ('{"draws": {"friction": []}}', "draws.friction"),
+        ('{"draws": {"friction": [0.1, 0.2], "contact_stiffness": [1e5]}}', "as many draws"),
+        ('{"draws": {"friction": [0.1, 7.0]}}', "posterior.draws.friction = 7.0 is outside the accepted range 0 to 1"),
+        ('{"draws": {"frction": [0.1]}}', "frction"),
+        ('{"draws": {"friction": ["a"]}}', "draws.friction"),
+    ],
+)
+def test_what_is_no_calibration_is_refused(tmp_path: Path, content: str, problem: str) -> None:
+    """In one line that names the file and what is wrong."""
+    (tmp_path / "calibration.json").write_text(content)
+    with pytest.raises(ValueError, match=problem) as error:
+        plant_of_text(tmp_path, 'posterior = "calibration.json"')
+    assert "\n" not in str(error.value)
+    assert ".json" in str(error.value) or ".toml" in str(error.value)
+
+
+def test_a_missing_or_second_file_is_named(folder: Path) -> None:
+    """Neither is guessed."""
+    with pytest.raises(FileNotFoundError, match="other.json"):
+        plant_of_text(folder, 'posterior = "other.json"')
+    with pytest.raises(ValueError, match="only one file"):
+        plant_of_text(folder, 'posterior = "calibration.json"\n[contact]\nposterior = "b.json"')
