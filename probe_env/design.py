@@ -13,7 +13,7 @@ import numpy.typing as npt
 import tomli_w
 
 from probe_env.arrays import FloatArray
-from probe_env.scene import Probe
+from probe_env.scene import Probe, Scene
 from probe_env.settings import Model, quantity
 
 RANGES: Final[dict[str, tuple[float, float, str]]] = {
@@ -26,6 +26,29 @@ RANGES: Final[dict[str, tuple[float, float, str]]] = {
     "line_density": (0.09, 0.14, "kg/m"),
 }
 """Field -> lowest, highest, unit: the axes of the design space, in the order of ``Design.from_unit``."""
+
+CLEARANCE: Final = 1e-3
+"""[m] that the design space leaves at least between a float and the bore, and a float and its cable, in diameter; an
+assumption: the study's largest float leaves 4.2 mm."""
+
+
+def ranges_in(scene: Scene) -> dict[str, tuple[float, float, str]]:
+    """``RANGES``, those of the floats cut to what fits the bore and the cable of a scene.
+
+    Raises:
+        ValueError: no float of the design space fits.
+    """
+    most, least = scene.tube.inner_diameter - CLEARANCE, scene.probe.cable_diameter + CLEARANCE
+    cut = dict(RANGES)
+    for name in ("guide_float_diameter", "carrier_float_diameter"):
+        low, high, unit = RANGES[name]
+        cut[name] = (max(low, least), min(high, most), unit)
+        if not cut[name][0] < cut[name][1]:
+            raise ValueError(
+                f"inner_diameter = {scene.tube.inner_diameter:g} m: no {name} of the design space, {low:g} to {high:g}"
+                f" m, fits it and a cable of {scene.probe.cable_diameter:g} m with {CLEARANCE:g} m of clearance"
+            )
+    return cut
 
 
 def _axis(name: str) -> Any:
@@ -72,6 +95,32 @@ class Design(Model):
     def probe(self, base: Probe | None = None) -> Probe:
         """The probe as it is built; what the design does not name is ``base``'s (default: table 2's)."""
         return (base or Probe()).model_copy(update=self.built.model_dump())
+
+    def cut_to(self, scene: Scene) -> Design:
+        """The nearest design whose floats fit the bore and the cable of a scene; itself where they do.
+
+        Raises:
+            ValueError: no float of the design space fits.
+        """
+        ranges = ranges_in(scene)
+        cut = {name: min(max(getattr(self, name), low), high) for name, (low, high, _) in ranges.items()}
+        return self if cut == self.model_dump() else self.model_copy(update=cut)
+
+    def completed(self, base: Probe) -> Design:
+        """The design of which what was not given is a probe's.
+
+        Raises:
+            ValueError: such a value is outside the design space.
+        """
+        rest = {name: getattr(base, name) for name in RANGES if name not in self.model_fields_set}
+        for name, value in rest.items():
+            low, high, unit = RANGES[name]
+            if not low <= value <= high:
+                raise ValueError(
+                    f"{name} is not given, and that of the plant's probe, {value:g} {unit}, is outside the design"
+                    f" space, {low:g} to {high:g} {unit}: give it"
+                )
+        return self.model_copy(update=rest)
 
     def to_toml(self) -> str:
         """The design as TOML text, with every field."""

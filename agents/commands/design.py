@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from agents.processes.workers import Workers
+
+if TYPE_CHECKING:
+    from probe_env import Design
+    from probe_env.scene import Probe
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,9 @@ class Compare:
     """Shipped list of tubes."""
     limit: int = 0
     """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list. What
+    a design file does not name is the plant's probe's."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/compare")
@@ -35,10 +42,9 @@ class Compare:
     def run(self) -> None:
         """Run what is missing, store, print."""
         from agents.design.compare import Comparison, compare, print_comparison
+        from agents.policies.places import place_at
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import checked_name, name_of
-        from probe_env import Design
-        from probe_env.envs.contexts import spread_contexts
         from probe_env.fidelity import resolve_fidelity
 
         paths = [file_or_shipped("design", design) for design in self.designs]
@@ -47,13 +53,29 @@ class Compare:
             checked_name(stem if stems.count(stem) == 1 else f"{path.parent.name}/{stem}", "design", "rename the file")
             for path, stem in zip(paths, stems, strict=True)
         ]
-        designs = {name: Design.from_toml(path) for name, path in zip(names, paths, strict=True)}
+        place = place_at(self.tube, self.contexts, self.limit)
+        designs = {name: _design(path, place.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
-        chosen = spread_contexts(self.contexts, self.limit)
-        comparison = Comparison(designs, chosen, self.feed, self.full, resolve_fidelity(self.fidelity))
+        fidelity, config = resolve_fidelity(self.fidelity), place.config.all_shown
+        comparison = Comparison(
+            designs, place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube
+        )
         print_comparison(compare(comparison, self.output))
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
+
+
+def _design(path: Path, own: Probe) -> Design:
+    """A design file; what it does not name is the plant's own probe's."""
+    from probe_env import Design
+    from probe_env.files import FileError
+
+    try:
+        return Design.from_toml(path).completed(own)
+    except FileError:
+        raise
+    except ValueError as error:
+        raise FileError(path, str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -70,6 +92,9 @@ class DesignSearch:
     """Shipped list of tubes that designs are tried in. A number is what --limit is called now."""
     limit: int = 6
     """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
+    tube: Path | None = None
+    """Your own plant (tube.toml), see `probe-env compare --help`: searched for and tried in its tubes, among the floats
+    that fit its bore."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/design")
@@ -84,12 +109,14 @@ class DesignSearch:
         """Search, store, print."""
         from agents.design.problem import design_problem
         from agents.design.search import run_design_search
-        from probe_env.envs.contexts import spread_contexts
+        from agents.policies.places import place_at
 
         if isinstance(self.contexts, int):
             print(f"probe-env: note: --contexts {self.contexts} is now --limit {self.contexts}", file=sys.stderr)
-            tubes = spread_contexts("train", self.contexts)
+            place = place_at(self.tube, "train", self.contexts)
         else:
-            tubes = spread_contexts(self.contexts, self.limit)
-        problem = replace(design_problem(self.feed, self.full, len(tubes), self.fidelity), contexts=tubes)
+            place = place_at(self.tube, self.contexts, self.limit)
+        problem = design_problem(self.feed, self.full, place, self.fidelity)
+        for cut in problem.cuts:
+            print(f"probe-env: note: {cut}", file=sys.stderr)
         run_design_search(problem, self.trials, self.output, self.storage, self.seed, self.workers)

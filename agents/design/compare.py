@@ -11,21 +11,28 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from pydantic import ValidationError
 from tqdm import tqdm
 
-from agents.policies.catalogue import make_policy
+from agents.design.folders import claim
+from agents.policies.catalogue import domains_of, make_policy, name_and_spec
+from agents.policies.domain import check_domains
 from agents.policies.fixed import Scheduled
+from agents.policies.maps.vibration_map import VibrationMap
+from agents.policies.places import TABLE_2, Named
 from agents.records.code_hash import class_hash, code_hash
 from agents.records.journal import Journal
 from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.rollouts.plan import Policy
 from agents.rollouts.statistics import Interval, mean_interval
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import Candidate, judge, try_insertions, try_sections
+from probe_env.envs.trials import Candidate, check_candidate, judge, stretch_of, try_insertions, try_sections
 from probe_env.schedule import Schedule
+from probe_env.settings import explain
 
 KPIS: dict[str, tuple[str, float, str]] = {
     "reward": ("reward", 1.0, ""),
@@ -51,7 +58,9 @@ class Comparison:
         feed: a policy by its spec; for sections it must be a schedule over inserted length.
         full: whole insertions instead of sections of constant length.
         fidelity: of the simulation.
-        config: the task.
+        config: the task, with the scene that designs and contexts change.
+        vibration: the map that some policies look things up in; default: the shipped one.
+        tube: what the plant is called.
     """
 
     designs: Mapping[str, Design]
@@ -60,6 +69,16 @@ class Comparison:
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
     config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
+    vibration: VibrationMap | None = None
+    tube: Named = TABLE_2
+
+    def policy(self) -> Policy:
+        """The feed as a policy.
+
+        Raises:
+            ValueError: there is no such policy.
+        """
+        return make_policy(self.feed, self.config, self.vibration)
 
     def schedule(self) -> Schedule:
         """The feed as a schedule.
@@ -67,7 +86,7 @@ class Comparison:
         Raises:
             ValueError: it is none over inserted length.
         """
-        policy = make_policy(self.feed, self.config)
+        policy = self.policy()
         if self.feed == "constant":
             return Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
         if not isinstance(policy, Scheduled) or policy.schedule.over != "inserted_length":
@@ -78,7 +97,7 @@ class Comparison:
 
     def key(self, design: Design, context: Context, place: int = 0) -> str:
         """Identity of one result; the context's place seeds the start."""
-        policy = make_policy(self.feed, self.config)
+        policy = self.policy()
         parts = [
             place,
             design.built.model_dump(), context.model_dump(), policy.describe(), class_hash(type(policy), "predict"),
@@ -92,7 +111,7 @@ class Comparison:
     ) -> list[dict[str, float]]:
         """KPIs and reward of some pairs, side by side."""
         candidates = [
-            Candidate(design, context, make_policy(self.feed, self.config) if self.full else self.schedule(), seed)
+            Candidate(design, context, self.policy() if self.full else self.schedule(), seed)
             for (design, context), seed in zip(pairs, seeds, strict=True)
         ]
         tried = try_insertions if self.full else try_sections
@@ -113,9 +132,9 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     """
     if not comparison.designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of one that ships")
-    if not comparison.full:
-        comparison.schedule()
+    check_comparison(comparison)
     journal = trials_of(output)
+    claim(output, comparison.tube)
     done = journal.read()
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
@@ -135,14 +154,40 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     for name, k in units:
         place, record = {"design": name, "context": k}, done[keys[name, k]]
         origin = {"commit": record.get("commit", "unknown")}
-        rows.append(place | comparison.contexts[k].model_dump() | record["kpis"] | origin)
+        rows.append(
+            place | tube_column(comparison.tube) | comparison.contexts[k].model_dump() | record["kpis"] | origin
+        )
     table = pd.DataFrame(rows)
     write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     setting: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
     setting |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
+    setting |= tube_column(comparison.tube)
     write_json(output / "provenance.json", provenance(commits=table["commit"]) | setting)
     return table
+
+
+def check_comparison(comparison: Comparison) -> None:
+    """Raise ValueError if there is a design that cannot be tried; names it."""
+    stretch_of(comparison.config)
+    feed = None if comparison.full else comparison.schedule()
+    if comparison.tube == TABLE_2:
+        return  # of the design space none is refused there
+    name = name_and_spec(comparison.feed)[0]
+    domains = domains_of([comparison.feed], {name: comparison.policy()})
+    check_domains(domains, comparison.config, comparison.contexts, strict=False)
+    for name, design in comparison.designs.items():
+        for context in comparison.contexts:
+            try:
+                check_candidate(design, context, comparison.config, comparison.fidelity, feed)
+            except ValueError as error:
+                reason = explain(error) if isinstance(error, ValidationError) else error
+                raise ValueError(f"design {name!r} in {comparison.tube.name}: {reason}") from error
+
+
+def tube_column(tube: Named) -> dict[str, str]:
+    """What a table says of its plant; of table 2's tubes nothing, as before there were others."""
+    return {"tube": tube.title} if tube.title else {}
 
 
 def _line(key: str, kpis: dict[str, float]) -> str:
@@ -183,7 +228,9 @@ HEADER = ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in 
 
 def print_comparison(table: pd.DataFrame) -> None:
     """The summary on the terminal."""
-    title = f"Means over {table['context'].nunique()} tubes with 95 % intervals; change against the first"
+    where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
+    number = table["context"].nunique()
+    title = f"Means over {number} tubes{where} with 95 % intervals; change against the first"
     print_table(title, HEADER, cells(summarise(table)))
     for name, part in table.groupby("design", sort=False):
         print(f"{name}: {int(part['lost_drive'].sum())} lost drive, {int(part['diverged'].sum())} diverged")

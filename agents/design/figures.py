@@ -11,8 +11,8 @@ import pandas as pd
 from agents.records.drawing import BLUE, GRID, RED, save
 
 
-def design_front(table: pd.DataFrame, references: pd.DataFrame, path: Path) -> Path:
-    """Designs of a search: vibration against time and against drive margin, with the probes that they are to beat."""
+def design_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube: str = "") -> Path:
+    """Designs of a search: vibration against time and drive margin, with the probes to beat; ``tube`` is named."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
     labels = {"inspection_time_s": "inspection time [s]", "drive_margin_n": "drive margin [N]"}
     if np.ptp(table["inspection_time_s"].quantile([0.1, 0.9])) < 1.0:  # a given feed: all take the same time
@@ -28,10 +28,14 @@ def design_front(table: pd.DataFrame, references: pd.DataFrame, path: Path) -> P
     axes[0].set_ylabel("mean of (radial rms / limit)$^2$")
     handles, names = axes[1].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    if tube:
+        figure.suptitle(f"Designs tried in {tube}", fontsize=10)
     return save(figure, path)
 
 
-def parallel_coordinates(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]], path: Path) -> Path:
+def parallel_coordinates(
+    table: pd.DataFrame, axes: dict[str, tuple[float, float, str]], path: Path, tube: str = ""
+) -> Path:
     """Every design of a search as a line through its parameters, each from its lowest to its highest value."""
     figure, axis = plt.subplots(figsize=(11, 5), layout="constrained")
     names = list(axes)
@@ -41,6 +45,7 @@ def parallel_coordinates(table: pd.DataFrame, axes: dict[str, tuple[float, float
             axis.plot(range(len(names)), shares, color=colour, linewidth=width)
     labels = [f"{name.replace('_', ' ')}\n{axes[name][0]:.3g} to {axes[name][1]:.3g} {axes[name][2]}" for name in names]
     axis.set_xticks(range(len(names)), labels, fontsize=7)
-    axis.set(ylabel="from lowest to highest", ylim=(-0.02, 1.02), title="Designs tried (grey) and on the front (blue)")
+    title = f"Designs tried (grey) and on the front (blue){tube and f', in {tube}'}"
+    axis.set(ylabel="from lowest to highest", ylim=(-0.02, 1.02), title=title)
     axis.grid(**GRID)
     return save(figure, path)

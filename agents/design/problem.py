@@ -13,21 +13,20 @@ import numpy as np
 
 from agents.design.compare import CODE, Comparison
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import LEAST_AIR
-from agents.policies.maps.vibration_map import FEEDS
+from agents.policies.maps.lookup import least_air
+from agents.policies.maps.vibration_map import VibrationMap, feeds
+from agents.policies.places import TABLE_2, Named, Place
 from agents.processes.workers import HERE, Workers
 from agents.records.code_hash import code_hash
 from probe_env import Context, Design
-from probe_env.design import RANGES
-from probe_env.envs.contexts import spread_contexts
+from probe_env.design import RANGES, ranges_in
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import SPAN, Candidate, judge, try_sections
+from probe_env.envs.trials import Candidate, check_candidate, judge, stretch_of, try_sections
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.schedule import Schedule
 
 OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
 DIRECTIONS: Final = ("minimize", "minimize", "maximize")
-FEED_AXES: Final = {"feed_speed": (*FEEDS, "m/s"), "air_supply_rate": (LEAST_AIR, 130.0 / 3600.0, "m3/s")}
 Values = tuple[float, float, float]
 STUDY_PROBES: Final = {
     "the study's original": Design(),
@@ -45,6 +44,9 @@ class DesignProblem:
             or with ``full`` of an agent.
         full: whole insertions.
         fidelity: of the simulation; time-lapse counts in whole insertions only.
+        config: the task, with the scene that designs and contexts change.
+        vibration: the map that some policies look things up in; default: the shipped one.
+        tube: what the plant is called.
     """
 
     contexts: tuple[Context, ...]
@@ -52,21 +54,53 @@ class DesignProblem:
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
     config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
+    vibration: VibrationMap | None = None
+    tube: Named = TABLE_2
 
     @property
     def axes(self) -> dict[str, tuple[float, float, str]]:
-        """Name -> lowest, highest, unit of everything that is searched."""
-        return RANGES | (FEED_AXES if self.feed == "best-constant" else {})
+        """Name -> lowest, highest, unit of everything that is searched: what fits the bore, what the task gives."""
+        probe = ranges_in(self.config.scene)
+        if self.feed != "best-constant":
+            return probe
+        most_air = self.config.air_supply_rates[1]
+        air = (least_air(self.config), most_air, "m3/s")
+        return probe | {"feed_speed": (*feeds(self.config), "m/s"), "air_supply_rate": air}
+
+    @property
+    def cuts(self) -> tuple[str, ...]:
+        """Sentences about what of the design space does not fit the plant, and is not searched."""
+        searched = ranges_in(self.config.scene)
+        return tuple(
+            f"{name} is searched from {low:g} to {high:g} {unit}, not from {RANGES[name][0]:g} to {RANGES[name][1]:g}"
+            f" {unit}: the rest does not fit the bore and the cable of {self.tube.name}"
+            for name, (low, high, unit) in searched.items()
+            if (low, high, unit) != RANGES[name]
+        )
+
+    @property
+    def probes(self) -> dict[str, Design]:
+        """What a search is to beat: the study's two probes, its original one's place taken by the plant's own."""
+        try:
+            own = Design().completed(self.config.scene.probe)
+        except ValueError:  # it is not one that the search may build
+            own = Design()
+        first = {"the plant's own": own} if own != Design() else {"the study's original": Design()}
+        cut = {name: design.cut_to(self.config.scene) for name, design in (STUDY_PROBES | first).items()}
+        return {name: cut[name] for name in (*first, "the study's improved")}
 
     def starts(self) -> list[dict[str, float]]:
-        """The study's two probes, at several feeds where feed is searched: what a search is to beat."""
-        return [probe.model_dump() | feed for probe in STUDY_PROBES.values() for feed in self.reference_feeds()]
+        """These probes, at several feeds where feed is searched."""
+        return [probe.model_dump() | feed for probe in self.probes.values() for feed in self.reference_feeds()]
 
     def reference_feeds(self) -> list[dict[str, float]]:
-        """Feeds that the study's probes are tried at."""
+        """Feeds that these probes are tried at: the nearest that the task gives."""
         if self.feed != "best-constant":
             return [{}]
-        return [{"feed_speed": u, "air_supply_rate": q / 3600.0} for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0)]
+        (slow, fast, _), (least, most, _) = (self.axes[name] for name in ("feed_speed", "air_supply_rate"))
+        pairs = ((u, q / 3600.0) for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0))
+        given = dict.fromkeys((min(max(u, slow), fast), min(max(q, least), most)) for u, q in pairs)
+        return [{"feed_speed": u, "air_supply_rate": q} for u, q in given]
 
     def identity(self) -> str:
         """Short hash of all that the objectives depend on: trials of another problem must not be mixed in.
@@ -74,7 +108,7 @@ class DesignProblem:
         Raises:
             ValueError: the feed is no policy.
         """
-        feed = None if self.feed == "best-constant" else make_policy(self.feed, self.config).describe()
+        feed = None if self.feed == "best-constant" else make_policy(self.feed, self.config, self.vibration).describe()
         tubes = [context.model_dump() for context in self.contexts]
         parts = [
             self.axes, tubes, feed, self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
@@ -85,7 +119,8 @@ class DesignProblem:
     def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
         """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
 
-        What a probe does not get to has the ratio's cap and the slowest time.
+        What a probe does not get to has the ratio's cap and the slowest time: all of a plant's tube in which it cannot
+        be simulated (see ``probe_env.envs.limits``).
         """
         everywhere = list(enumerate(self.contexts))
         if workers.here:
@@ -95,7 +130,8 @@ class DesignProblem:
             kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
         kpis.sort(key=lambda row: row["place"])  # sums do not depend on who was first
         slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
-        squares = [(k["mean_square_ratio"] * (SPAN - k["missed_m"]) + cap * k["missed_m"]) / SPAN for k in kpis]
+        span = stretch_of(self.config).span
+        squares = [(k["mean_square_ratio"] * (span - k["missed_m"]) + cap * k["missed_m"]) / span for k in kpis]
         times = [k["inspection_time_s"] + slowest * k["missed_m"] for k in kpis]
         return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
 
@@ -103,37 +139,75 @@ class DesignProblem:
         self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
     ) -> list[dict[str, float]]:
         """KPIs of a point in some of the tubes, given with their places."""
-        design = Design(**{name: point[name] for name in RANGES})
+        design, feed = Design(**{name: point[name] for name in RANGES}), self._constant(point)
+        fit = [tube for tube in tubes if self._can_be_tried(design, tube[1], feed)]
+        rows = dict(zip((place for place, _ in fit), self._tried(design, fit, feed, threads), strict=True))
+        nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": stretch_of(self.config).span}
+        nothing["drive_margin_n"] = -self.config.required_tension
+        return [rows.get(place, nothing) | {"place": float(place)} for place, _ in tubes]
+
+    def _tried(
+        self, design: Design, tubes: Sequence[tuple[int, Context]], feed: Schedule | None, threads: int | None
+    ) -> list[dict[str, float]]:
         seeds, contexts = [place for place, _ in tubes], [context for _, context in tubes]
-        if self.feed == "best-constant":
-            feed = Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
-            candidates = [Candidate(design, context, feed, place) for place, context in tubes]
-            trial = try_sections(candidates, self.config, self.fidelity, threads=threads)
-            _, figures = judge([design] * len(tubes), trial, self.config)
-            rows = [{name: float(values[k]) for name, values in figures.items()} for k in range(len(tubes))]
-        else:
-            comparison = Comparison({"": design}, contexts, self.feed, self.full, self.fidelity, self.config)
-            rows = comparison.run([(design, context) for context in contexts], seeds, threads)
-        return [row | {"place": float(place)} for row, place in zip(rows, seeds, strict=True)]
+        if not tubes:
+            return []
+        if feed is None:
+            comparison = self._comparison({"": design}, contexts)
+            return comparison.run([(design, context) for context in contexts], seeds, threads)
+        candidates = [Candidate(design, context, feed, place) for place, context in tubes]
+        trial = try_sections(candidates, self.config, self.fidelity, threads=threads)
+        _, figures = judge([design] * len(tubes), trial, self.config)
+        return [{name: float(values[k]) for name, values in figures.items()} for k in range(len(tubes))]
+
+    def _constant(self, point: dict[str, float]) -> Schedule | None:
+        """The feed of a point where feed is searched."""
+        if self.feed != "best-constant":
+            return None
+        return Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
+
+    def _can_be_tried(self, design: Design, context: Context, feed: Schedule | None) -> bool:
+        """Whether a probe can be simulated in a tube; in table 2's all of the design space can."""
+        if self.tube == TABLE_2:
+            return True
+        given = feed or (None if self.full else self._comparison({}, ()).schedule())
+        try:
+            check_candidate(design, context, self.config, self.fidelity, given)
+        except ValueError:
+            return False
+        return True
+
+    def check(self) -> None:
+        """Raise ValueError if the feed does not fit, or the probes to beat can nowhere be tried."""
+        stretch_of(self.config)
+        if self.feed != "best-constant" and not self.full:
+            self._comparison({}, self.contexts).schedule()
+        starts = [(Design(**{name: start[name] for name in RANGES}), self._constant(start)) for start in self.starts()]
+        if not any(self._can_be_tried(start[0], context, start[1]) for start in starts for context in self.contexts):
+            raise ValueError(f"tube = {self.tube.name}: {', '.join(self.probes)} can be simulated in none of its tubes")
+
+    def _comparison(self, designs: dict[str, Design], contexts: Sequence[Context]) -> Comparison:
+        return Comparison(
+            designs, contexts, self.feed, self.full, self.fidelity, self.config, self.vibration, self.tube
+        )
 
 
-def design_problem(feed: str, full: bool, contexts: int, fidelity: str) -> DesignProblem:
-    """The problem that a command names, on training tubes.
+def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> DesignProblem:
+    """The problem that a command names.
 
     Args:
         feed: "best-constant", a schedule, or with ``full`` any policy.
         full: whole insertions.
-        contexts: so many tubes, the first of the training list.
+        place: task and tubes.
         fidelity: preset, or "auto".
 
     Raises:
-        ValueError: an argument is not valid, or the feed does not fit.
+        ValueError: an argument is not valid, the feed does not fit, or the tubes do not.
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    if contexts < 1:
-        raise ValueError(f"contexts = {contexts!r} is outside the accepted range 1 and more")
-    chosen = spread_contexts("train", contexts)
-    if feed != "best-constant" and not full:
-        Comparison({}, chosen, feed).schedule()
-    return DesignProblem(chosen, feed, full, resolve_fidelity(fidelity))
+    config = place.config.all_shown
+    chosen = resolve_fidelity(fidelity)
+    problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
+    problem.check()
+    return problem

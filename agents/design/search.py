@@ -23,7 +23,9 @@ from scipy.stats import rankdata
 from tqdm import tqdm
 
 from agents.design import figures
-from agents.design.problem import DIRECTIONS, OBJECTIVES, STUDY_PROBES, DesignProblem, Values
+from agents.design.compare import tube_column
+from agents.design.folders import claim
+from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.statistics import bootstrap_ends
@@ -34,7 +36,7 @@ from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig, metre_cost
-from probe_env.envs.trials import SPAN
+from probe_env.envs.trials import stretch_of
 
 
 class RepeatableNSGAII(NSGAIISampler):
@@ -176,6 +178,7 @@ def run_design_search(
     if not 2 <= trials <= 1_000_000:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 2 to 1000000")
     identity = problem.identity()
+    claim(output, problem.tube)
     if storage is None:
         output.mkdir(parents=True, exist_ok=True)
     kept = Kept(
@@ -189,26 +192,29 @@ def run_design_search(
     front = table[table["on_front"]].sort_values("mean_square_ratio")
     influence = sensitivity(table, problem.axes)
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
+        frame = frame.assign(**tube_column(problem.tube))
         write_atomically(output / f"{name}.csv", frame.to_csv(index=False, float_format="%.6g"))
     design = best_of(front, problem.config)
     write_atomically(output / "found.toml", design.to_toml())
-    figures.design_front(table, reference_probes(table, problem), output / "front.png")
-    figures.parallel_coordinates(table, problem.axes, output / "parallel.png")
+    figures.design_front(table, reference_probes(table, problem), output / "front.png", problem.tube.title)
+    figures.parallel_coordinates(table, problem.axes, output / "parallel.png", problem.tube.title)
     setting = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
     setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed}
+    setting |= tube_column(problem.tube)
     write_json(output / "provenance.json", provenance() | setting)
-    _print(front, influence, problem.axes)
+    _print(front, influence, problem)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, parallel.png, found.toml)")
     return table
 
 
 def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
     """The design of the front with the best reward by the task's weights, among those that keep some drive."""
+    span = stretch_of(config).span
 
     def cost(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
-        feed, air = SPAN / row["inspection_time_s"], row.get("air_supply_rate", 0.0)
+        feed, air = span / row["inspection_time_s"], row.get("air_supply_rate", 0.0)
         metre = metre_cost(config, *map(np.asarray, (row["mean_square_ratio"], feed, air)))
-        return float(SPAN * metre) + config.progress_weight * row["guide_length"]
+        return float(span * metre) + config.progress_weight * row["guide_length"]
 
     rows: list[Any] = front.to_dict("records")
     best = min([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=cost)
@@ -216,17 +222,18 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
 
 def reference_probes(table: pd.DataFrame, problem: DesignProblem) -> pd.DataFrame:
-    """The first trials, which are the study's two probes, with their names."""
-    names = [name for name in STUDY_PROBES for _ in problem.reference_feeds()]
+    """The first trials, which are the probes that a search is to beat, with their names."""
+    names = [name for name in problem.probes for _ in problem.reference_feeds()]
     return table.iloc[: len(names)].assign(design=names[: len(table)])
 
 
-def _print(front: pd.DataFrame, influence: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> None:
+def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem) -> None:
+    axes, where = problem.axes, f" in {problem.tube.title}" if problem.tube.title else ""
     names = (*axes, *OBJECTIVES)
     rows = ([str(row["trial"]), *(f"{row[name]:.3g}" for name in names)] for row in front.to_dict("records"))
     units = {name: unit for name, (_, _, unit) in axes.items()} | {"inspection_time_s": "s", "drive_margin_n": "N"}
     labels = (name.removesuffix("_s").removesuffix("_n").replace("_", " ") for name in names)
     header = [f"{label} [{units[n]}]" if units.get(n) else label for n, label in zip(names, labels, strict=True)]
-    print_table("Designs on the front", ["trial", *header], rows)
+    print_table(f"Designs on the front{where}", ["trial", *header], rows)
     for row in influence[influence["objective"] == OBJECTIVES[0]].to_dict("records"):
         print(f"vibration and {row['parameter']}: {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]")

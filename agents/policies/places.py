@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.records.reading import FileError
 from agents.records.shipped import file_or_shipped
+from agents.terminal.names import name_of
 from probe_env import Context, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.task import TaskConfig
@@ -16,12 +18,30 @@ MAP_SUFFIX: Final = "-map.npz"
 SPLITS: Final = tuple(SPLIT_SIZES)
 
 
+class Named(NamedTuple):
+    """Which plant something was tried in.
+
+    Attributes:
+        name: of its file.
+        digest: of all that the file says.
+        title: for tables and pictures; empty for table 2's tubes.
+    """
+
+    name: str
+    digest: str
+    title: str
+
+
+TABLE_2: Final = Named("table 2", "", "")
+
+
 class Place(NamedTuple):
-    """Task, tubes and map."""
+    """Task, tubes and map, and what the plant is called."""
 
     config: TaskConfig
     contexts: tuple[Context, ...]
     vibration: VibrationMap
+    tube: Named = TABLE_2
 
 
 def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> Place:
@@ -52,7 +72,14 @@ def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
         ValueError: the file or its map is not valid, or as ``place_of``.
     """
     plant = plant_at(tube)
-    return place_of(plant, split, limit, map_of(tube, plant))
+    place = place_of(plant, split, limit, map_of(tube, plant))
+    return place if tube is None or plant is None else place._replace(tube=_named(tube, plant))
+
+
+def _named(tube: Path, plant: Plant) -> Named:
+    bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
+    digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
+    return Named(name_of(tube), digest, f"{name_of(tube)} (bore {bore:g} mm, helix {length:g} m)")
 
 
 def plant_at(tube: Path | None) -> Plant | None:

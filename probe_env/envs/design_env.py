@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, Unpack, cast
+from typing import Any, ClassVar, Unpack, cast
 
 import gymnasium as gym
 import numpy as np
@@ -12,11 +12,10 @@ import numpy as np
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.env import Observation
-from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, PlaceSettings, Starts, drawn_context, placed, settling
 from probe_env.envs.task import TaskConfig, action_of, share_of
-from probe_env.envs.trials import SENSOR_END, Candidate, Controller, judge, section_scenes, try_insertions, try_sections
+from probe_env.envs.trials import Candidate, Controller, check_space, judge, stretch_of, try_insertions, try_sections
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
@@ -25,24 +24,14 @@ from probe_env.settings import check_known
 STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
 
 
-def _corner(*high: str) -> Design:
-    return Design.from_unit([1.0 if name in high else 0.0 for name in RANGES])
-
-
-HARDEST: Final = (
-    _corner("tensile_rigidity", "flexural_rigidity"),
-    _corner("guide_length", "guide_float_diameter", "carrier_float_diameter"),
-)
-"""The stiff, light design that asks for the shortest step and the hardest wall; the one that drag stretches most."""
-
-
 class DesignEnv(gym.Env[Observation, Observation]):
     """Build a probe and see how loud, slow and hard to drive it is: one step an episode.
 
     ## Description
     The action names a probe within what can be bought; the step builds it and tries it in one tube under a given feed:
-    in five sections of constant length (sensor 10, 20, ... 50 m from the entrance, 1 s to settle, 2 s measured), or in
-    a whole insertion with `full=True`. All probes are compared over the same 47.5 m of tube.
+    in sections of constant length (in the study's 60 m of helix five, the sensor 10, 20, ... 50 m from the entrance;
+    1 s to settle, 2 s measured), or in a whole insertion with `full=True`. All probes are compared over the same tube,
+    from 2.5 m to where the sensor gets with the longest guide, 10 m before the end of the helix: 47.5 m of 60 m.
 
     ## Action Space
     `Box(-1, 1, (7,), float32)`, mapped linearly:
@@ -57,8 +46,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
     | 5 | flexural rigidity | 0.025 | 0.1 | N m2 |
     | 6 | line density | 0.09 | 0.14 | kg/m |
 
-    `action_of` gives the action of a `Design`. 10 m and 20 mm are the study's limits (handling, weld projections), the
-    other ranges are assumptions.
+    `action_of` gives the action of a `Design`. Floats that do not fit the bore of a `tube` or `scene` with 1 mm of
+    clearance are built as large as fits, which `info["design"]` says. 10 m and 20 mm are the study's limits (handling,
+    weld projections), the other ranges are assumptions.
 
     ## Observation Space
     `Box(0, 4000, (1,), float32)`: helix diameter / 2.5 m. `config={"privileged": True}` adds friction / 0.25, contact
@@ -66,7 +56,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
     ## Rewards
     The sum of `info["reward_terms"]`, with the weights of `Insertion-v1`: progress (1 per metre that the sensor gets to
-    see: a long guide inspects less), vibration, time and air over the shared 47.5 m, uninspected (per metre of these
+    see: a long guide inspects less), vibration, time and air over the shared tube, uninspected (per metre of these
     behind a place where the probe loses its drive or diverges), diverged (-10).
 
     ## Starting State
@@ -79,7 +69,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
     ## Arguments
     * `config`, `scene`, `contexts`, `tube`: as for `Insertion-v1`.
     * `fidelity`: preset or settings; time-lapse counts for whole insertions only. Default "standard".
-    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h. For whole insertions also a
+    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h, or the nearest
+      that the task gives. For whole insertions also a
       policy with SB3's `predict`.
     * `full`: whole insertions, some 5 s each, instead of sections.
 
@@ -104,10 +95,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
         self.config, left = placed({}, config, cast(EpisodeSettings, settings))
         self.contexts = left.get("contexts", DEFAULTS["contexts"])
-        reach = SENSOR_END + RANGES["guide_length"][1]
-        if self.scene.tube.helix_length < reach:
-            length = self.scene.tube.helix_length
-            raise ValueError(f"helix_length = {length:g} m: designs are judged over {reach:g} m, which it must have")
+        stretch_of(self.config)  # refuses a helix that is too short
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build
         self.starts = Starts(self.config, self.contexts, "random", *settling(self.config, {}))
         self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.starts.stiffest, full)
@@ -155,8 +143,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         trial = copy.deepcopy(self.np_random)  # the generator itself moves on only if all is valid
         context = drawn_context(self.contexts, trial, dict(options or {}))
-        for design in HARDEST:
-            self._check_simulable(design, context)
+        check_space([context], self.config, self.fidelity, self._sections_feed)
         drawn_context(self.contexts, self.np_random, {})
         self.context = context
         return self._observation(), {"context": self.context.model_dump()}
@@ -168,7 +155,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             ValueError: the action is not valid.
             RuntimeError: the episode has ended and was not reset.
         """
-        design = self.design_of(action)
+        design = self.design_of(action).cut_to(self.scene)
         if self.context is None:
             raise RuntimeError("the episode has ended: call reset before step")
         feed = _Follow(self.feed, self.config) if self.full and isinstance(self.feed, Schedule) else self.feed
@@ -177,7 +164,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             trial = try_insertions([candidate], self.config, self.fidelity, threads=1)
         else:
             trial = try_sections([candidate], self.config, self.fidelity)
-        terms, kpis = judge([design], trial, self.config, self.scene.tube.helix_length)
+        terms, kpis = judge([design], trial, self.config)
         info = {
             "design": design.built.model_dump(),
             "context": self.context.model_dump(),
@@ -188,15 +175,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
         self.context = None
         return observation, float(sum(info["reward_terms"].values())), True, False, info
 
-    def _check_simulable(self, design: Design, context: Context) -> None:
-        most_air = self.config.air_supply_rates[1]
-        if self.full:
-            scene = self.starts.build(context, {"probe": design.built.model_dump()})
-            check_simulable(scene, self.fidelity, scene.tube.helix_length, most_air)
-        else:
-            assert isinstance(self.feed, Schedule)
-            for scene in section_scenes(design, context, self.feed, self.scene):
-                check_simulable(scene, self.fidelity, scene.inserted_length, scene.air_supply_rate)
+    @property
+    def _sections_feed(self) -> Schedule | None:
+        return self.feed if not self.full and isinstance(self.feed, Schedule) else None
 
     def _observation(self) -> Observation:
         assert self.context is not None
@@ -219,4 +200,4 @@ class _Follow:
         """What the schedule says."""
         lengths = np.atleast_2d(observation)[:, self.column] * 60.0
         pairs = [self.schedule.at(length) for length in lengths]
-        return np.array([self.config.action(float(feed), float(air)) for feed, air in pairs]), ()
+        return np.array([self.config.actions(feed, air)[0] for feed, air in pairs], dtype=np.float32), ()

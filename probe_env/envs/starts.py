@@ -116,7 +116,7 @@ class Starts:
         update: dict[str, Any] = {"contact": {"stiffness": max(drawn, self.scene.contact.stiffness)}}
         if self.probes == "random":
             lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
-            probe = Design.model_validate(lightest).probe(self.scene.probe)
+            probe = Design.model_validate(lightest).cut_to(self.scene).probe(self.scene.probe)
             update |= {"probe": probe, "carrier_length": whole_pitches(self.scene.carrier_length, probe)}
         return self.scene.model_copy(update=update)
 
@@ -129,7 +129,7 @@ class Starts:
         given = dict(options)
         changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
         context = drawn_context(self.contexts, rng, given)
-        drawn = Design.random(rng).built.model_dump() if self.probes == "random" else {}
+        drawn = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
         changes["probe"] = drawn | dict(changes.get("probe", {}))
         return context, self.build(context, changes)
 

@@ -139,12 +139,19 @@ class TaskConfig(Model):
             row, column = np.argwhere(bad)[0]
             raise ValueError(f"action[{column}] = {values[row, column]!r} is outside the accepted range -1 to 1")
         low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        wanted = low + share_of(values) * (high - low)
+        return self._in_steps(low + share_of(values) * (high - low))
+
+    def given(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
+        """(N, 2) what feed device and air supply give where these are asked for [m/s], [m3/s]: the nearest they can."""
+        wanted = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
+        return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in wanted]))
+
+    def _in_steps(self, wanted: FloatArray) -> FloatArray:
+        ranges = (self.feed_speeds, self.air_supply_rates)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
             if step > 0.0:
-                set_to = step * np.round(wanted[:, column] / step)
-                wanted[:, column] = np.clip(set_to, low[column], high[column])
-        return np.asarray(wanted)
+                wanted[:, column] = np.clip(step * np.round(wanted[:, column] / step), *ranges[column])
+        return wanted
 
     def actions(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) actions that ask for feed speeds [m/s] and air supplies [m3/s], or the nearest in the task's range."""

@@ -11,11 +11,12 @@ from agents.cli import main
 from agents.design.compare import Comparison, compare, print_comparison, summarise
 from agents.design.problem import OBJECTIVES, DesignProblem, design_problem
 from agents.design.search import Kept, search, sensitivity, trials_table
+from agents.policies.places import place_of
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
-from probe_env.envs.trials import SPAN
 from probe_env.fidelity import PRESETS
 
+SPAN = 47.5  # [m] of the study's helix
 AGENT = Path(__file__).parents[2] / "results" / "agents" / "ppo" / "seed-0" / "agent.npz"
 AXES = {"guide_length": (1.0, 10.0, "m"), "line_density": (0.09, 0.14, "kg/m")}
 
@@ -127,16 +128,16 @@ def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (("best-constant", True, 1, "fast"), "with full give"),
-        (("constant", False, 0, "fast"), "contexts"),
-        (("constant", False, 1, "finest"), "fidelity"),
-        (("pi", False, 1, "fast"), "not a schedule"),
-        (("nothing", True, 1, "fast"), "nothing"),
+        (("best-constant", True, "fast"), "with full give"),
+        (("constant", False, "finest"), "fidelity"),
+        (("pi", False, "fast"), "not a schedule"),
+        (("nothing", True, "fast"), "nothing"),
     ],
 )
 def test_a_problem_that_makes_no_sense_is_refused(arguments, word):
+    feed, full, fidelity = arguments
     with pytest.raises(ValueError, match=word):
-        design_problem(*arguments).identity()
+        design_problem(feed, full, place_of(None, "train", 1), fidelity).identity()
 
 
 def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, capsys):

@@ -11,23 +11,13 @@ from agents.policies.fixed import Constant
 from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConfig, Tube
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
-from probe_env.envs.trials import (
-    MEASURE,
-    PERTURBATION,
-    POSITIONS,
-    SETTLE,
-    SPAN,
-    WIDTHS,
-    Candidate,
-    Trial,
-    judge,
-    try_insertions,
-    try_sections,
-)
+from probe_env.envs.trials import Candidate, Trial, judge, stretch_of, try_insertions, try_sections
+from probe_env.envs.trials.sections import MEASURE, PERTURBATION, SETTLE
 from probe_env.schedule import Schedule
 
 ROOT = Path(__file__).parents[2]
 CONFIG = TaskConfig()
+SPAN = 47.5  # [m] of the study's helix
 IMPROVED = Design.from_toml(ROOT / "configs" / "design" / "improved.toml")
 
 
@@ -160,8 +150,8 @@ def test_a_section_is_the_simulator_s_own_run():
     window = alone.advance(None, None, MEASURE)
     assert trial.radial_rms[1, 1] == window.statistics["radial_rms_m"][0]
     assert trial.root_tension[1, 1] == window.statistics["tension_mean_n"][0]
-    assert POSITIONS[1] == 20.0
-    assert sum(WIDTHS) == SPAN
+    assert stretch_of(CONFIG) == (50.0, (10.0, 20.0, 30.0, 40.0, 50.0), (12.5, 10.0, 10.0, 10.0, 5.0))
+    assert sum(stretch_of(CONFIG).widths) == stretch_of(CONFIG).span == SPAN
 
 
 def handmade(rms, tension=(4.0, 4.0), diverged=False, widths=(20.0, 27.5)):

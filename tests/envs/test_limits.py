@@ -11,12 +11,13 @@ import pytest
 
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context, Design, Fidelity, Probe, Scene, SimulatorBatch, load_contexts
-from probe_env.envs.design_env import HARDEST, STUDY_FEED, DesignEnv
+from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.limits import check_simulable, softest_wall, steady_sliding
 from probe_env.envs.observations import LOAD_CELL, observe
 from probe_env.envs.starts import Starts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import section_scenes
+from probe_env.envs.trials.simulable import HARDEST
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.methods.stability import FULL
@@ -119,7 +120,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
         for design in (*HARDEST, Design(), Design.random(rng)):
             scene = starts.build(context, {"probe": design.built.model_dump()})
             check_simulable(scene, fidelity, 60.0, MOST_AIR)
-            for section in section_scenes(design, context, hard, Scene())[::4]:
+            for section in section_scenes(design, context, hard, TaskConfig())[::4]:
                 check_simulable(section, fidelity, section.inserted_length, MOST_AIR)
                 start = steady_sliding(section, section.inserted_length, MOST_AIR, 0.0)
                 assert start.slide * 2.0 / context.helix_diameter < 0.5

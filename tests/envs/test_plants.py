@@ -99,7 +99,7 @@ def test_a_spec_goes_through_json(file):
         ("Insertion", {"tube": {}, "scene": {}}, "tube and scene: give one of them"),
         ("Insertion", {"tube": {}, "config": TaskConfig()}, "config beside a tube must be a mapping"),
         ("Insertion", {"tube": "none.toml"}, "none.toml"),
-        ("Design", {"tube": {"tube": {"helix_length": 30.0}}}, "helix_length = 30 m: designs are judged over 60 m"),
+        ("Design", {"tube": {"tube": {"helix_length": 20.0}}}, "helix_length = 20 m: designs are compared as far as"),
     ],
 )
 def test_what_cannot_be_is_refused(env_id, arguments, message):

@@ -1,0 +1,58 @@
+"""A probe to be tried, and what probes did."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.design import Design
+from probe_env.envs.contexts import Context
+from probe_env.envs.trials.players import Controller
+from probe_env.schedule import Schedule
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A probe that is tried in a tube.
+
+    Attributes:
+        design: of the probe.
+        context: the tube.
+        feed: a schedule over inserted length, or for whole insertions a policy.
+        seed: of the start's perturbation; default: its place among the candidates.
+    """
+
+    design: Design
+    context: Context
+    feed: Schedule | Controller
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What N probes did in p places; SI units.
+
+    Attributes:
+        widths: (N, p) length of tube that was inspected there; 0 where the probe did not get to.
+        feed_speed, air_supply_rate: (N, p) fed and blown there.
+        radial_rms, root_tension: (N, p).
+        deep: (N, p) whether so much is inserted that lost drive counts.
+        lost_drive, diverged: (N,) whether it ended so.
+        inspected: (N,) what the sensor saw to the end, where that was simulated.
+    """
+
+    widths: FloatArray
+    feed_speed: FloatArray
+    air_supply_rate: FloatArray
+    radial_rms: FloatArray
+    root_tension: FloatArray
+    deep: BoolArray
+    lost_drive: BoolArray
+    diverged: BoolArray
+    inspected: FloatArray | None = None
+
+
+def seeds_of(candidates: Sequence[Candidate]) -> list[int]:
+    """Of the starts."""
+    return [k if candidate.seed is None else int(candidate.seed) for k, candidate in enumerate(candidates)]

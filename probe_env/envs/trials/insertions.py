@@ -1,0 +1,96 @@
+"""Whole insertions of probes under policies, gathered by metre of the sensor's position."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.trials.candidates import Candidate, Trial, seeds_of
+from probe_env.envs.trials.players import Players
+from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
+from probe_env.fidelity import Fidelity
+from probe_env.schedule import Schedule
+
+
+def try_insertions(
+    candidates: Sequence[Candidate],
+    config: TaskConfig,
+    fidelity: Fidelity | str = "standard",
+    threads: int | None = None,
+) -> Trial:
+    """N whole insertions side by side, gathered by metre of the sensor's position; arguments as ``try_sections``.
+
+    Raises:
+        ValueError: a feed that is no policy with SB3's ``predict``.
+    """
+    count, stretch = len(candidates), stretch_of(config)
+    episodes = Episodes(count, config, fidelity=fidelity, threads=threads)
+    options = {
+        k: {"context": candidate.context, "probe": candidate.design.built.model_dump()}
+        for k, candidate in enumerate(candidates)
+    }
+    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds_of(candidates))}
+    observation, _ = episodes.reset(range(count), rngs, options)
+    places = int(np.ceil(stretch.span))
+    sums = {name: np.zeros((count, places)) for name in ("travel", "seconds", "air", "square", "tension", "periods")}
+    ended = {name: np.zeros(count, dtype=bool) for name in ("lost_drive", "diverged")}
+    guides = np.array([candidate.design.built.guide_length for candidate in candidates])
+    players = Players(count)
+    for k, candidate in enumerate(candidates):
+        if isinstance(candidate.feed, Schedule):
+            raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
+        players.begin(k, candidate.feed)
+    while episodes.running.any():
+        active = episodes.running.copy()
+        before = np.array([tally.inspected for tally in episodes.tally])
+        step = episodes.step(players.act(observation, active), active)
+        observation = step.observation
+        for k in np.flatnonzero(active).tolist():
+            info = step.infos[k]
+            for name, flags in ended.items():
+                flags[k] |= info[name]
+            sensor = info["inserted_length"] - guides[k]
+            place = min(int(np.floor(sensor - SENSOR_START - 1e-6)), places - 1)
+            if place >= 0 and sensor <= stretch.end + 0.5 * config.period * info["feed_speed"] and not info["diverged"]:
+                travel = info["inspected_length"] - before[k]
+                sums["travel"][k, place] += travel
+                sums["seconds"][k, place] += config.period
+                sums["air"][k, place] += info["air_supply_rate"] * config.period
+                sums["square"][k, place] += travel * info["radial_rms_m"] ** 2
+                sums["tension"][k, place] += info["tension_mean_n"]
+                sums["periods"][k, place] += 1.0
+    inspected = np.array([tally.inspected for tally in episodes.tally])
+    return _gathered(sums, ended, guides, inspected, config)
+
+
+def _gathered(
+    sums: Mapping[str, FloatArray],
+    ended: Mapping[str, BoolArray],
+    guides: FloatArray,
+    inspected: FloatArray,
+    config: TaskConfig,
+) -> Trial:
+    span = stretch_of(config).span
+    travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)
+    seen = sums["periods"] > 0.0
+    metres = SENSOR_START + np.arange(travel.shape[1]) + 1.0
+    deep = seen & (metres + guides[:, None] >= config.lost_drive_from)
+    # the metres of a whole insertion add up to the span but for a part of a period at each end
+    widths = np.where(seen, sums["travel"], 0.0)
+    complete = widths.sum(axis=1, keepdims=True) > span - 1.0
+    widths = np.where(complete, widths * span / np.maximum(widths.sum(axis=1, keepdims=True), 1e-12), widths)
+    return Trial(
+        widths,
+        np.where(seen, travel / seconds, 0.0),
+        np.where(seen, sums["air"] / seconds, 0.0),
+        np.sqrt(np.where(seen, sums["square"] / travel, 0.0)),
+        sums["tension"] / np.maximum(sums["periods"], 1.0),
+        deep,
+        ended["lost_drive"],
+        ended["diverged"],
+        inspected,
+    )

@@ -1,0 +1,131 @@
+"""Probes compared and searched in a plant's own tubes, by the commands; another plant's folder is refused."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from agents.design.problem import DesignProblem, design_problem
+from agents.policies.places import place_at
+from probe_env import Design
+
+OWN = """
+[tube]
+helix_diameter = [1.0, 1.4]
+inner_diameter = 19.5e-3
+helix_length = 40.0
+[probe]
+carrier_float_diameter = 16e-3
+guide_float_diameter = 17e-3
+line_density = 0.13
+[contact]
+friction = { low = 0.12, high = 0.22 }
+[feed]
+feed_speeds = [0.03, 0.25]
+"""
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(OWN)
+    (tmp_path / "other.toml").write_text(OWN.replace("40.0", "80.0"))
+    (tmp_path / "own.toml").write_text("")  # the plant's own probe
+    (tmp_path / "long.toml").write_text("guide_length = 10.0\nguide_float_diameter = 0.018\n")
+
+
+def refused(capsys, *arguments):
+    """The one line of a command that is refused."""
+    capsys.readouterr()
+    assert main(list(arguments)) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    return printed
+
+
+def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_path, capsys):
+    run = ["compare", "own.toml", "long.toml", "--limit", "2", "--output", "out", "--tube"]
+    assert main([*run, "mine.toml"]) == 0
+    assert "of mine (bore 19.5 mm, helix 40 m)" in " ".join(capsys.readouterr().out.split())
+    table = pd.read_csv("out/designs.csv")
+    assert set(table["tube"]) == {"mine (bore 19.5 mm, helix 40 m)"}
+    assert table[table["design"] == "own"]["inspected_m"].to_numpy() == pytest.approx(35.0)
+    assert table[table["design"] == "long"]["inspected_m"].to_numpy() == pytest.approx(27.5)
+    built = json.loads((tmp_path / "out" / "provenance.json").read_text())["designs"]
+    assert (built["own"]["line_density"], built["long"]["line_density"]) == (0.13, 0.13)
+    assert built["long"]["carrier_float_diameter"] == 0.016
+    before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    assert "'out' holds trials in the tubes of mine, not of other: choose" in refused(capsys, *run, "other.toml")
+    assert "of mine, not of table 2" in refused(capsys, *run[:1], "improved", *run[3:-1])
+    assert "of mine, not of table 2" in refused(capsys, "design", "--trials", "2", "--limit", "1", "--output", "out")
+    (tmp_path / "mine.toml").write_text(OWN.replace("0.22", "0.23"))
+    assert "of mine, as its file was then, not of mine" in refused(capsys, *run, "mine.toml")
+    assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_trials_of_table_2_are_not_mixed_with_a_plant_s(capsys):
+    assert main(["compare", "original", "--limit", "1", "--output", "out"]) == 0
+    mine = ("compare", "own.toml", "--limit", "1", "--output", "out", "--tube", "mine.toml")
+    assert "holds trials in the tubes of table 2, not of mine" in refused(capsys, *mine)
+
+
+@pytest.mark.parametrize(
+    ("plant", "arguments", "message"),
+    [
+        (OWN, ["compare", "improved"], "design 'improved' in mine: probe.guide_float_diameter = 0.02 m must be less"),
+        (OWN.replace("0.13", "0.2"), ["compare", "long.toml"], "long.toml: line_density is not given, and that of the"),
+        (OWN.replace("40.0", "20.0"), ["compare", "long.toml"], "helix_length = 20 m: designs are compared as far as"),
+        (OWN.replace("40.0", "20.0"), ["design"], "helix_length = 20 m: designs are compared as far as"),
+        (OWN.replace("19.5e-3", "17.005e-3").replace("17e-3", "16e-3"), ["compare", "long.toml"], "must be less than"),
+        (OWN.replace("19.5e-3", "16.5e-3").replace("17e-3", "16e-3"), ["design"], "no guide_float_diameter of the"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_before_any_work(plant, arguments, message, tmp_path, capsys):
+    (tmp_path / "mine.toml").write_text(plant)
+    told = refused(capsys, *arguments, "--tube", "mine.toml", "--limit", "1", "--output", "out")
+    assert message in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
+    place = place_at(tmp_path / "mine.toml", "train", 2)
+    problem = design_problem("best-constant", False, place, "standard")
+    assert problem.axes["guide_float_diameter"][:2] == (0.016, pytest.approx(0.0185))
+    assert problem.axes["feed_speed"][1] == 0.25
+    assert list(problem.probes) == ["the plant's own", "the study's improved"]
+    assert problem.probes["the plant's own"].line_density == 0.13
+    for start in problem.starts():
+        assert all(low <= start[name] <= high for name, (low, high, _) in problem.axes.items())
+    other = design_problem("best-constant", False, place_at(tmp_path / "other.toml", "train", 2), "standard")
+    usual = design_problem("best-constant", False, place_at(None, "train", 2), "standard")
+    assert len({one.identity() for one in (problem, other, usual)}) == 3
+    assert (usual.cuts, list(usual.probes)) == ((), ["the study's original", "the study's improved"])
+
+    monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: (point["guide_length"], 100.0, 1.0))
+    run = ["design", "--tube", "mine.toml", "--limit", "1", "--trials", "20", "--output", "out"]
+    assert main(run) == 0
+    printed = capsys.readouterr()
+    assert "note: guide_float_diameter is searched from 0.016 to 0.0185 m, not from 0.016 to 0.02 m" in printed.err
+    assert "in mine (bore 19.5 mm, helix 40 m)" in " ".join(printed.out.split())
+    assert set(pd.read_csv("out/trials.csv")["tube"]) == {"mine (bore 19.5 mm, helix 40 m)"}
+    Design.from_toml(tmp_path / "out" / "found.toml")
+
+
+def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tmp_path):
+    """80 m of soft cable under full air in a narrow bore turn by more than 1 rad: see ``limits``."""
+    problem = design_problem("best-constant", False, place_at(tmp_path / "other.toml", "train", 1), "standard")
+    soft = {name: low for name, (low, _, _) in problem.axes.items()}
+    soft |= {name: problem.axes[name][1] for name in ("guide_length", "guide_float_diameter", "carrier_float_diameter")}
+    squares, seconds, margin = problem.value(soft | {"air_supply_rate": problem.axes["air_supply_rate"][1]})
+    assert (squares, margin) == (9.0, -0.8)
+    assert seconds == pytest.approx(67.5 / 0.03)
+
+
+def test_a_search_judges_over_the_plant_s_own_span(tmp_path):
+    """A constant feed takes the span over it: 27.5 and 67.5 m at 0.2 m/s, unless the probe does not get through."""
+    for name, span in (("mine", 27.5), ("other", 67.5)):
+        problem = design_problem("constant", False, place_at(tmp_path / f"{name}.toml", "train", 1), "standard")
+        _, seconds, margin = problem.value(problem.probes["the plant's own"].model_dump())
+        assert seconds == pytest.approx(span / 0.2)
+        assert margin > 0.0

@@ -1,0 +1,128 @@
+"""Probes in helices of 40 and 80 m and in other bores: where they are compared, and by what."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.policies.fixed import Constant
+from probe_env import Context, Design, Fidelity, Plant, SimulatorBatch, TaskConfig
+from probe_env.design import CLEARANCE, RANGES, ranges_in
+from probe_env.envs.design_env import STUDY_FEED, DesignEnv
+from probe_env.envs.trials import Candidate, judge, stretch_of, try_insertions, try_sections
+from probe_env.envs.trials.sections import MEASURE, PERTURBATION, SETTLE
+from probe_env.envs.trials.stretch import SENSOR_START
+
+IMPROVED = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
+LONGEST = RANGES["guide_length"][1]
+
+
+def task(helix_length, **fields):
+    return Plant(tube={"helix_length": helix_length}, **fields).configured()
+
+
+@pytest.mark.parametrize(
+    ("helix_length", "positions"),
+    [
+        (40.0, (10.0, 20.0, 30.0)),
+        (60.0, (10.0, 20.0, 30.0, 40.0, 50.0)),
+        (80.0, (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)),
+        (45.0, (8.75, 17.5, 26.25, 35.0)),
+        (24.0, (14.0 / 3.0, 28.0 / 3.0, 14.0)),
+    ],
+)
+def test_sections_are_spread_over_what_the_longest_guide_leaves(helix_length, positions):
+    """Every place of the stretch is counted once, with the section that is nearest to it."""
+    stretch = stretch_of(task(helix_length))
+    assert stretch.positions == pytest.approx(positions)
+    assert stretch.end == helix_length - LONGEST
+    assert sum(stretch.widths) == pytest.approx(stretch.span) == helix_length - LONGEST - SENSOR_START
+    ends = SENSOR_START + np.cumsum(stretch.widths)
+    for end, near, far in zip(ends, stretch.positions, stretch.positions[1:], strict=False):
+        assert end - near == pytest.approx(far - end)
+
+
+def test_table_2_s_plant_is_compared_as_without_one():
+    plain, given = TaskConfig(), Plant().configured()
+    candidates = [Candidate(IMPROVED, Context(), STUDY_FEED)]
+    assert try_sections(candidates, plain).radial_rms.tobytes() == try_sections(candidates, given).radial_rms.tobytes()
+
+
+@pytest.mark.parametrize("helix_length", [40.0, 80.0])
+def test_the_last_section_is_the_simulator_s_own_run(helix_length):
+    """In a bore of its own, with the plant's damping and at the nearest feed that its device gives."""
+    plant = Plant(
+        tube={"helix_length": helix_length, "inner_diameter": 22.1e-3}, probe={"damping_time": 8e-5},
+        feed={"feed_speeds": [0.03, 0.15]}, air={"air_supply_step": 5.0 / 3600.0},
+    )  # fmt: skip
+    config, tube = plant.configured(), Context(friction=0.2, helix_diameter=1.4)
+    trial = try_sections([Candidate(IMPROVED, tube, STUDY_FEED, 6)], config)
+    changes = {"probe": IMPROVED.probe(plant.probe), "carrier_length": helix_length - 10.0, "feed_speed": 0.15}
+    scene = tube.apply(plant.scene).model_copy(update=changes | {"air_supply_rate": 65.0 / 3600.0})  # 63 in steps of 5
+    assert scene.probe.damping_time == 8e-5
+    alone = SimulatorBatch([scene], Fidelity().method, seeds=[6], perturbation=PERTURBATION)
+    alone.advance(None, None, SETTLE)
+    window = alone.advance(None, None, MEASURE)
+    assert trial.radial_rms[0, -1] == window.statistics["radial_rms_m"][0]
+    assert trial.root_tension[0, -1] == window.statistics["tension_mean_n"][0]
+    _, kpis = judge([IMPROVED], trial, config)
+    assert kpis["inspected_m"][0] + kpis["missed_m"][0] == pytest.approx(helix_length - 10.0 - SENSOR_START)
+
+
+@pytest.mark.parametrize("helix_length", [40.0, 80.0])
+def test_whole_insertions_are_judged_over_the_same_span(helix_length):
+    """The sensor's own way is the helix less its guide; 1 %: a part of a period at each end of 27.5 m and more."""
+    config, designs = task(helix_length, feed={"feed_speeds": [0.05, 0.3]}), [Design(), IMPROVED]
+    candidates = [Candidate(design, Context(), Constant(config)) for design in designs]
+    trial = try_insertions(candidates, config, Fidelity(time_lapse=20.0))
+    span = stretch_of(config).span
+    assert trial.widths.sum(axis=1) == pytest.approx(span)
+    _, kpis = judge(designs, trial, config)
+    assert kpis["inspection_time_s"] == pytest.approx(span / 0.2, rel=0.01)
+    assert kpis["inspected_m"] == pytest.approx([helix_length - 5.0, helix_length - 12.5], abs=0.01)
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("helix_length", [40.0, 80.0])
+def test_the_environment_tries_probes_in_the_whole_helix_of_a_tube(helix_length, full):
+    tube = {"tube": {"helix_length": helix_length, "helix_diameter": [1.0, 2.0]}, "contact": {"friction": 0.12}}
+    tube["feed"] = {"feed_speeds": [0.05, 0.1]}
+    fidelity = {"time_lapse": 20.0} if full else "standard"
+    env = gym.make("probe_env/Design-v1", tube=tube, full=full, fidelity=fidelity)
+    _, info = env.reset(seed=1)
+    assert info["context"]["friction"] == 0.12
+    assert info["context"]["helix_diameter"] in (1.0, 2.0)
+    _, _, _, _, info = env.step(DesignEnv.action_of(Design()))
+    assert info["kpis"]["inspected_m"] + info["kpis"]["missed_m"] == pytest.approx(helix_length - 5.0, abs=0.01)
+    covered = stretch_of(env.unwrapped.config).span - info["kpis"]["missed_m"]
+    assert covered > 0.0
+    assert info["kpis"]["inspection_time_s"] == pytest.approx(covered / 0.1, rel=0.01)  # the nearest to 0.2 m/s
+
+
+def test_floats_are_built_as_large_as_fits_the_bore():
+    narrow = Plant(tube={"inner_diameter": 0.0185}, probe={n: 0.016 for n in RANGES if n.endswith("float_diameter")})
+    env = gym.make("probe_env/Design-v1", tube=narrow)
+    env.reset(seed=0)
+    _, _, _, _, info = env.step(DesignEnv.action_of(IMPROVED))
+    assert info["design"]["guide_float_diameter"] == pytest.approx(0.0185 - CLEARANCE)
+    assert info["design"]["carrier_float_diameter"] == pytest.approx(0.016)
+    assert info["design"]["guide_length"] == pytest.approx(10.0)
+    drawn = gym.make(
+        "probe_env/Insertion-v1", tube=narrow, probes="random", fidelity="fast", config={"settle_time": 0.1}
+    )
+    floats = [drawn.reset(seed=seed)[1]["probe"]["guide_float_diameter"] for seed in range(4)]
+    assert max(floats) == pytest.approx(0.0175)
+    assert IMPROVED.cut_to(Plant().scene) is IMPROVED
+    assert ranges_in(Plant().scene) == RANGES
+
+
+@pytest.mark.parametrize(
+    ("tube", "message"),
+    [
+        ({"helix_length": 23.9}, "helix_length = 23.9 m: designs are compared .* it must be at least 24 m"),
+        ({"inner_diameter": 0.0165}, "inner_diameter = 0.0165 m: no guide_float_diameter of the design space"),
+    ],
+)
+def test_a_tube_in_which_no_probe_can_be_compared_is_refused(tube, message):
+    probe = {name: 0.015 for name in RANGES if name.endswith("float_diameter")}
+    with pytest.raises(ValueError, match=message):
+        DesignEnv(tube={"tube": tube, "probe": probe}).reset()
