@@ -8,6 +8,7 @@ import re
 import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -43,6 +44,8 @@ class Schedule:
     position: tuple[float, ...]
     feed_speed: tuple[float, ...]
     air_supply_rate: tuple[float, ...]
+    start_length: float | None = None
+    """Inserted length at the first point of a schedule over time [m]; None: wherever it begins."""
 
     def at(self, position: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Feed speed and air supply at positions of any shape, SI units."""
@@ -54,13 +57,38 @@ class Schedule:
         k = np.clip(np.searchsorted(self.position, where + 1e-5, side="right") - 1, 0, None)
         return np.asarray(self.feed_speed)[k], np.asarray(self.air_supply_rate)[k]
 
+    def fed(self, time: npt.ArrayLike) -> FloatArray:
+        """Length [m] that a schedule over time feeds from its first point to times of any shape [s]; before it < 0."""
+        when, (position, feed, whole) = np.asarray(time, dtype=float), self._integral
+        k = np.clip(np.searchsorted(position, when, side="right") - 1, 0, None)
+        mean = feed[k] if self.interpolation == "steps" else 0.5 * (feed[k] + np.interp(when, position, feed))
+        return np.asarray(whole[k] + mean * (when - position[k]))
+
+    def time_at(self, inserted: FloatArray) -> FloatArray:
+        """Times (N,) [s] from which a schedule over time goes on where so much is in [m]; 0 if it does not say."""
+        if self.start_length is None:
+            return np.zeros(len(inserted))
+        position, _, whole = self._integral
+        lengths = self.start_length + whole
+        k = np.searchsorted(lengths, inserted - 1e-5)  # float32 lengths
+        before, after = np.clip(k - 1, 0, None), np.clip(k, None, len(position) - 1)
+        share = (inserted - lengths[before]) / np.maximum(lengths[after] - lengths[before], 1e-9)
+        return np.asarray(position[before] + np.clip(share, 0.0, 1.0) * (position[after] - position[before]))
+
+    @cached_property
+    def _integral(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions, feeds and what is fed up to them, (n,) each."""
+        position, feed = np.array(self.position), np.array(self.feed_speed)
+        means = feed[:-1] if self.interpolation == "steps" else 0.5 * (feed[:-1] + feed[1:])
+        return position, feed, np.concatenate([[0.0], np.cumsum(means * np.diff(position))])
+
     @classmethod
     def read(cls, path: str | Path) -> Schedule:
         """Read a schedule or a measured log.
 
         A CSV file has the columns ``time_s`` or ``inserted_length_m``, ``feed_speed_m_per_s`` and
         ``air_supply_m3_per_h`` (others are ignored, so a log can be replayed; one with time and length goes by time,
-        in which standstills last) and may begin with the line
+        in which standstills last, from its first length on) and may begin with the line
         ``# interpolation: steps``. A TOML file has ``interpolation`` and ``points``, a list of tables with these keys.
 
         Raises:
@@ -77,10 +105,12 @@ class Schedule:
 
     def to_csv(self) -> str:
         """The schedule as CSV text that ``read`` takes."""
-        column = next(name for name, (over, _, _) in POSITIONS.items() if over == self.over)
-        lines = [f"{CSV_COMMENT} {self.interpolation}", f"{column},{FEED},{AIR}"]
-        rows = zip(self.position, self.feed_speed, self.air_supply_rate, strict=True)
-        lines += [f"{position:g},{feed:.6g},{air * 3600.0:.6g}" for position, feed, air in rows]
+        columns = {next(name for name, (over, _, _) in POSITIONS.items() if over == self.over): self.position}
+        if self.start_length is not None:
+            columns["inserted_length_m"] = tuple((self.start_length + self.fed(self.position)).tolist())
+        lines = [f"{CSV_COMMENT} {self.interpolation}", ",".join((*columns, FEED, AIR))]
+        for *places, feed, air in zip(*columns.values(), self.feed_speed, self.air_supply_rate, strict=True):
+            lines.append(",".join((*(f"{place:g}" for place in places), f"{feed:.6g}", f"{air * 3600.0:.6g}")))
         return "\n".join(lines) + "\n"
 
 
@@ -155,6 +185,7 @@ def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[st
     column = next(name for name in POSITIONS if name in rows[0][1])
     over, most, unit = POSITIONS[column]
     values: dict[str, list[float]] = {column: [], FEED: [], AIR: []}
+    start = _start_length(path, *rows[0]) if over == "time" else None
     for place, row in rows:
         for name in values:
             low, high, its_unit = RANGES.get(name, (0.0, most, unit))
@@ -168,7 +199,18 @@ def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[st
             before, now = values[column][-2:]
             raise FileError(path, f"{place}, {column} = {now!r} must be greater than {before!r} before it")
     air = tuple(value / 3600.0 for value in values[AIR])
-    return Schedule(over, interpolation, tuple(values[column]), tuple(values[FEED]), air)
+    return Schedule(over, interpolation, tuple(values[column]), tuple(values[FEED]), air, start)
+
+
+def _start_length(path: Path, place: str, row: Mapping[str, Any]) -> float | None:
+    """Where a log begins, if it says so."""
+    column = "inserted_length_m"
+    if column not in row:
+        return None
+    value, (_, most, unit) = _number(path, place, column, row[column]), POSITIONS[column]
+    if not 0.0 <= value <= most:
+        raise FileError(path, f"{place}, {column} = {value!r} is outside the accepted range 0 to {most:g} {unit}")
+    return value
 
 
 def _number(path: Path, place: str, name: str, given: Any) -> float:

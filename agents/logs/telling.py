@@ -70,8 +70,12 @@ def beyond_task(log: Log, config: TaskConfig | None = None) -> tuple[str, ...]:
         if below or above:
             told.append(
                 f"The {name} leaves the task's range of {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
-                f" below and {above} above it. A replay takes the nearest of these"
-                + (", also for standstills." if name == "feed speed" and below else ".")
+                f" below and {above} above it. "
+                + (
+                    "A replay stops and starts below it, and falls behind above it."
+                    if name == "feed speed"
+                    else "A replay takes the nearest of these."
+                )
             )
     return tuple(told)
 

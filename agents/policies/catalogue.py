@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agents.policies.domain import Domain
-from agents.policies.fixed import BUILT_IN, Scheduled
+from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names
@@ -90,7 +90,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if suffix in (".csv", ".toml"):
         schedule = Schedule.read(spec)
         _warn_of_limits(spec, schedule, config)
-        return Scheduled(config, schedule)
+        return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
     if suffix == ".npz":
         from agents.policies.bundle import load_bundle  # torch takes seconds to import
 
@@ -112,11 +112,16 @@ def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str
 
 
 def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
-    """Say what a schedule asks for that the feed device or the air supply do not give: a measured log may."""
+    """Say what a schedule asks for that the feed device or the air supply do not give: a measured log may.
+
+    A schedule over time may ask for standstills, see ``Replayed``.
+    """
     for name, values, (low, high), factor, unit in (
         ("feed speed", schedule.feed_speed, config.feed_speeds, 1.0, "m/s"),
         ("air supply", schedule.air_supply_rate, config.air_supply_rates, 3600.0, "m3/h"),
     ):
+        if schedule.over == "time" and name == "feed speed" and max(values) <= high * (1.0 + 1e-6):
+            continue
         if min(values) < low * (1.0 - 1e-6) or max(values) > high * (1.0 + 1e-6):
             warnings.warn(
                 f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} goes beyond what the"

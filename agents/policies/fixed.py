@@ -33,6 +33,8 @@ class FixedPolicy(ABC):
 
     config: TaskConfig
     memory: ClassVar[int] = 0
+    stands: ClassVar[bool] = False
+    """Whether a feed of 0 is one, and not the slowest that the task's device has."""
 
     @abstractmethod
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -63,6 +65,8 @@ class FixedPolicy(ABC):
         feed, air = self.targets({"time": memory[:, 0], **in_si_units(self.config, rows)}, memory[:, 1:])
         memory[:, 0] += self.config.period
         action = self.config.actions(feed, air).astype(np.float32)
+        if self.stands:
+            action[np.asarray(feed) == 0.0, 0] = self.config.standing
         return (action[0] if np.ndim(observation) == 1 else action), (memory,)
 
     def describe(self) -> dict[str, Any]:
@@ -93,6 +97,44 @@ class Scheduled(FixedPolicy):
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the schedule says for the time or the inserted length."""
         return self.schedule.at(seen[self.schedule.over])
+
+
+@dataclass
+class Replayed(FixedPolicy):
+    """A schedule over time, such as a log: feeds so that the inserted length is what the schedule has fed by then.
+
+    A task's feed device does not creep, but stops: what is slower than half of its slowest feed is a standstill, and
+    slow feeds come out as stops and starts. What is fed too much or too little in a period, by ramps and by the
+    device's range, is made good in the next.
+
+    A schedule that says where it begins is followed from there on, or from where the probe is in as far as the episode
+    has it at its start. Behind its end the last feed goes on, or the slowest.
+    """
+
+    schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
+    memory: ClassVar[int] = 2
+    stands: ClassVar[bool] = True
+
+    def start(self, memory: FloatArray) -> None:
+        """Memory: the schedule's time at the start, and the inserted length less what it has fed."""
+        memory[:] = np.nan
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the coming period, by the length that is in (or was, where observations are late) and ought to be."""
+        schedule, period, late = self.schedule, self.config.period, self.config.delay_periods
+        new, inserted = np.isnan(memory[:, 0]), seen["inserted_length"]
+        memory[new, 0] = schedule.time_at(inserted[new])
+        given = schedule.start_length is not None
+        memory[new, 1] = schedule.start_length if given else inserted[new] - schedule.fed(memory[new, 0])
+        now = memory[:, 0] + seen["time"]
+        seen_at = np.maximum(now - late * period, memory[:, 0])
+        behind = memory[:, 1] + schedule.fed(seen_at) - inserted
+        gain = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
+        wanted = (schedule.fed(now + period) - schedule.fed(now) + gain * behind) / period
+        slow, fast = self.config.feed_speeds
+        feed = np.where(wanted < 0.5 * slow, 0.0, np.clip(wanted, slow, fast))
+        last, air = schedule.at(now)
+        return np.where(now < schedule.position[-1], feed, np.clip(last, slow, fast)), air
 
 
 @dataclass

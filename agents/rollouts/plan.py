@@ -196,7 +196,7 @@ def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> Iterator[str]:
 def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Iterator[str]:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
     count = min(batch, len(missing))
-    episodes = Episodes(count, plan.config, fidelity=plan.fidelity, probes=plan.probes, threads=threads)
+    episodes = Episodes(count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes)
     probes: list[dict[str, float] | None] = [None] * count
     units: list[tuple[str, int, int] | None] = [None] * count
     players = Players(count)

@@ -60,6 +60,7 @@ class Episodes:
         count: N.
         config: the task.
         threads: at most so many; default: all cores.
+        may_stand: whether the feed action may be the task's ``standing``, which replays of logs choose.
         settings: see ``EpisodeSettings``.
 
     Raises:
@@ -73,8 +74,10 @@ class Episodes:
         config: TaskConfig,
         *,
         threads: int | None = None,
+        may_stand: bool = False,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
+        self.may_stand = may_stand
         check_known(type(self).__name__, settings, DEFAULTS)
         config, settings = placed({}, config, settings)
         given = DEFAULTS | settings
@@ -168,7 +171,7 @@ class Episodes:
             RuntimeError: an active episode has ended and was not reset.
         """
         chosen, actions = self._decided(actions, active)
-        targets = self.config.targets(actions)
+        targets = self.config.targets(actions, self.may_stand)
         ended = np.flatnonzero(chosen & ~self.running)
         if len(ended):
             raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")

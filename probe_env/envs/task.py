@@ -125,8 +125,18 @@ class TaskConfig(Model):
         """The same task with everything observed: every policy looks at what it is meant to."""
         return self.model_copy(update=dict.fromkeys(SHOWN, True))
 
-    def targets(self, actions: npt.ArrayLike) -> FloatArray:
+    @property
+    def standing(self) -> np.float32:
+        """The feed action that stands still: as far below -1 as no feed at all is below the slowest.
+
+        No action space has it, and agents do not choose it: ``Episodes`` takes it from who replays what a rig did.
+        """
+        return np.float32(action_of(share_between(0.0, self.feed_speeds)))
+
+    def targets(self, actions: npt.ArrayLike, may_stand: bool = False) -> FloatArray:
         """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2) in [-1, 1].
+
+        ``may_stand``: the feed action may also be ``standing``, and the feed speed is 0 then.
 
         Raises:
             ValueError: an action of the wrong shape, not finite or out of range.
@@ -135,11 +145,15 @@ class TaskConfig(Model):
         if values.ndim != 2 or values.shape[1] != 2:
             raise ValueError(f"action has shape {values.shape[1:]}; the accepted shape is (2,): feed speed, air supply")
         bad = ~(np.abs(values) <= 1.0 + 1e-6)
+        stands = bad[:, 0] & (values[:, 0] == self.standing) & may_stand
+        bad[stands, 0] = False
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise ValueError(f"action[{column}] = {values[row, column]!r} is outside the accepted range -1 to 1")
+            raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
         low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        return self._in_steps(low + share_of(values) * (high - low))
+        wanted = self._in_steps(low + share_of(values) * (high - low))
+        wanted[stands, 0] = 0.0
+        return wanted
 
     def given(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) what feed device and air supply give where these are asked for [m/s], [m3/s]: the nearest they can."""

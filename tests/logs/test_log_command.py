@@ -55,8 +55,8 @@ def test_the_log_that_ships_is_shown_and_made_a_schedule(capsys):
     assert schedule.position == pytest.approx(log.time)
 
 
-@pytest.mark.filterwarnings("ignore:.*goes beyond what the task gives")
-def test_a_clean_log_is_evaluated_and_its_standstills_are_the_slowest_feed(capsys):
+def test_a_clean_log_is_a_policy_that_stands_still_where_the_log_does():
+    """And does not warn of it."""
     assert main(["log", "example-rig", "--output", "rig.csv"]) == 0
     from agents.policies.catalogue import make_policy
     from probe_env import TaskConfig
@@ -64,8 +64,8 @@ def test_a_clean_log_is_evaluated_and_its_standstills_are_the_slowest_feed(capsy
     policy = make_policy("rig.csv", TaskConfig())
     feed, _ = policy.schedule.at([120.0])  # in the standstill
     assert feed == 0.0
-    targets = policy.config.targets(policy.config.actions(feed, [0.025]))
-    assert targets[0, 0] == pytest.approx(0.02)
+    assert policy.stands
+    assert policy.schedule.start_length == pytest.approx(read_log(FILE).inserted_length[0])
 
 
 def test_columns_may_be_given_several_times_and_the_input_is_never_written(capsys):

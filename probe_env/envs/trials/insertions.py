@@ -28,7 +28,7 @@ def try_insertions(
         ValueError: a feed that is no policy with SB3's ``predict``.
     """
     count, stretch = len(candidates), stretch_of(config)
-    episodes = Episodes(count, config, fidelity=fidelity, threads=threads)
+    episodes = Episodes(count, config, threads=threads, may_stand=True, fidelity=fidelity)
     options = {
         k: {"context": candidate.context, "probe": candidate.design.built.model_dump()}
         for k, candidate in enumerate(candidates)
