@@ -18,7 +18,7 @@ class ReadLog:
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """What columns are whose heads are not known: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Quantities: time,
     inserted_length, feed_speed, air_supply, root_tension, radial_acceleration_rms, axial_acceleration_rms,
-    rf_noise_rms. May be given several times."""
+    rf_noise_rms; or date, of a clock in another column. May be given several times."""
     output: Path | None = None
     """The clean file (.csv); default: output/NAME-clean.csv. Never the log itself."""
     plot: Path | None = None

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from agents.logs.decimals import decimal_sign, numbers, trimmed
-from agents.logs.quantities import QUANTITIES, Given, Quantity, known_as, plain, split_head
+from agents.logs.quantities import DATE, QUANTITIES, Given, Quantity, known_as, plain, split_head
 from agents.logs.reading import HEADS_SHOWN, Table
-from agents.logs.times import is_written_out, seconds_of
+from agents.logs.times import dated, is_written_out, seconds_of
 from agents.logs.units import factor
 from probe_env.arrays import FloatArray
 from probe_env.files import FileError
@@ -50,11 +50,15 @@ def channels_of(table: Table, given: Sequence[Given], decimal: str, air: float |
         FileError: a column is missing, is there twice or has no unit; a cell is not what it should be.
     """
     places, units = _chosen(table, given)
+    date = places.pop(DATE, None)
     for name in ("time", "feed_speed", "air_supply"):
         alternatives = ("feed_speed", "inserted_length") if name == "feed_speed" else (name,)
         if not any(other in places for other in alternatives) and not (name == "air_supply" and air is not None):
             raise _lacks(table, " or ".join(alternatives))
     cells = {k: trimmed(table.columns[k]) for k in places.values()}
+    if date is not None:
+        k = places["time"]
+        cells[k] = dated(table, date, trimmed(table.columns[date]), cells[k])
     written = is_written_out(cells[places["time"]])
     counted = [name for name in places if not (written and name == "time")]
     factors = {name: _factor(table, QUANTITIES[name], places[name], units) for name in counted}

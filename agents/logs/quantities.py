@@ -35,6 +35,9 @@ class Quantity(NamedTuple):
     rms: bool = False
 
 
+DATE: Final = "date"
+"""The day of a clock in another column: no quantity, but a column that ``--columns`` may name."""
+DATE_WORDS: Final = ("date", "day", "datum", "tag", "messdatum")
 _ALL: Final = (
     Quantity(
         "time", "time_s", "s", 1.0, float("-inf"), float("inf"),
@@ -79,7 +82,9 @@ _ALL: Final = (
 QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantity in _ALL}
 MEASURED: Final = ("root_tension", "radial_acceleration_rms", "axial_acceleration_rms", "rf_noise_rms")
 """What a log may lack."""
-_WORDS: Final = {word: quantity.name for quantity in _ALL for word in quantity.words}
+NAMED: Final = (*QUANTITIES, DATE)
+"""What a column may be."""
+_WORDS: Final = {word: quantity.name for quantity in _ALL for word in quantity.words} | dict.fromkeys(DATE_WORDS, DATE)
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
 _TOKEN: Final = "(?:ms|min|mm|cm|um|µm|m3|ft|kn|[smhnlg])"
@@ -105,7 +110,7 @@ def plain(words: str) -> str:
 
 
 def known_as(head: str) -> str | None:
-    """The quantity that a head means by itself; None: none that is known."""
+    """The quantity, or the date, that a head means by itself; None: none that is known."""
     words = plain(split_head(head)[0])
     return _WORDS.get(words) or _WORDS.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
 
@@ -132,10 +137,9 @@ def parse_columns(texts: Sequence[str]) -> tuple[Given, ...]:
     for text in texts:
         head, _, right = text.rpartition("=")
         name, unit = split_head(right) if right.rstrip().endswith(("]", ")")) else (right.strip(), "")
-        if not head.strip() or name not in QUANTITIES:
+        if not head.strip() or name not in NAMED:
             raise ValueError(
-                f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT], with one of"
-                f" {', '.join(QUANTITIES)}"
+                f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT], with one of {', '.join(NAMED)}"
             )
         if name in (other.quantity for other in given):
             raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, and comes from one column")

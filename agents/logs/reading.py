@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.logs.quantities import QUANTITIES, Given, known_as
+from agents.logs.quantities import NAMED, Given, known_as
 from agents.logs.units import looks_like_unit
 from probe_env.files import MEBI, FileError
 from probe_env.schedule import CSV_COMMENT
@@ -152,7 +152,7 @@ def no_head(path: Path, cells: Sequence[str], line: str) -> FileError:
     return FileError(
         path,
         f"{line}: no head that names two quantities; found: {shown or 'none'} - say what they are:"
-        f" --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(QUANTITIES)}",
+        f" --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMED)}",
     )
 
 

@@ -19,6 +19,9 @@ DAY: Final = 86_400.0
 _ISO: Final = r"^\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)? ?(?:Z|[+-]\d\d(?::?\d\d)?)?$"
 _GERMAN: Final = r"^(\d\d)\.(\d\d)\.(\d{4})[T ]"
 _CLOCK: Final = r"^(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d(?:[.,]\d+)?)$"
+_DATE: Final = r"^(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})$"
+_MIDNIGHT: Final = r"[T ]00:00(?::00(?:[.,]0+)?)?$"
+"""What sheets write behind a date."""
 _MORE_THAN_NUMBER: Final = r"\d[:\-]\d|\d\.\d+\.\d{4}"
 
 
@@ -26,6 +29,26 @@ def is_written_out(cells: Any) -> bool:
     """Whether trimmed texts are timestamps or clocks, by the first that is there."""
     there = cells.filter(pc.invert(is_missing(cells)))
     return bool(len(there)) and bool(pc.any(pc.match_substring_regex(there[:1], _MORE_THAN_NUMBER)).as_py())
+
+
+def dated(table: Table, column: int, dates: Any, clocks: Any) -> Any:
+    """Trimmed clocks with the day that stands in a column of its own, as timestamps.
+
+    Timestamps, numbers and the clocks of a single day stay as they are: a clock tells when midnight is passed.
+
+    Raises:
+        FileError: days that differ and are not all dates that can be read.
+    """
+    timed = pc.invert(is_missing(clocks))
+    days = pc.replace_substring_regex(dates, _MIDNIGHT, "")
+    if not np.asarray(pc.match_substring_regex(clocks, _CLOCK)).any() or len(pc.unique(days.filter(timed))) < 2:
+        return clocks
+    good = np.asarray(pc.or_(pc.match_substring_regex(days, _DATE), pc.invert(timed)))
+    if not good.all():
+        row = int((~good).argmax())
+        raise table.error(row, f"{dates[row].as_py()[:40]!r} is not a date like 2024-05-31 or 31.05.2024", column)
+    padded = pc.replace_substring_regex(clocks, r"^(\d):", r"0\1:")
+    return pc.if_else(timed, pc.binary_join_element_wise(days, padded, pa.scalar("T", pa.large_string())), clocks)
 
 
 def seconds_of(table: Table, column: int, cells: Any) -> FloatArray:

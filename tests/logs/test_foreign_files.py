@@ -48,6 +48,7 @@ def stamp(text):
 
 
 CLOCK = "{c};{x};{v};{a}"
+DATED, DAYS = "Datum;Zeit;length [m];feed [m/s];air [m3/h]", "{d};{c};{x};{v};{a}"
 GERMAN = "Zeit [s];Weg [mm];Vorschub [mm/s];Luft (Nm³/h)"
 IN_MM = {"row": "{t};{mm};200.0;63.0", "mm": lambda _, x: f"{1e3 * x:.1f}"}
 OTHER = "Kanal 1;Kanal 2;Kanal 3;Kanal 4"
@@ -103,6 +104,14 @@ FOREIGN = {
     ),
     "a clock across midnight": (lines(row=CLOCK, c=stamp("%H:%M:%S")), ()),
     "a clock with decimal commas": (lines(sign=",", row=CLOCK, c=stamp("%H:%M:%S.500")), ()),
+    "a date and a clock": (lines(head=DATED, row=DAYS, d=stamp("%d.%m.%Y"), c=stamp("%H:%M:%S")), ()),
+    "a date in words of one's own": (
+        lines(head=DATED.replace("Datum", "D"), row=DAYS, d=stamp("%Y-%m-%d"), c=stamp("%H:%M:%S")), ("D=date",),
+    ),
+    "a date of the start alone": (
+        lines(head=DATED, row=DAYS, d=lambda *_: "31/5/24", c=stamp("%H:%M:%S")), (),
+    ),
+    "a date beside seconds": (lines(head=DATED, row=DAYS, d=stamp("%d.%m.%Y"), c=lambda t, _: f"{t}"), ()),
     "no time at first": (lines(row=CLOCK, c=stamp("%H:%M:%S")).replace("\n", "\nn/a;4.9;0.2;63.0\n", 1), ()),
     "seconds from anywhere": (lines(row=CLOCK, c=lambda t, _: f"{1.7e9 + t:.1f}"), ()),
     "thousands by points": (
@@ -125,6 +134,11 @@ FOREIGN = {
     "a sheet with clock and text": (
         sheet(["Zeit", "Weg [m]", "Luft [m3/h]"], *([time(23, 59, 57 + t) if t < 3 else time(0), f"{x:.2f}", 63]
                                                    for t, x in ROWS)), (),
+    ),
+    "a sheet with a date and a clock": (
+        sheet(["Datum", "Zeit", "Weg [m]", "Luft [m3/h]"],
+              *([datetime(2024, 5, 31 - (t < 3)), time(23, 59, 57 + t) if t < 3 else time(0), x, 63] for t, x in ROWS)),
+        (),
     ),
     "a sheet with dates": (
         sheet(["Zeit", "Weg [m]", "Luft [m3/h]"], *([datetime(2024, 1, 1) + timedelta(seconds=t), x, 63]
@@ -191,6 +205,18 @@ BROKEN = {
     "a time that stands": (lines(row="7;{x};{v};{a}"), "the time never changes"),
     "a time in years": (changed("\n3;", "\n3e9;"), "line 5, column 'time [s]': 3e+09 s are more than the 100000 s"),
     "no such day": (lines(row=CLOCK, c=stamp("2024-02-31T%H:%M:%S")), "line 2, column 'time [s]': '2024-02-31T23"),
+    "the next day at the same hour": (
+        lines(head=DATED, row=DAYS, d=lambda t, _: f"{1 + t // 2:02d}.06.2024", c=lambda t, _: f"09:00:0{t}"),
+        "lines 3 to 4: no rows for 86401 s",
+    ),
+    "the next day at an earlier hour": (
+        lines(head=DATED, row=DAYS, d=lambda t, _: f"0{1 + t // 2}.06.2024", c=lambda t, _: f"{9 - t // 2}:00:0{t}"),
+        "lines 3 to 4: no rows for 82801 s",
+    ),
+    "days that cannot be read": (
+        lines(head=DATED, row=DAYS, d=lambda t, _: f"6/{1 + t // 2}/24", c=lambda t, _: f"09:00:0{t}"),
+        "line 2, column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024",
+    ),
     "no such hour": (lines(row=CLOCK, c=lambda t, _: f"25:00:0{t}"), "line 2, column 'time [s]': '25:00:00' is not a"),
     "clock and seconds": (
         lines(row=CLOCK, c=lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]'",
