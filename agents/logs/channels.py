@@ -10,7 +10,8 @@ import numpy as np
 
 from agents.logs.decimals import decimal_sign, numbers, trimmed
 from agents.logs.quantities import DATE, QUANTITIES, Given, Quantity, known_as, plain, split_head
-from agents.logs.reading import HEADS_SHOWN, Table
+from agents.logs.tables.heads import HEADS_SHOWN
+from agents.logs.tables.table import Table
 from agents.logs.times import dated, is_written_out, seconds_of
 from agents.logs.units import factor
 from probe_env.arrays import FloatArray

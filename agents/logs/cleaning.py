@@ -10,16 +10,14 @@ import numpy as np
 
 from agents.logs.channels import Channels
 from agents.logs.quantities import QUANTITIES
-from agents.logs.reading import IntArray, Table
+from agents.logs.repairs import band, between, bridged, disagreement, integral, portion_means
+from agents.logs.tables.table import IntArray
 from agents.logs.times import DIGITS
 from probe_env.arrays import FloatArray
-from probe_env.files import FileError
 from probe_env.schedule import POSITIONS
 
 USUAL_SPACING: Final = 2.5
 """Rows further apart than so many times their usual distance have something missing between them."""
-AGREEMENT: Final = 0.05, 0.02
-"""What the speed's integral may differ from the encoder [m], and as a share of the length that was fed."""
 
 
 @dataclass(frozen=True)
@@ -118,24 +116,24 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
     steps = np.diff(time)
     if steps.max() > bounds.gap:
         k = int(steps.argmax())
-        raise _between(table, rows[k], rows[k + 1], f"no rows for {steps[k]:.6g} s", bounds.gap)
+        raise between(table, rows[k], rows[k + 1], f"no rows for {steps[k]:.6g} s", bounds.gap)
     gaps = steps > USUAL_SPACING * np.median(steps)
     mended = replace(mended, gaps=int(gaps.sum()), longest_gap=float(steps[gaps].max(initial=0.0)))
     for name, column in values.items():
         missing = np.isnan(column)
-        values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
+        values[name] = bridged(channels, name, time, column, rows, bounds.gap)
         mended = replace(mended, missing=mended.missing + int(missing.sum()))
     speed = values.pop("feed_speed", None)
     encoder = values.pop("inserted_length", None)
     length, notes = encoder, tuple[str, ...]()
     if speed is not None:
-        fed = _integral(time, speed, table.steps)
+        fed = integral(time, speed, table.steps)
         if length is None:
             length = bounds.start_length + fed
         else:
-            notes = _disagreement(time, length - length[0], fed)
+            notes = disagreement(time, length - length[0], fed)
     assert length is not None  # one of both is there
-    low, high = _band(channels, length, rows, bounds.backward, encoder is not None)
+    low, high = band(channels, length, rows, bounds.backward, encoder is not None)
     behind = high - length
     mended = replace(mended, backward=int((behind > 0.0).sum()), most_backward=float(behind.max()))
     rising = np.where(low == high, length, 0.5 * (low + high))  # neither early nor late
@@ -170,80 +168,3 @@ def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, F
         {n: portion_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()},
         rows[first],
     )
-
-
-def portion_means(values: FloatArray, first: IntArray, rms: bool) -> FloatArray:
-    """Means, or for ``rms`` roots of mean squares, of portions that begin at the rows ``first``; NaN where none is."""
-    if len(first) == len(values):
-        return values
-    there = ~np.isnan(values)
-    powers = np.where(there, values**2 if rms else values, 0.0)
-    with np.errstate(invalid="ignore"):
-        means = np.add.reduceat(powers, first) / np.add.reduceat(there.astype(float), first)
-    return np.asarray(np.sqrt(means) if rms else means)
-
-
-def _bridged(
-    channels: Channels, name: str, time: FloatArray, column: FloatArray, rows: IntArray, gap: float
-) -> FloatArray:
-    there = np.flatnonzero(~np.isnan(column))
-    if len(there) == len(column):
-        return column
-    table, k = channels.table, channels.places[name]
-    if not len(there):
-        raise table.error(0, "no value in the whole column", k)
-    edges = np.concatenate([[0], there, [len(column) - 1]])  # the ends hold the nearest value
-    holes = np.diff(edges) > 1
-    lasting = np.where(holes, np.diff(time[edges]), 0.0)
-    if lasting.max() > gap:
-        j = int(lasting.argmax())
-        problem = f"column {table.heads[k]!r} has no values for {lasting[j]:.6g} s"
-        raise _between(table, rows[edges[j]], rows[edges[j + 1]], problem, gap)
-    return np.asarray(np.interp(time, time[there], column[there]))
-
-
-def _between(table: Table, first: int, last: int, problem: str, gap: float) -> FileError:
-    place = f"{table.row_word}s {table.lines[first]} to {table.lines[last]}"
-    return FileError(
-        table.path, f"{place}: {problem}, more than the {gap:g} s that are bridged - cut the file there, or --gap"
-    )
-
-
-def _integral(time: FloatArray, speed: FloatArray, steps: bool) -> FloatArray:
-    """Length (n,) that a speed has fed [m]."""
-    means = speed[:-1] if steps else 0.5 * (speed[1:] + speed[:-1])
-    return np.concatenate([[0.0], np.cumsum(means * np.diff(time))])
-
-
-def _disagreement(time: FloatArray, by_encoder: FloatArray, by_speed: FloatArray) -> tuple[str, ...]:
-    allowed = AGREEMENT[0] + AGREEMENT[1] * np.abs(by_encoder)
-    excess = np.abs(by_speed - by_encoder) - allowed
-    k = int(excess.argmax())
-    if excess[k] <= 0.0:
-        return ()
-    return (
-        f"The speed column and the encoder disagree: {by_speed[k]:.4g} m and {by_encoder[k]:.4g} m are fed up to"
-        f" {time[k]:.4g} s, more than {AGREEMENT[0]:g} m and {100 * AGREEMENT[1]:g} % apart; the encoder is taken.",
-    )
-
-
-def _band(
-    channels: Channels, length: FloatArray, rows: IntArray, backward: float, encoder: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Least length (n,) from each row on, and greatest up to it [m]: neither falls."""
-    before = np.maximum.accumulate(length)
-    behind = before - length
-    table = channels.table
-    if behind.max() > backward:
-        row = int((behind > backward).argmax())
-        k = channels.places["inserted_length" if encoder else "feed_speed"]
-        raise table.error(
-            rows[row],
-            f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m that"
-            " are taken for noise - the return is not modelled: cut the file there, or --backward",
-            k,
-        )
-    most = POSITIONS["inserted_length_m"][1]
-    if length.max() > most:
-        raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
-    return np.minimum.accumulate(length[::-1])[::-1], before

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.logs.reading import Table
+from agents.logs.tables.table import Table
 from probe_env.arrays import FloatArray
 
 MISSING: Final = r"(?i)^(?:|-+|n/?a|#n/?a|nan|null|none|nil|\?|#nv|#value!|#wert!|#div/0!)$"

@@ -11,10 +11,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agents.logs.channels import channels_of
-from agents.logs.cleaning import Bounds, Cleaned, Mended, cleaned, portion_means
+from agents.logs.cleaning import Bounds, Cleaned, Mended, cleaned
 from agents.logs.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
-from agents.logs.reading import MOST_BYTES, IntArray, Table, decoded, table_of_text
-from agents.logs.sheets import OLD_EXCEL, ZIP, table_of_sheet
+from agents.logs.repairs import portion_means
+from agents.logs.tables.encodings import MOST_BYTES, decoded
+from agents.logs.tables.sheets import OLD_EXCEL, ZIP, table_of_sheet
+from agents.logs.tables.table import IntArray, Table
+from agents.logs.tables.text import table_of_text
 from agents.logs.thinning import DWELL, held, kept_rows, outside
 from agents.logs.times import DIGITS
 from probe_env.arrays import FloatArray

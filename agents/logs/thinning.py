@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from agents.logs.reading import IntArray
+from agents.logs.tables.table import IntArray
 from probe_env.arrays import FloatArray
 
 Band = tuple[FloatArray, FloatArray]

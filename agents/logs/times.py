@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from agents.logs.decimals import is_missing
-from agents.logs.reading import Table
+from agents.logs.tables.table import Table
 from probe_env.arrays import FloatArray
 
 DIGITS: Final = 6

@@ -15,15 +15,8 @@ import numpy as np
 import pyarrow as pa
 
 from agents.logs.quantities import Given
-from agents.logs.reading import (
-    HEAD_WITHIN,
-    MOST_COLUMNS,
-    MOST_ROWS,
-    Table,
-    head_score,
-    is_units_row,
-    no_head,
-)
+from agents.logs.tables.heads import HEAD_WITHIN, head_score, is_units_row, no_head
+from agents.logs.tables.table import MOST_COLUMNS, MOST_ROWS, Table
 from probe_env.files import MEBI, FileError
 
 ZIP: Final = b"PK\x03\x04"

@@ -1,107 +1,27 @@
-"""Text of anyone's as a table of texts: its encoding, separator and head found, its rows checked for length."""
+"""Text of anyone's as a table of texts: its separator and head found, its rows checked for length."""
 
 from __future__ import annotations
 
-import codecs
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.logs.quantities import NAMED, Given, known_as
-from agents.logs.units import looks_like_unit
-from probe_env.files import MEBI, FileError
+from agents.logs.quantities import Given
+from agents.logs.tables.heads import HEAD_WITHIN, head_score, is_units_row, no_head
+from agents.logs.tables.table import MOST_COLUMNS, MOST_ROWS, IntArray, Table
+from probe_env.files import FileError
 from probe_env.schedule import CSV_COMMENT
 
-IntArray = npt.NDArray[np.integer]
-MOST_BYTES: Final = 256 * MEBI
-MOST_ROWS: Final = 5_000_000
-MOST_COLUMNS: Final = 256
-HEAD_WITHIN: Final = 200
-"""Lines, empty ones apart, within which the head must stand."""
-HEADS_SHOWN: Final = 12
 SEPARATORS: Final = (";", "\t", "|", ",", " ")
 COMMENT: Final = r"^\s*[#%!]|^[\s|:+=-]*$"
 """Comments, empty lines, rules between head and rows."""
-_CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 _SPACED_TIME: Final = r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)"
-_NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells as they are written.
-
-    Attributes:
-        path: of the file.
-        heads: one a column.
-        units: the row of units below the heads, empty texts where there is none.
-        columns: texts of every column, arrow arrays of one length.
-        lines: number of the line, or the row of a sheet, of every row.
-        row_word: what a row is called in errors, "line" or "row".
-        separator: of the columns; empty for a sheet.
-        decimal: the decimal sign where it is beyond doubt, else empty.
-        steps: whether it says of itself that values hold until the next row.
-    """
-
-    path: Path
-    heads: tuple[str, ...]
-    units: tuple[str, ...]
-    columns: tuple[Any, ...]
-    lines: IntArray
-    row_word: str = "line"
-    separator: str = ""
-    decimal: str = ""
-    steps: bool = False
-
-    def error(self, row: int, problem: str, column: int | None = None) -> FileError:
-        """What is wrong at a row, for a line of text."""
-        place = f"{self.row_word} {self.lines[row]}" + (
-            f", column {self.heads[column]!r}" if column is not None else ""
-        )
-        return FileError(self.path, f"{place}: {problem}")
-
-
-def decoded(path: Path, content: bytes) -> str:
-    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe.
-
-    Raises:
-        FileError: not a text.
-    """
-    utf16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    begin = content[:1000]
-    if content.startswith(utf16):
-        names = ["utf-16"]
-    elif len(begin) > 3 and begin[1::2].count(0) > 0.4 * len(begin):
-        names = ["utf-16-le"]
-    elif len(begin) > 3 and begin[::2].count(0) > 0.4 * len(begin):
-        names = ["utf-16-be"]
-    else:
-        names = ["utf-8-sig", "cp1252"]
-    text = None
-    for name in names:
-        try:
-            text = content.decode(name)
-            break
-        except UnicodeDecodeError as error:
-            place, byte = content.count(b"\n", 0, error.start) + 1, content[error.start]
-    if text is None:
-        raise FileError(path, f"line {place}: not a text file (byte 0x{byte:02x}): export it as text in UTF-8")
-    text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # DOS ended files with Ctrl-Z
-    control = _CONTROL.search(text)
-    if control:
-        line = text.count("\n", 0, control.start()) + 1
-        raise FileError(
-            path, f"line {line}: not a text file: a control character (0x{ord(control[0]):02x}) - export it as text"
-        )
-    return text
 
 
 def table_of_text(path: Path, text: str, given: Sequence[Given]) -> Table:
@@ -132,28 +52,6 @@ def table_of_text(path: Path, text: str, given: Sequence[Given]) -> Table:
     numbers = used + head + 2
     columns = _columns(path, body.take(pa.array(used)), numbers, separator, len(heads))
     return Table(path, tuple(heads), units, columns, numbers, separator=separator, steps=steps)
-
-
-def head_score(cells: Sequence[str], given: Sequence[Given]) -> int:
-    """How many quantities the cells of a line name."""
-    named = {other.quantity for cell in cells for other in given if cell and other.means(cell)}
-    return len(named | {name for cell in cells if cell and (name := known_as(cell))})
-
-
-def is_units_row(cells: Sequence[str]) -> bool:
-    """Whether the row below a head has units, and no number or time."""
-    filled = [cell.strip() for cell in cells if cell.strip()]
-    return bool(filled) and not any(map(_NUMBER_OR_TIME.fullmatch, filled)) and all(map(looks_like_unit, filled))
-
-
-def no_head(path: Path, cells: Sequence[str], line: str) -> FileError:
-    """Nobody knows the heads."""
-    shown = ", ".join(repr(cell[:60]) for cell in cells[:HEADS_SHOWN]) + (" ..." if len(cells) > HEADS_SHOWN else "")
-    return FileError(
-        path,
-        f"{line}: no head that names two quantities; found: {shown or 'none'} - say what they are:"
-        f" --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMED)}",
-    )
 
 
 def _head(path: Path, lines: Sequence[str], given: Sequence[Given]) -> tuple[int, str]:
