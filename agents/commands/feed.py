@@ -48,11 +48,12 @@ class Evaluate:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
+        from agents.policies.catalogue import own_policies
         from agents.policies.places import place_at
 
-        place = place_at(self.tube, self.contexts, self.limit)
+        place, checks = place_at(self.tube, self.contexts, self.limit), Checks(self.check_fidelity, self.finer)
         plan = plan_of(self.policies, place, self.seeds, self.fidelity, self.probes, self.strict)
-        evaluate(plan, self.output, Checks(self.check_fidelity, self.finer), self.against, self.workers)
+        evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))
 
 
 @dataclass(frozen=True)
@@ -73,13 +74,13 @@ class Agents:
 
 @dataclass(frozen=True)
 class Report:
-    """Write the report of a stored evaluation again: one HTML page that needs no network."""
+    """Write the report of a stored evaluation again, or of what an interrupted one has stored: one HTML page."""
 
     folder: tyro.conf.Positional[Path] = Path("results/evaluation")
-    """Folder of the evaluation's tables."""
+    """Folder of the evaluation."""
 
     def run(self) -> None:
-        """Write report.html and summary.csv beside the tables."""
+        """Write report.html, and summary.csv beside whole tables."""
         from agents.evaluation.report import write_report
 
         print(f"written: {write_report(self.folder)}")

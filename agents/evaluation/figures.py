@@ -1,4 +1,4 @@
-"""Pictures of policies: time against vibration, profiles over the inserted length, worst episodes."""
+"""Pictures of policies: time against vibration, profiles over the inserted length."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from agents.records.drawing import BLUE, GREY, GRID, MM, RED, colours, plain, save
+from agents.records.drawing import GREY, GRID, MM, colours, plain, save
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
@@ -46,8 +46,8 @@ def _save_time_against_vibration(figure: Figure, path: Path) -> Path:
     return save(figure, path)
 
 
-def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
-    """Feed, air and vibration over the inserted length by policy, in bins of two metres."""
+def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -> Path:
+    """Feed, air and vibration over the inserted length by policy, in bins of two metres; a line at the limit."""
     figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
     binned = profile.assign(bin=(profile["inserted_length"] // 2.0) * 2.0 + 1.0)
     fields = (
@@ -66,35 +66,8 @@ def policy_profiles(profile: pd.DataFrame, path: Path) -> Path:
     for axis in axes:
         axis.grid(**GRID)
         axis.set_ylim(bottom=0.0)
-    axes[0].legend(frameon=False, ncols=3)
-    axes[2].axhline(0.1, color=GREY, linestyle=":")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", frameon=False, ncols=3)
+    if limit_mm is not None:
+        axes[2].axhline(limit_mm, color=GREY, linestyle=":")
     axes[2].set_xlabel("inserted length [m]")
-    return save(figure, path)
-
-
-def worst_episodes(table: pd.DataFrame, profile: pd.DataFrame, path: Path) -> Path:
-    """Of each policy the episode with the lowest reward: feed and vibration over the inserted length."""
-    policies = list(dict.fromkeys(table["policy"]))
-    figure, axes = plt.subplots(
-        len(policies), 1, figsize=(9, 2.0 * len(policies) + 0.6), sharex=True, squeeze=False, layout="constrained"
-    )
-    for axis, policy in zip(axes[:, 0], policies, strict=True):
-        part = table[table["policy"] == policy]
-        worst = part.loc[part["reward"].idxmin()]
-        place = ["policy", "context", "seed"]
-        rows = profile[(profile[place] == worst[place]).all(axis=1)]
-        rows = rows[rows["agent"] == worst["agent"]] if "agent" in rows else rows
-        axis.plot(rows["inserted_length"], rows["radial_rms_m"] * MM, color=BLUE, linewidth=0.8)
-        axis.set_ylabel("radial rms [mm]", color=BLUE)
-        feed = axis.twinx()
-        feed.plot(rows["inserted_length"], rows["feed_speed"], color=RED, linewidth=0.8)
-        feed.set_ylabel("feed [m/s]", color=RED)
-        feed.set_ylim(0.0, 0.42)
-        axis.set_title(
-            f"{plain(policy)}: reward {worst['reward']:.0f}, friction {worst['friction']:.2f},"
-            f" helix {worst['helix_diameter']:g} m",
-            fontsize=10,
-        )
-        axis.grid(**GRID)
-    axes[-1, 0].set_xlabel("inserted length [m]")
     return save(figure, path)

@@ -11,7 +11,7 @@ from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
-from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names
+from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -63,6 +63,13 @@ def _is_named(spec: str) -> bool:
 
 def _is_file(spec: str) -> bool:
     return Path(spec).suffix in (".csv", ".toml", ".npz") and Path(spec).exists()
+
+
+def own_policies(specs: Sequence[str]) -> list[str]:
+    """Names of those that are the user's: schedule files, and agents' bundles but those that ship."""
+    shipped = shipped_folder("agents").resolve()
+    given = [(name, Path(spec)) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
+    return [name for name, path in given if path.suffix != ".npz" or not path.resolve().is_relative_to(shipped)]
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.records.columns import CARRIED, KPIS
+from agents.terminal.names import name_problem
 from probe_env.design import RANGES
+from probe_env.envs.contexts import Context
 from probe_env.envs.starts import Probes
 from probe_env.envs.task import TaskConfig
 from probe_env.files import MEBI, FileError, read_text
@@ -98,10 +100,30 @@ class Evaluated(Record):
     policies: dict[str, dict[str, Any]]
 
 
+class Unfinished(Evaluated):
+    """``unfinished.json``: what an evaluation is to hold. It is gone once the tables are there."""
+
+    contexts: tuple[Context, ...]
+    episodes: tuple[tuple[Key, str, NonNegativeInt, NonNegativeInt], ...]
+    """Key, policy, number of the context and seed of each."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        for _, policy, context, _ in self.episodes:
+            problem = name_problem(policy)
+            if not problem and (context >= len(self.contexts) or policy not in self.policies):
+                problem = f"in tube {context} is of no such policy or tube"
+            if problem:
+                raise PydanticCustomError("episodes", "{text}", {"text": f"episodes: {policy!r} {problem}"})
+        return self
+
+
 class Compared(Stored):
     """``report.json``."""
 
     against: str
+    own: tuple[str, ...] = ()
+    """Policies that were given as files of the user's own."""
 
 
 class Quality(Record):

@@ -7,7 +7,6 @@ interrupted goes on to the same table.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,9 +23,9 @@ from agents.processes.workers import HERE, Workers
 from agents.records import reading as stored
 from agents.records.code_hash import class_hash, code_hash
 from agents.records.columns import CARRIED
-from agents.records.journal import Journal
-from agents.records.models import Episode, Setting
-from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.models import Setting
+from agents.records.provenance import commit, provenance, write_json
+from agents.rollouts.folder import UNFINISHED, episodes_of, gathered, write_tables
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.design import RANGES
@@ -80,6 +79,14 @@ class Plan:
         """Policy name, context number and seed of every episode."""
         return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
 
+    def planned(self) -> list[tuple[str, str, int, int]]:
+        """Key, policy name, context number and seed of every episode."""
+        return [(self.key(unit), *unit) for unit in self.units()]
+
+    def described(self) -> dict[str, Any]:
+        """Its tubes and episodes, JSON-ready: what a folder is to hold."""
+        return {"contexts": [context.model_dump() for context in self.contexts], "episodes": self.planned()}
+
     def key(self, unit: tuple[str, int, int]) -> str:
         """Identity of an episode: policy as described and written, context and seed."""
         name, k, seed = unit
@@ -101,21 +108,21 @@ def run_plan(
 
     Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
     end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
-    written. Without an output nothing is read or written.
+    written. Until then ``unfinished.json`` says what there is to be. Without an output nothing is read or written.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
     """
     if output is None:
         lines = _lines(plan, deque(plan.units()), batch, threads, workers)
-        return _tables(plan, {record["key"]: record for record in map(json.loads, lines)})[0]
-    journal = episodes_of(output)
-    done = _check_setting(plan, output)
+        return gathered(plan.planned(), plan.contexts, {record["key"]: record for record in map(json.loads, lines)})[0]
+    journal, done = episodes_of(output), stored_episodes(plan, output)
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
+    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    write_json(output / UNFINISHED, provenance() | {"policies": described} | plan.described())
     if missing:
-        output.mkdir(parents=True, exist_ok=True)
         write_json(output / "setting.json", plan.setting())
         with (
             journal.appending() as append,
@@ -125,32 +132,19 @@ def run_plan(
                 append(line)
                 bar.update()
         done = journal.read()
-    table, profile = _tables(plan, done)
-    _write_tables(table, profile, output)
-    described = {name: policy.describe() for name, policy in plan.policies.items()}
+    table, profile = gathered(plan.planned(), plan.contexts, done)
+    write_tables(table, profile, output)
     write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
+    (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
 
-def _tables(plan: Plan, done: Mapping[str, dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """KPIs and profiles of all episodes of the plan."""
-    rows, profiles = [], []
-    for unit in plan.units():
-        record = done[plan.key(unit)]
-        name, k, seed = unit
-        place: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
-        origin = {"commit": record.get("commit", "unknown")}
-        rows.append(place | plan.contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | origin)
-        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**place))
-    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
+    """Records of the episodes that a folder holds, by their keys.
 
-
-def episodes_of(output: Path) -> Journal[Episode]:
-    """The stored episodes of an evaluation."""
-    return Journal(output / "episodes.jsonl", Episode)
-
-
-def _check_setting(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
+    Raises:
+        ValueError: they are of another setting than the plan's, or nobody knows of which; or a file is damaged.
+    """
     path, journal = output / "setting.json", episodes_of(output)
     if path.exists():
         this = Setting.model_validate_json(json.dumps(plan.setting()))
@@ -259,11 +253,3 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, np.ndarray]:
     gathered["time"] = groups["time"].max()
     gathered["inserted_length"] = gathered.index + 0.5
     return {name: gathered[name].to_numpy() for name in CARRIED}
-
-
-def _write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> None:
-    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
-    for name, frame in (("episodes", table), ("profile", profile)):
-        buffer = io.BytesIO()
-        frame.to_parquet(buffer, index=False)
-        write_atomically(output / f"{name}.parquet", buffer.getvalue())

@@ -26,11 +26,13 @@ class Interval:
 
     def text(self, factor: float = 1.0) -> str:
         """Mean and interval, three digits."""
-        return f"{_short(self.mean * factor)} [{_short(self.low * factor)}, {_short(self.high * factor)}]"
+        return f"{short(self.mean * factor)} [{short(self.low * factor)}, {short(self.high * factor)}]"
 
 
-def _short(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+def short(value: float, sign: str = "") -> str:
+    """Three digits; ``sign`` "+": with a sign, unless it is 0."""
+    sign = sign if value else ""
+    return f"{value:{sign}.0f}" if abs(value) >= 100.0 else f"{value:{sign}.3g}"
 
 
 def bootstrap_ends(
@@ -194,9 +196,7 @@ def _in_words(difference: Interval, factor: float, unit: str) -> str:
     """A difference such as "41 s less [38, 44]", or that its interval includes none."""
     low, high = difference.low * factor, difference.high * factor
     if low <= 0.0 <= high and low < high:
-        return (
-            f"no clearly different amount (by {_short(difference.mean * factor)}{unit} [{_short(low)}, {_short(high)}])"
-        )
+        return f"no clearly different amount (by {short(difference.mean * factor)}{unit} [{short(low)}, {short(high)}])"
     near, far = sorted((abs(low), abs(high)))
     word = "less" if difference.mean < 0.0 else "more"
-    return f"{_short(abs(difference.mean * factor))}{unit} {word} [{_short(near)}, {_short(far)}]"
+    return f"{short(abs(difference.mean * factor))}{unit} {word} [{short(near)}, {short(far)}]"

@@ -11,8 +11,8 @@ from oracles.scatter import hits_within
 from scipy.stats import trim_mean
 
 from agents.evaluation.fidelity_check import Checks
-from agents.evaluation.report import evaluate, plan_of, write_report
-from agents.policies.fixed import Constant, SlowDown
+from agents.evaluation.report import evaluate, plan_of
+from agents.policies.fixed import Constant
 from agents.policies.places import place_of
 from agents.records.columns import KPIS
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
@@ -72,13 +72,13 @@ def evaluate_here(folder):
 
 
 def test_an_evaluation_killed_at_every_episode_and_table_gives_the_same_table(tmp_path):
-    """Killed whenever three more episodes are in the journal, then before each of the four tables is in its place."""
+    """Killed whenever three more episodes are in the journal, then before each of the five files is in its place."""
     whole = run_plan(plan(4, 3), tmp_path / "whole", batch=2, progress=False)
     folder, stored = tmp_path / "killed", []
     while killed_at("agents.rollouts.plan._line", 4, evaluate_here, folder):
         stored.append(len(episodes_of(folder).read()))
     assert stored == list(range(3, 24, 3))  # of 24; nothing is lost, nothing done twice
-    for number in range(1, 5):
+    for number in range(1, 6):
         assert killed_at("os.replace", number, evaluate_here, folder)
     again = run_plan(plan(4, 3), folder, batch=2, progress=False)
     pd.testing.assert_frame_equal(whole, again, check_exact=True)
@@ -201,19 +201,6 @@ def test_summary_and_endings():
     rows = summarise(table).set_index(["policy", "kpi"])
     assert rows.loc[("A", "inspection_time_s"), "worst"] == table[table["policy"] == "A"]["inspection_time_s"].max()
     assert endings(table).loc["A"].tolist() == [39, 1, 0, 40]
-
-
-def test_the_report_is_one_page_without_a_network(tmp_path):
-    made = plan(4, 2, (0,))
-    made.policies["slow-down"] = SlowDown(CONFIG)
-    run_plan(made, tmp_path, progress=False)
-    page = write_report(tmp_path).read_text()
-    assert page.count("data:image/png;base64,") == 3
-    assert "http://" not in page
-    assert "https://" not in page
-    for text in ("slow-down takes", "Figures of merit", "width=device-width", "Worst episodes", "Commit"):
-        assert text in page
-    assert (tmp_path / "summary.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ import torch
 
 from agents.cli import main
 from agents.design.compare import Comparison
+from agents.evaluation.page.stored import read_evaluation
 from agents.evaluation.report import write_report
 from agents.learning.config import Training
 from agents.learning.train import CHECKPOINT, RUN, train_all
@@ -228,6 +229,29 @@ def test_settings(damage, stored, refused):
 def test_reports_of_damaged_json(name, damage, stored, refused):
     JSON[damage](stored / name)
     refused(["report", stored], str(stored / name))
+
+
+@pytest.mark.parametrize("damage", [*JSON, "another tube", "a name for the terminal", "no key"])
+def test_what_an_interrupted_evaluation_was_to_hold(damage, stored, refused):
+    path = stored / "unfinished.json"
+    record = json.loads((stored / "provenance.json").read_text())
+    lines = [json.loads(line) for line in lines_of(stored / "episodes.jsonl")]
+    episodes = [[line["key"], *line["unit"]] for line in lines]
+    held = record | {"contexts": [{}, {}], "episodes": episodes}
+    path.write_text(json.dumps(held))
+    read_evaluation(stored)
+    name = "\x1b[2J"
+    others = {
+        "another tube": held | {"contexts": [{}]},
+        "a name for the terminal": held
+        | {"episodes": [[episodes[0][0], name, 0, 0]], "policies": {name: {}} | record["policies"]},
+        "no key": held | {"episodes": [["", *episodes[0][1:]]]},
+    }
+    if damage in others:
+        path.write_text(json.dumps(others[damage]))
+    else:
+        JSON[damage](path)
+    refused(["report", stored], str(path))
 
 
 def rewritten_table(change):

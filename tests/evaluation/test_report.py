@@ -1,0 +1,256 @@
+"""The report: its verdict is honest, what is missing of an interrupted run is said, and the page is safe and alone."""
+
+import json
+import re
+from html.parser import HTMLParser
+from urllib.parse import unquote
+
+import numpy as np
+import pandas as pd
+import pytest
+from kills import killed_at
+
+from agents.evaluation.page import traces as page_traces
+from agents.evaluation.page.stored import comparable, read_evaluation, spans
+from agents.evaluation.page.verdict import ranking, verdict
+from agents.evaluation.report import evaluate, write_report
+from agents.policies.fixed import PI, Constant, Scheduled
+from agents.records.columns import KPIS
+from agents.rollouts.folder import UNFINISHED
+from agents.rollouts.plan import Plan, run_plan
+from agents.rollouts.statistics import grouped
+from probe_env import Fidelity, load_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.schedule import Schedule
+
+CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
+MINE = Schedule("time", "linear", (0.0, 0.2), (0.15, 0.3), (0.02, 0.03))
+
+
+def plan(policies, contexts=3, config=CONFIG):
+    return Plan(policies, load_contexts("validation")[:contexts], (0,), config, Fidelity())
+
+
+def constants(count):
+    return {f"feed {k}": Constant(CONFIG, feed_speed=0.1 * (k + 1)) for k in range(count)}
+
+
+# ---- the verdict ----
+
+
+def table_of(times, shares, rewards, tubes=20, scatter=0.0):
+    """Policies on the same tubes, whose differences scatter by so much of what they are."""
+    rng, rows = np.random.default_rng(3), []
+    for policy in times:
+        for context in range(tubes):
+            given = {
+                "inspection_time_s": times[policy],
+                "share_within_limit": shares[policy],
+                "reward": rewards[policy],
+            }
+            values = {name: value * (1.0 + scatter * rng.normal()) for name, value in given.items()}
+            row = dict.fromkeys((*KPIS, "complete"), 1.0) | {"lost_drive": 0.0, "diverged": 0.0} | values
+            rows.append(row | {"policy": policy, "context": context, "seed": 0})
+    return pd.DataFrame(rows)
+
+
+TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0.9}, {"mine": 1.0, "best": 9.0}
+
+
+def test_the_verdict_says_how_much_longer_than_the_best():
+    said = verdict(table_of(TIMES, SHARES, REWARDS), "mine", (), "0.1 mm")
+    assert said.headline == "61 s longer than the best here, best, at the same length within 0.1 mm."
+    assert "361 s against 300 s; 90 % of the length within 0.1 mm against 90 %" in said.detail
+    assert "worse, -8." in said.detail
+    better = verdict(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
+    assert better.headline.endswith("with 5 % less of the length within 0.1 mm.")
+
+
+def test_the_verdict_names_the_interval_and_what_is_within_scatter():
+    said = verdict(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine", (), "0.1 mm").headline
+    low, high = map(float, re.match(r"\d+ s \[(\d+), (\d+)\] longer than the best here", said).groups())
+    assert low < 61.0 < high  # 20 differences of 4.7 s scatter: the mean is within 1.05 s (standard error)
+    assert re.search(
+        r"at the same length within 0\.1 mm, within scatter \([-+][\d.]+ % of the length \[-.*, \+.*\]\)", said
+    )
+    same = table_of(TIMES | {"mine": 300.0}, SHARES, REWARDS | {"mine": 9.0}, scatter=0.05)
+    loser = ranking(same)[1]
+    unclear = verdict(same, loser, (), "0.1 mm")
+    assert re.match(r"as long as the best here, \w+, within scatter \([-+][\d.]+ s \[-.*, \+.*\]\)", unclear.headline)
+    assert "no clear difference" in unclear.detail
+
+
+def test_the_best_is_compared_with_the_next_and_nobody_with_what_is_told_the_tube():
+    table = table_of(TIMES | {"oracle": 200.0}, SHARES | {"oracle": 1.0}, REWARDS | {"oracle": 20.0})
+    assert verdict(table, "best", {"oracle"}, "0.1 mm").headline == (
+        "the best here: 61 s shorter than the next best here, mine, at the same length within 0.1 mm."
+    )
+    assert "the best here, best" in verdict(table, "mine", {"oracle"}, "0.1 mm").headline
+
+
+def test_the_verdict_tells_of_failures_of_one_tube_and_of_nothing_to_compare_with():
+    table = table_of(TIMES, SHARES, REWARDS)
+    table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
+    assert verdict(table, "mine", (), "0.1 mm").headline.endswith("; it did not complete 2 of 20 insertions.")
+    assert "; mine did not complete 2 of 20" in verdict(table, "best", (), "0.1 mm").headline
+    one = verdict(table_of(TIMES, SHARES, REWARDS, tubes=1, scatter=0.05), "mine", (), "0.1 mm")
+    assert "[" not in one.headline
+    assert "One tube says nothing about scatter" in one.detail
+    assert "rough intervals" in verdict(table_of(TIMES, SHARES, REWARDS, tubes=4), "mine", (), "0.1 mm").detail
+    alone = table[table["policy"] == "best"]
+    assert verdict(alone, "best", (), "5 mm/s").headline == "300 s, 90 % of the length within 5 mm/s."
+
+
+# ---- interrupted ----
+
+
+def planned(*counts):
+    """Stored episodes of as many policies, each on its first tubes."""
+    return [(f"{p}-{k}", f"policy {p}", k, 0) for p, count in enumerate(counts) for k in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("counts", "kept"),
+    [
+        ((48, 48, 40), {"policy 0": 40, "policy 1": 40, "policy 2": 40}),
+        ((48, 48, 1), {"policy 0": 48, "policy 1": 48}),  # one tube of three says less than 48 of two
+        ((7,), {"policy 0": 7}),
+    ],
+)
+def test_as_many_episodes_are_compared_as_can_be(counts, kept):
+    chosen = comparable(planned(*counts))
+    assert pd.Series([name for _, name, _, _ in chosen]).value_counts().to_dict() == kept
+
+
+def test_numbers_in_words():
+    assert spans([3, 0, 1, 2, 7, 9, 10]) == "0 to 3, 7, 9 to 10"
+
+
+def evaluate_here(folder):
+    evaluate(plan(constants(3), 4), folder)
+
+
+def test_the_report_of_a_killed_evaluation_says_what_is_missing(tmp_path):
+    assert killed_at("agents.rollouts.plan.per_metre", 8, evaluate_here, tmp_path)
+    stored = len((tmp_path / "episodes.jsonl").read_text().splitlines())
+    assert stored == 7
+    done = read_evaluation(tmp_path)
+    assert (done.missing.stored, done.missing.planned) == (7, 12)
+    assert done.table["policy"].value_counts().to_dict() == {"feed 0": 3, "feed 1": 3}
+    page = write_report(tmp_path).read_text()
+    assert "7 of 12 insertions are stored" in page
+    assert "<b>feed 1</b>: 1 of 4 insertions: tube 3" in page
+    assert "<b>feed 2</b>: all of its 4 insertions" in page
+    assert not (tmp_path / "summary.csv").exists()  # of whole tables only
+    evaluate_here(tmp_path)
+    assert "Not finished" not in (tmp_path / "report.html").read_text()
+    assert not (tmp_path / UNFINISHED).exists()
+
+
+def test_tables_of_before_are_not_taken_for_those_of_a_changed_schedule(tmp_path):
+    """Its name stays the same, so nothing in the tables says that they are of another."""
+    run_plan(plan(constants(2)), tmp_path, progress=False)
+    changed = constants(2) | {"feed 1": Constant(CONFIG, feed_speed=0.35)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.rollouts.plan._lines", lambda *_: iter(()))
+        with pytest.raises(KeyError):  # as if it had been killed before its first episode
+            run_plan(plan(changed), tmp_path, progress=False)
+    done = read_evaluation(tmp_path)
+    assert set(done.table["policy"]) == {"feed 0"}
+    assert done.missing.gaps == (("feed 1", "all of its 3 insertions"),)
+
+
+def test_a_folder_of_an_earlier_version_is_reported_as_far_as_it_is_known(tmp_path):
+    table = run_plan(plan(constants(2)), tmp_path, progress=False)
+    for path in (*tmp_path.glob("*.parquet"), tmp_path / "episodes.csv", tmp_path / "provenance.json"):
+        path.unlink()
+    done = read_evaluation(tmp_path)
+    np.testing.assert_array_equal(done.table["reward"], table["reward"])
+    page = write_report(tmp_path).read_text()
+    assert "How many there were to be and in which tubes was not" in page
+    assert "By helix diameter" not in page
+
+
+# ---- the page ----
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """Of an evaluation of a schedule, a controller and one whose name is a trap."""
+    folder = tmp_path_factory.mktemp("report")
+    policies = {
+        "my schedule": Scheduled(CONFIG, MINE), "pi": PI(CONFIG), "</script><img src=x>": Constant(CONFIG),
+    }  # fmt: skip
+    evaluate(plan(policies), folder, own=["my schedule"])
+    return (folder / "report.html").read_text()
+
+
+def data_of(page):
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_the_page_says_it_at_once(page):
+    text = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
+    first = re.search(r"<p[ >].*?</p>", text, re.DOTALL)[0]
+    assert 'class="headline">Your schedule <b>my schedule</b>: ' in first
+    assert "within 0.1 mm" in first
+    ranked = re.search(r'<table class="ranking">.*?</table>', page, re.DOTALL)[0]
+    for name, _, unit in KPIS.values():
+        assert f"<th>{name} [{unit}]</th>" in ranked or f"<th>{name}</th>" in ranked
+    for text in ("radial rms of 0.1 mm at the sensor", "bore 24.2 mm, helix 60 m", "By helix diameter", "Tube by tube"):
+        assert text in page
+
+
+class Elements(HTMLParser):
+    """The elements of a page with their attributes."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, attrs))
+
+
+def test_the_page_needs_no_network_and_a_name_cannot_leave_its_place(page):
+    assert "default-src 'none'" in page
+    assert not re.search(r"@import|url\(", page)
+    elements = Elements()
+    elements.feed(page)
+    addresses = [value for _, given in elements.found for name, value in given if name in ("src", "href", "action")]
+    assert len(addresses) == 5  # two pictures, three schedules
+    assert all(address.startswith("data:") for address in addresses)
+    assert [name for name, _ in elements.found].count("script") == page.count("</script>") == 3
+    assert "</script><img src=x>" in [policy["name"] for policy in data_of(page)["policies"]]
+
+
+def test_schedules_of_the_page_are_schedules(page, tmp_path):
+    links = dict(re.findall(r'<a download="([^"]*)" href="data:text/csv;charset=utf-8,([^"]*)"', page))
+    assert set(links) == {"my-schedule.csv", "pi.csv", "script-img-src-x.csv"}
+    read = {}
+    for name, content in links.items():
+        (tmp_path / name).write_text(unquote(content))
+        read[name] = Schedule.read(tmp_path / name)
+    mine = read["my-schedule.csv"]
+    assert (mine.over, mine.position, mine.feed_speed) == (MINE.over, MINE.position, MINE.feed_speed)
+    np.testing.assert_allclose(mine.air_supply_rate, MINE.air_supply_rate, rtol=1e-6)
+    assert read["pi.csv"].over == "inserted_length"
+
+
+def test_traces_are_what_was_fed(tmp_path, monkeypatch):
+    run_plan(plan(constants(2)), tmp_path, progress=False)
+    table = grouped(pd.read_parquet(tmp_path / "episodes.parquet"))
+    metres = pd.concat(  # as if they had been fed for four metres
+        [pd.read_parquet(tmp_path / "profile.parquet").assign(inserted_length=m + 0.5, radial_rms_m=1e-5 * m)
+         for m in range(1, 5)]
+    )  # fmt: skip
+    drawn = page_traces.traces(table, grouped(metres), ["feed 0"], 0.1)
+    assert drawn["metres"] == [1.5, 2.5, 3.5, 4.5]
+    assert [len(policy["tubes"]) for policy in drawn["policies"]] == [3, 3]
+    assert {policy["name"]: policy["shown"] for policy in drawn["policies"]} == {"feed 0": True, "feed 1": False}
+    for policy in drawn["policies"]:
+        assert policy["tubes"][0][2] == [100, 200, 300, 400]  # of 0.1 um
+    monkeypatch.setattr(page_traces, "MOST_METRES", 20)  # of 24
+    coarse = page_traces.traces(table, grouped(metres), [], None)
+    assert coarse["metres"] == [1.0, 3.0, 5.0]  # pairs from 0 on
+    assert coarse["policies"][0]["tubes"][0][2] == [100, 255, 400]  # root mean square of 200 and 300
