@@ -12,7 +12,7 @@ from kills import killed_at
 
 from agents.evaluation.page import traces as page_traces
 from agents.evaluation.page.stored import comparable, read_evaluation, spans
-from agents.evaluation.page.verdict import ranking, verdict
+from agents.evaluation.page.verdict import limit_of, ranking, verdict
 from agents.evaluation.report import evaluate, write_report
 from agents.policies.fixed import PI, Constant, Scheduled
 from agents.records.columns import KPIS
@@ -99,6 +99,19 @@ def test_the_verdict_tells_of_failures_of_one_tube_and_of_nothing_to_compare_wit
     assert "rough intervals" in verdict(table_of(TIMES, SHARES, REWARDS, tubes=4), "mine", (), "0.1 mm").detail
     alone = table[table["policy"] == "best"]
     assert verdict(alone, "best", (), "5 mm/s").headline == "300 s, 90 % of the length within 5 mm/s."
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        ({}, "0.1 mm"),
+        ({"vibration_limit": 5e-5}, "0.05 mm"),
+        ({"vibration_measure": "velocity"}, "5 mm/s"),
+        ({"vibration_measure": "acceleration"}, "20 m/s²"),
+    ],
+)
+def test_the_limit_is_named_as_it_is_measured(task, words):
+    assert limit_of(TaskConfig(**task)) == words
 
 
 # ---- interrupted ----

@@ -165,7 +165,8 @@ def _gaps(planned: Iterable[tuple[str, str, int, int]], done: dict[str, Any]) ->
         if len(missing) == len(episodes):
             yield name, f"all of its {len(episodes)} insertions"
         elif missing:
-            yield name, f"{len(missing)} of {len(episodes)} insertions: tube {spans(missing)}"
+            tubes = "tubes" if len(set(missing)) > 1 else "tube"
+            yield name, f"{len(missing)} of {len(episodes)} insertions: {tubes} {spans(missing)}"
 
 
 def spans(numbers: Iterable[int]) -> str:

@@ -66,7 +66,7 @@ def _with_ends(mean: float, low: float, high: float, sign: str = "") -> Cell:
 
 def _against(table: pd.DataFrame, policy: str, best: str) -> Cell:
     if policy == best:
-        return Cell("best", best=True)
+        return Cell("best")
     difference = paired_difference(table, policy, best, "reward")
     cell = _with_ends(difference.mean, difference.low, difference.high, "+")
     unclear = difference.low < 0.0 < difference.high

@@ -124,11 +124,16 @@ def _facts(done: Evaluation) -> list[tuple[str, str]]:
     preset = next((name for name, value in PRESETS.items() if value.model_dump() == stored), str(stored))
     return [
         ("limit", f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time"),
-        ("insertions", f"{len(table)}: {table['policy'].nunique()} policies on the same {len(tubes)} tubes"),
+        ("insertions", f"{len(table)}: {_count(table['policy'].nunique(), 'policy', 'policies')}, each on"
+         f" {'the same ' if len(tubes) > 1 else ''}{_count(len(tubes), 'tube', 'tubes')}"),
         ("tubes", "; ".join(drawn)),
         ("probe", probe),
         ("simulated with", preset),
-    ]
+    ]  # fmt: skip
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
 
 
 def _record(done: Evaluation) -> str:
