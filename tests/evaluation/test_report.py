@@ -78,6 +78,7 @@ def test_the_verdict_names_the_interval_and_what_is_within_scatter():
     unclear = verdict(same, loser, (), "0.1 mm")
     assert re.match(r"as long as the best here, \w+, within scatter \([-+][\d.]+ s \[-.*, \+.*\]\)", unclear.headline)
     assert "no clear difference" in unclear.detail
+    assert verdict(same, ranking(same)[0], (), "0.1 mm").headline.startswith("the best here, within scatter: ")
 
 
 def test_the_best_is_compared_with_the_next_and_nobody_with_what_is_told_the_tube():

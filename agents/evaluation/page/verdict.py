@@ -63,7 +63,8 @@ def verdict(table: pd.DataFrame, policy: str, told: Collection[str], limit: str)
     differences = {kpi: paired_difference(table, policy, other, kpi) for kpi in
                    ("inspection_time_s", "share_within_limit", "reward")}  # fmt: skip
     words = f"{_time(differences['inspection_time_s'], rival)}, {_share(differences['share_within_limit'], limit)}"
-    headline = f"{'the best here: ' if best else ''}{words}{_failures(table, policy)}{_failures(table, other, other)}."
+    first = f"the best here{', within scatter' if _unclear(differences['reward']) else ''}: " if best else ""
+    headline = f"{first}{words}{_failures(table, policy)}{_failures(table, other, other)}."
     other_time, other_share = (
         by_context(table, other, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit")
     )

@@ -19,6 +19,7 @@ from agents.evaluation.page.stored import Evaluation, read_evaluation
 from agents.evaluation.page.tables import by_diameter, by_tube, ranked
 from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import MEASURES, Verdict, limit_of, ranking, verdict
+from agents.policies.fixed import Scheduled
 from agents.policies.on_map import Privileged
 from agents.records.drawing import MM
 from agents.records.provenance import write_atomically
@@ -68,14 +69,15 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     """What stands in the template, but the pictures."""
     table, task = done.table, done.setting.task
     described = done.record.policies if done.record else {}
-    told = {method_and_seed(name)[0] for name, d in described.items() if d.get("policy") == Privileged.__name__}
+    kinds = {method_and_seed(name)[0]: d.get("policy") for name, d in described.items()}
+    told = {name for name, kind in kinds.items() if kind == Privileged.__name__}
     order = ranking(table)
     verdicts = [verdict(table, policy, told, limit_of(task)) for policy in done.own or (done.against,)]
     offered, without = downloads(described, table, done.profile)
     return {
         "title": "Feed policies compared",
         "verdicts": verdicts,
-        "own": done.own,
+        "own": {name: f"Your {'schedule' if kinds.get(name) == Scheduled.__name__ else 'policy'}" for name in done.own},
         "missing": done.missing,
         "facts": _facts(done),
         "ranked": ranked(table, summary, done.own, told),
