@@ -32,6 +32,14 @@ USERS: Final = {
         "log:ReadLog", "a rig's log, read, shown and made a schedule of",
         "probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png",
     ),
+    "calibrate": Entry(
+        "plant:Calibrate", "friction and the rest of your plant from its logs, with intervals",
+        "probe-env calibrate rig.csv --tube mine.toml --output output/calibration",
+    ),
+    "recommend": Entry(
+        "plant:Recommend", "the schedule with the best expected reward for your plant",
+        "probe-env recommend my-schedule.csv --tube mine.toml --output output/mine.csv",
+    ),
     "render": Entry(
         "feed:Render", "a film of an insertion, or slow motion near the tip",
         "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
@@ -63,6 +71,15 @@ MAKERS: Final = {
     "map": Entry("feed:Map", "how loud a probe is where, which policies look up", "probe-env map --seeds 1"),
     "optimise": Entry(
         "feed:Optimise", "the best schedules by that map", "probe-env optimise best-schedule --trials 200"
+    ),
+    "response": Entry(
+        "plant:Learn", "what calibrations and recommendations go by", "probe-env response --groups 2"
+    ),
+    "calibrations": Entry(
+        "plant:Calibrations", "calibrations of logs whose truth is known", "probe-env calibrations --logs 8"
+    ),
+    "recommendations": Entry(
+        "plant:Recommendations", "recommendations for tubes whose truth is known", "probe-env recommendations --tubes 8"
     ),
     "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),

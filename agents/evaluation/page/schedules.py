@@ -67,8 +67,8 @@ def _given(described: Mapping[str, Any]) -> dict[str, Schedule]:
 
 
 def _schedule(given: Mapping[str, Any]) -> Schedule:
-    columns = (tuple(given[name]) for name in ("position", "feed_speed", "air_supply_rate"))
-    return Schedule(given["over"], given["interpolation"], *columns)
+    position, feed, air = (tuple(given[name]) for name in ("position", "feed_speed", "air_supply_rate"))
+    return Schedule(given["over"], given["interpolation"], position, feed, air, given.get("start_length"))
 
 
 def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, Schedule]:
@@ -80,5 +80,8 @@ def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, S
     metres = metres.dropna(subset=["inserted_length", "feed_speed", "air_supply_rate"]).iloc[:MOST_POINTS]
     if metres.empty:
         return {}
-    columns = (tuple(metres[name].astype(float)) for name in ("inserted_length", "feed_speed", "air_supply_rate"))
-    return {f"as fed in tube {episode['context']}, its median": Schedule("inserted_length", "linear", *columns)}
+    names = ("inserted_length", "feed_speed", "air_supply_rate")
+    length, feed, air = (tuple(metres[name].astype(float)) for name in names)
+    return {
+        f"as fed in tube {episode['context']}, its median": Schedule("inserted_length", "linear", length, feed, air)
+    }

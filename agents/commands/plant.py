@@ -1,0 +1,152 @@
+"""Commands for a plant of one's own: what its logs tell, and which schedule is best for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from agents.processes.workers import Workers
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Learn friction, contact stiffness, drag and damping of your plant from its logs, with intervals and a verdict."""
+
+    logs: tyro.conf.Positional[tuple[Path, ...]]
+    """Logs of insertions (see `probe-env log`), or the name of one that ships: example-rig. Each needs one at least of
+    root tension, radial and axial acceleration, eddy-current noise."""
+    tube: Path | None = None
+    """Your plant (tube.toml) with what is known beforehand; default: table 2's, and nothing known."""
+    output: Path = Path("output/calibration")
+    """Folder of calibration.json, corner.png and bands.png."""
+    helix_diameters: tuple[float, ...] = ()
+    """Of the tube of each log [m], or one for all; needed where the file lists several."""
+    tubes: tuple[str, ...] = ()
+    """Name of the tube of each log: logs of one tube share its friction. Default: one tube, or one for each helix
+    diameter."""
+    columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
+    """What columns are whose heads are not known, see `probe-env log --help`."""
+
+    def run(self) -> None:
+        """Read, sample, store, print."""
+        from agents.calibration.calibration import calibrate
+        from agents.calibration.pictures import draw_bands, draw_corner
+        from agents.calibration.response import stored_response
+        from agents.calibration.sources import recorded_of
+        from agents.calibration.telling import print_calibration
+        from agents.policies.places import plant_at
+        from agents.records.provenance import provenance, write_json
+        from probe_env import Plant
+
+        plant = plant_at(self.tube) or Plant()
+        recorded = recorded_of(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
+        response = stored_response()
+        found = calibrate(recorded, plant, response, str(self.tube or "tube"))
+        target = self.output / "calibration.json"
+        write_json(target, found.to_json() | {"provenance": provenance()})
+        pictures = [
+            draw_corner(found, self.output / "corner.png"), draw_bands(found, response, self.output / "bands.png")
+        ]  # fmt: skip
+        print_calibration(found)
+        print(f"written: {', '.join(map(str, (target, *pictures)))}")
+        print(f'use it: posterior = "{target}" above the tables of your tube.toml')
+
+
+@dataclass(frozen=True)
+class Recommend:
+    """Recommend a schedule for your plant: the best expected over what is known of it, and simulated against others."""
+
+    schedules: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Schedules of your own to compare it with (.csv), as `probe-env evaluate` takes them; best-schedule and
+    tension-scheduled are compared in any case."""
+    tube: Path | None = None
+    """Your plant (tube.toml), best with the posterior of a calibration; default: table 2's."""
+    output: Path = Path("output/recommended.csv")
+    """The schedule, which `probe-env evaluate` takes; how it was found beside it (.json)."""
+    folder: Path | None = None
+    """Folder of the simulated episodes and the page (report.html); default: NAME-confirmed beside the output."""
+    limit: int = 24
+    """Tubes on which it is simulated, drawn anew from what is known; 0: not simulated."""
+    fidelity: str = "standard"
+    """How closely to simulate: study, reference, standard, fast or auto."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Search, store, simulate, print."""
+        from agents.calibration.response import stored_response
+        from agents.policies.places import plant_at
+        from agents.recommendation.recommend import Confirmation, recommend
+        from probe_env import Plant
+
+        if self.output.suffix != ".csv":
+            raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
+        folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
+        confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity)
+        recommend(plant_at(self.tube) or Plant(), self.output, confirmation, stored_response(), self.workers)
+
+
+@dataclass(frozen=True)
+class Learn:
+    """Learn what calibrations and recommendations go by: wandering insertions, and a network of what they felt."""
+
+    groups: int = 12
+    """Of 32 insertions each, in one bore."""
+    fidelity: Literal["fast", "standard"] = "fast"
+    """How closely they are simulated."""
+    output: Path = Path("output/response")
+    """Folder of the insertions; what is there already is not run again."""
+    target: Path | None = None
+    """File of the response (.npz), how it was made beside it (.json); default: response.npz in the output folder."""
+
+    def run(self) -> None:
+        """Simulate what is missing, learn, store."""
+        from agents.calibration.simulated.fit import make_response
+
+        target = self.target or self.output / "response.npz"
+        if target.suffix != ".npz":
+            raise ValueError(f"target = {str(target)!r} is not a file of arrays (.npz)")
+        make_response(self.groups, self.fidelity, self.output, target)
+        print(f"written: {target}")
+
+
+@dataclass(frozen=True)
+class Calibrations:
+    """Calibrate simulated logs whose truth is known: coverage, errors, ranks, and logs of another world."""
+
+    logs: int = 40
+    """In groups of 8 of one bore and length."""
+    fidelity: Literal["fast", "standard"] = "standard"
+    """How closely they are simulated."""
+    output: Path = Path("output/calibrations")
+    """Folder of the tables; groups that are there already are not run again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Simulate, calibrate, store, print."""
+        from agents.calibration.simulated.study import run_study
+
+        run_study(self.logs, self.fidelity, self.output, self.workers)
+        print(f"written: {self.output}/ (calibrations.csv, summary.json)")
+
+
+@dataclass(frozen=True)
+class Recommendations:
+    """Recommend schedules for simulated tubes after one log of each, and simulate them against knowing the tube."""
+
+    tubes: int = 24
+    """In groups of 8 of one bore and length."""
+    fidelity: Literal["fast", "standard"] = "standard"
+    """How closely the schedules are simulated; the logs are simulated with fast."""
+    output: Path = Path("output/recommendations")
+    """Folder of the tables; groups that are there already are not run again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Simulate, calibrate, recommend, store, print."""
+        from agents.recommendation.study import run_study
+
+        run_study(self.tubes, self.fidelity, self.output, self.workers)
+        print(f"written: {self.output}/ (recommendations.csv, summary.json)")

@@ -1,0 +1,92 @@
+"""From a plant to its schedule: searched over what is known, simulated on tubes that the search did not see."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from agents.calibration.calibration import checked_response
+from agents.calibration.response import Response
+from agents.evaluation.report import evaluate, plan_of
+from agents.policies.catalogue import name_and_spec
+from agents.policies.domain import OutsideDomain
+from agents.policies.places import Place, place_of
+from agents.processes.workers import HERE, Workers
+from agents.recommendation.search import Found, recommended
+from agents.records.provenance import provenance, write_atomically, write_json
+from probe_env import Plant
+
+NAME: Final = "recommended"
+OURS: Final = ("best-schedule", "tension-scheduled")
+"""What it is compared with besides the user's own."""
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """How a recommendation is confirmed.
+
+    Attributes:
+        folder: of the episodes and the page.
+        own: schedules of one's own to compare with, as ``evaluate`` takes them.
+        limit: tubes that are simulated; 0: none.
+        fidelity: of that.
+    """
+
+    folder: Path
+    own: tuple[str, ...] = ()
+    limit: int = 24
+    fidelity: str = "standard"
+
+
+def recommend(
+    plant: Plant, output: Path, confirmation: Confirmation, response: Response, workers: Workers = HERE
+) -> Found:
+    """Search, write the schedule and how it was found beside it, simulate it against others, print.
+
+    Args:
+        plant: the tubes and what is known of them.
+        output: the schedule (.csv); NAME.json beside it says how it was found.
+        confirmation: against what, on how many tubes.
+        response: what is felt.
+        workers: of the simulation.
+
+    Raises:
+        ValueError: the plant, or a schedule of one's own, is not valid; nothing was written.
+    """
+    seen, unseen = place_of(plant, "train"), place_of(plant, "test", confirmation.limit)
+    for text in checked_response(response, plant, seen.contexts):
+        warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
+    specs = (*confirmation.own, *OURS)
+    if confirmation.limit:
+        plan_of(specs, unseen, 1, confirmation.fidelity)  # what cannot be compared is refused before the search
+    found = recommended(seen.contexts, response, seen.config)
+    write_atomically(output, found.schedule.to_csv())
+    write_json(output.with_suffix(".json"), _record(found, plant, seen) | provenance())
+    print(
+        f"{output}: expected reward {found.reward:.1f} over {len(seen.contexts)} draws of what is known,"
+        f" root tension at least {found.tension:.2g} N in 95 % of them"
+    )
+    if confirmation.limit:
+        print(f"simulated on {confirmation.limit} other draws at {confirmation.fidelity}:")
+        _confirm((f"{NAME}={output}", *specs), unseen, confirmation, workers)
+    return found
+
+
+def _confirm(specs: tuple[str, ...], place: Place, confirmation: Confirmation, workers: Workers) -> pd.DataFrame:
+    plan = plan_of(specs, place, 1, confirmation.fidelity)
+    own = [name_and_spec(spec)[0] for spec in confirmation.own] or [NAME]  # what the page's first line judges
+    return evaluate(plan, confirmation.folder, against=NAME, workers=workers, own=own)
+
+
+def _record(found: Found, plant: Plant, place: Place) -> dict[str, Any]:
+    return {
+        "tube": plant.model_dump(mode="json", exclude={"posterior"}),
+        "calibrated": plant.posterior is not None,
+        "draws": len(place.contexts),
+        "expected_reward": found.reward,
+        "least_root_tension_n": found.tension,
+    }

@@ -1,0 +1,129 @@
+"""The schedule of least expected cost: feed and air at every few metres, by dynamic programming.
+
+Every metre costs for itself, so the best of a grid at each length would do; a price on change makes it smooth, and what
+leaves the cable too slack in too many of the draws is not taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from agents.calibration.metres import Metres
+from agents.calibration.response import Response
+from agents.policies.maps.lookup import FIRST, SPACING
+from agents.policies.maps.vibration_map import feeds
+from agents.recommendation.expectation import check_measure, expected_costs, tensions
+from probe_env import Context
+from probe_env.arrays import FloatArray
+from probe_env.envs.task import TaskConfig
+from probe_env.schedule import Schedule
+
+FEEDS, AIRS = 28, 12
+SMOOTH: Final = 0.5
+"""Cost of a change of the feed by a factor of e, or of the air over its range, from one knot to the next."""
+MARGIN: Final = 1.5
+"""Root tension over what the task needs that is kept ..."""
+SURE: Final = 0.95
+"""... in so many of the draws."""
+
+
+class Found(NamedTuple):
+    """A schedule and what is expected of it.
+
+    Attributes:
+        schedule: over inserted length.
+        reward: mean expected reward of an insertion.
+        tension: least root tension that ``SURE`` of the draws keep where lost drive counts [N].
+    """
+
+    schedule: Schedule
+    reward: float
+    tension: float
+
+
+def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Found:
+    """The schedule with the best expected reward over some tubes, which stand for what is known of one or of many.
+
+    Args:
+        tubes: equally likely.
+        response: what is felt.
+        config: the task: ranges, steps, weights and limits.
+
+    Raises:
+        ValueError: the task's vibration measure is not known to the response, or no air of the range keeps the drive.
+    """
+    check_measure(config)
+    end = config.scene.tube.helix_length
+    places = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
+    feed, air = _grid(config)
+    count = len(feed)
+    metres = Metres(np.repeat(places, count), np.tile(feed, len(places)), np.tile(air, len(places)), {})
+    stands_for = np.gradient(places)
+    stands_for[[0, -1]] *= 0.5  # half a spacing at the ends
+    cost = expected_costs(tubes, response, config, metres).mean(axis=0).reshape(len(places), count)
+    taut = np.quantile(tensions(tubes, config, metres), 1.0 - SURE, axis=0).reshape(len(places), count)
+    needed = MARGIN * config.required_tension
+    slack = (taut < needed) & (places >= config.lost_drive_from)[:, None]
+    if slack.all(axis=1).any():
+        where = places[slack.all(axis=1)][0]
+        raise ValueError(
+            f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only {taut.max():.3g} N of root"
+            f" tension at {where:g} m in {SURE:.0%} of the draws, and {needed:g} N are needed"
+            f" ({MARGIN:g} times required_tension)"
+        )
+    staged = np.where(slack, np.inf, cost * stands_for[:, None])
+    path = _cheapest(staged, _changes(feed, air, config))
+    schedule = Schedule(
+        "inserted_length", "linear", tuple(places.tolist()), tuple(feed[path].tolist()), tuple(air[path].tolist())
+    )
+    gained = config.progress_weight * (end - FIRST) - float((cost * stands_for[:, None])[range(len(path)), path].sum())
+    deep = places >= config.lost_drive_from
+    return Found(schedule, gained, float(taut[range(len(path)), path][deep].min()) if deep.any() else float("inf"))
+
+
+def expected_reward(schedule: Schedule, tubes: Sequence[Context], response: Response, config: TaskConfig) -> float:
+    """Mean expected reward of an insertion by a schedule over inserted length; jerk and lost drive are left out."""
+    lengths = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
+    feed, air = (np.asarray(values, dtype=float) for values in schedule.at(lengths))
+    cost = expected_costs(tubes, response, config, Metres(lengths, feed, air, {}))
+    return float(len(lengths) * (config.progress_weight - cost.mean()))
+
+
+def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
+    """(g,) feeds and airs that the device can be set to."""
+    feed = np.geomspace(*feeds(config), FEEDS)
+    air = np.linspace(*config.air_supply_rates, AIRS)
+    targets = []
+    for values, step, (low, high) in (
+        (feed, config.feed_speed_step, config.feed_speeds),
+        (air, config.air_supply_step, config.air_supply_rates),
+    ):
+        set_to = np.round(step * np.round(values / step), 12) if step > 0.0 else values
+        within = set_to[(set_to >= low - 1e-12) & (set_to <= high + 1e-12)]
+        targets.append(np.unique(within if len(within) else values))
+    fed, blown = np.meshgrid(*targets, indexing="ij")
+    return fed.ravel(), blown.ravel()
+
+
+def _changes(feed: FloatArray, air: FloatArray, config: TaskConfig) -> FloatArray:
+    """(g, g) cost of going from one point of the grid to another over a knot's spacing."""
+    low, high = config.air_supply_rates
+    logarithm, share = np.log(feed), (air - low) / (high - low)
+    return np.asarray(SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2))
+
+
+def _cheapest(staged: FloatArray, change: FloatArray) -> list[int]:
+    """Points of the grid, one a place, with the least sum of costs (places, g) and of changes (g, g): Bellman."""
+    total, came_from = staged[0], []
+    for costs in staged[1:]:
+        through = total[:, None] + change
+        best = through.argmin(axis=0)
+        came_from.append(best)
+        total = through[best, np.arange(len(best))] + costs
+    path = [int(total.argmin())]
+    for best in reversed(came_from):
+        path.append(int(best[path[-1]]))
+    return path[::-1]

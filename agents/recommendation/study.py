@@ -1,0 +1,126 @@
+"""Recommendations for simulated tubes after one log of each, against the shipped schedule and knowing the tube."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+from tqdm import tqdm
+
+from agents.calibration.calibration import Recorded, calibrate
+from agents.calibration.response import stored_response
+from agents.calibration.simulated.insertions import Program, insert
+from agents.calibration.simulated.trials import TUBES, Trial, trials
+from agents.policies.catalogue import DATA
+from agents.processes.workers import Workers
+from agents.recommendation.search import recommended
+from agents.records.provenance import provenance, write_atomically, write_json
+from agents.terminal.tables import print_terms
+from agents.terminal.work import Work, announce
+from probe_env import Context, Plant, StabilityWarning
+from probe_env.arrays import FloatArray
+from probe_env.envs.plants.tables import Tubes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS
+from probe_env.schedule import Schedule
+
+SEED: Final = 23
+"""Apart from those of the bank and of the calibrations."""
+DRAWS: Final = 96
+FEEDS: Final = ("recommended", "known", "best-schedule")
+"""Recommended after a log, recommended where the tube is known, and the shipped schedule."""
+
+
+def run_study(tubes: int, fidelity: str, output: Path, workers: Workers) -> dict[str, Any]:
+    """Log, calibrate, recommend and simulate; stored a group at a time in ``output``.
+
+    Raises:
+        ValueError: not a whole number of groups.
+    """
+    if tubes < TUBES or tubes % TUBES:
+        raise ValueError(f"tubes = {tubes!r} must be a multiple of {TUBES}, which are simulated side by side")
+    files = {group: output / f"group-{group}.csv" for group in range(tubes // TUBES)}
+    announce(Work("group", len(files), lambda: sum(file.exists() for file in files.values()), output))
+    missing = [group for group, file in files.items() if not file.exists()]
+    made = workers.stream(partial(_group, fidelity), missing)
+    for group, rows in tqdm(made, total=len(missing), desc="recommend", unit="group"):
+        write_atomically(files[group], pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
+    table = pd.concat([pd.read_csv(file) for file in files.values()], ignore_index=True)
+    summary = summarised(table)
+    write_atomically(output / "recommendations.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_json(output / "summary.json", summary | {"provenance": provenance()})
+    print_terms({name: f"{value:.4g}" for name, value in summary.items()})
+    return summary
+
+
+def summarised(table: pd.DataFrame) -> dict[str, float]:
+    """Mean gain in reward over the shipped schedule with its 95 % interval, and the share of what knowing brings."""
+    gain, known = (table[name] - table["best-schedule"] for name in ("recommended", "known"))
+    half = float(student.ppf(0.975, len(gain) - 1) * gain.std() / np.sqrt(len(gain)))
+    return {
+        "tubes": len(table),
+        "gain": float(gain.mean()), "gain, low": float(gain.mean()) - half, "gain, high": float(gain.mean()) + half,
+        "gain by knowing the tube": float(known.mean()),
+        "share of what knowing brings": float(gain.mean() / known.mean()),
+    }  # fmt: skip
+
+
+def _group(fidelity: str, group: int) -> list[list[dict[str, float]]]:
+    """Rewards of the tubes of a group, a row each, as the one item of a task."""
+    tubes = trials(group, "fast", SEED)
+    plant = Plant(tube=Tubes(**tubes[0].scene.tube.model_dump(exclude={"helix_diameter"})))
+    config = plant.configured()
+    best = Schedule.read(DATA / "best-schedule.csv")
+    chosen = {
+        "recommended": [_after_log(trial, config) for trial in tubes],
+        "known": [_for(_draws(trial.truth[None], trial), trial.truth[3], config) for trial in tubes],
+        "best-schedule": [best] * len(tubes),
+    }
+    rows: list[dict[str, float]] = [{"group": group, "tube": k, "friction": t.truth[0]} for k, t in enumerate(tubes)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StabilityWarning)
+        for name in FEEDS:
+            specimens = [trial.specimen for trial in tubes]
+            made = insert(specimens, _by(chosen[name]), config, PRESETS[fidelity], [SEED, group])
+            for row, insertion in zip(rows, made, strict=True):
+                row[name] = insertion.reward
+    return [rows]
+
+
+def _after_log(trial: Trial, config: TaskConfig) -> Schedule:
+    """What is recommended for a tube once a log of it was calibrated."""
+    diameter = trial.scene.tube.helix_diameter
+    plant = Plant(tube=Tubes(**trial.scene.tube.model_dump()))
+    found = calibrate([Recorded("log", trial.log, "tube", diameter)], plant, stored_response(), progress=False)
+    draws = found.posterior.draws[0]
+    rows = np.linspace(0, len(draws) - 1, DRAWS).round().astype(int)
+    return _for(_draws(draws[rows], trial), float(np.median(draws[:, 3])), config)
+
+
+def _for(tubes: Sequence[Context], damping: float, config: TaskConfig) -> Schedule:
+    scene = config.scene.model_copy(update={"probe": {"damping_time": float(damping)}})
+    return recommended(tubes, stored_response(), config.model_copy(update={"scene": scene})).schedule
+
+
+def _draws(table: FloatArray, trial: Trial) -> list[Context]:
+    """Contexts of draws (n, 4) in the order of ``UNKNOWNS``."""
+    usual, diameter = trial.scene.air.drag_coefficient, trial.scene.tube.helix_diameter
+    return [
+        Context(friction=mu, contact_stiffness=k, drag_factor=drag / usual, helix_diameter=diameter)
+        for mu, k, drag, _ in table.tolist()
+    ]
+
+
+def _by(schedules: Sequence[Schedule]) -> Program:
+    def program(length: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        del time
+        pairs = [schedule.at(place) for schedule, place in zip(schedules, length, strict=True)]
+        return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
+
+    return program

@@ -1,0 +1,118 @@
+"""Posteriors of logs that the response itself has made: ranks, sharing, and what is told of another world."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agents.calibration import inference
+from agents.calibration.inference import Case, Likelihood, sampled
+from agents.calibration.metres import CHANNELS, Metres
+from agents.calibration.response import Response, observed, stored_response
+from agents.calibration.unknowns import Prior, prior_of
+from probe_env import Plant, Scene
+from probe_env.arrays import FloatArray
+
+LENGTH = np.arange(6.5, 50.0)
+
+
+@pytest.fixture(scope="module")
+def response() -> Response:
+    """The shipped one."""
+    return stored_response()
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few steps: enough for a mean and an interval."""
+    monkeypatch.setattr(inference, "BURN", 200)
+    monkeypatch.setattr(inference, "STEPS", 200)
+
+
+def made(response: Response, truth: FloatArray, rng: np.random.Generator, diameter: float = 1.3, tube: int = 0) -> Case:
+    """A log drawn from the response at a truth (4,)."""
+    scene = Scene.fitted({"tube": {"helix_diameter": diameter}})
+    feed = np.interp(LENGTH, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
+    air = np.interp(LENGTH, [5.0, 30.0, 50.0], [0.018, 0.025, 0.03])
+    blank = Metres(LENGTH, feed, air, {name: np.ones(len(LENGTH)) for name in CHANNELS})
+    mean, spread = response.tells(truth[None], blank, scene)
+    factor = np.linalg.cholesky(response.covariance(LENGTH, list(range(len(CHANNELS)))))
+    strays = (factor @ rng.normal(size=len(factor))).reshape(len(LENGTH), -1)
+    felt = 10.0 ** (mean[0] + spread[0] * strays)
+    return Case("log", tube, scene, Metres(LENGTH, feed, air, {n: felt[:, k] for k, n in enumerate(CHANNELS)}))
+
+
+def truths(prior: Prior, count: int) -> FloatArray:
+    """(count, 4) drawn from the prior."""
+    return prior.values(np.random.default_rng(8).normal(size=(count, 1 + len(prior.shared))), 1)[0]
+
+
+def test_truths_are_where_the_posterior_says(response: Response, short: None) -> None:
+    """Ten logs of the response's own making: of 40 truths at least 25 are within nine-in-ten intervals.
+
+    Fewer come with a chance of 2e-6, were the 40 apart from each other and the coverage just 0.9 (binomial).
+    """
+    prior = prior_of(Plant())
+    covered = 0
+    for k, truth in enumerate(truths(prior, 10)):
+        case = made(response, truth, np.random.default_rng([4, k]))
+        draws = sampled(response, [case], prior, seed=k).draws[0]
+        low, high = np.quantile(draws, [0.05, 0.95], axis=0)
+        covered += int(((low <= truth) & (truth <= high)).sum())
+    assert covered >= 25
+
+
+def test_logs_of_one_tube_share_its_friction(response: Response, short: None) -> None:
+    """Three logs tell a friction more closely than one; of two tubes each has its own, and stiffness is shared."""
+    prior, truth = prior_of(Plant()), np.array([0.18, 9e4, 0.44, 6e-5])
+    rng = np.random.default_rng(2)
+    logs = [made(response, truth, rng) for _ in range(3)]
+    one, three = (sampled(response, logs[:n], prior).draws[0, :, 0].std() for n in (1, 3))
+    assert three < 0.85 * one  # 0.58 if they were apart from each other and all else was known
+    other = made(response, np.array([0.12, 9e4, 0.44, 6e-5]), rng, tube=1)
+    found = sampled(response, [logs[0], other], prior).draws
+    assert found.shape[0] == 2
+    np.testing.assert_array_equal(found[0, :, 1:], found[1, :, 1:])
+    assert np.median(found[0, :, 0]) > 0.15 > np.median(found[1, :, 0])
+
+
+def test_the_same_logs_give_the_same_draws(response: Response, short: None) -> None:
+    """By the seed."""
+    case = made(response, np.array([0.2, 1e5, 0.44, 5e-5]), np.random.default_rng(0))
+    first, second = (sampled(response, [case], prior_of(Plant())).draws for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(response: Response) -> None:
+    """The mean square of its own strays is 1 within its scatter; numbers that follow nothing are far beyond."""
+    truth, rng = np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1)
+    case = made(response, truth, rng)
+    own = Likelihood(response, [case]).misfit(0, truth)
+    # of 44 numbers: 1 +- 4.5 sqrt(2 / 44); the sensors' scatter, which was not drawn, makes it smaller
+    assert (own[:4] < 1.0 + 4.5 * np.sqrt(2.0 / len(LENGTH))).all()
+    felt = {name: values * np.exp(rng.normal(size=len(values))) for name, values in case.metres.felt.items()}
+    noisy = case._replace(metres=Metres(case.metres.length, case.metres.feed, case.metres.air, felt))
+    assert (Likelihood(response, [noisy]).misfit(0, truth) > response.misfit).any()
+
+
+def test_too_short_or_silent_a_log_is_refused(response: Response) -> None:
+    """Before anything is sampled, by its name."""
+    case = made(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
+    few = case._replace(metres=case.metres.where(np.arange(len(LENGTH)) < 5))
+    with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8"):
+        sampled(response, [few], prior_of(Plant()))
+    m = case.metres
+    with pytest.raises(ValueError, match="log: measures none of root_tension"):
+        sampled(response, [case._replace(metres=Metres(m.length, m.feed, m.air, {}))], prior_of(Plant()))
+
+
+def test_a_missing_channel_is_left_out(response: Response) -> None:
+    """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
+    case = made(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
+    m = case.metres
+    part = case._replace(metres=Metres(m.length, m.feed, m.air, {n: m.felt[n] for n in CHANNELS[1:]}))
+    assert Likelihood(response, [part]).chosen == [[1, 2, 3]]
+    np.testing.assert_array_equal(observed(part.metres, [1, 2, 3]), observed(m, [0, 1, 2, 3])[:, 1:])
+    whole = response.covariance(LENGTH, [0, 1, 2, 3]).reshape(len(LENGTH), 4, len(LENGTH), 4)
+    block = response.covariance(LENGTH, [1, 2, 3]).reshape(len(LENGTH), 3, len(LENGTH), 3)
+    np.testing.assert_allclose(whole[:, 1:, :, 1:], block)
