@@ -19,7 +19,7 @@ from probe_env.arrays import FloatArray
 
 LEVEL: Final = 0.90
 """Of the intervals."""
-AT_EDGE: Final = 0.02, 0.5
+AT_EDGE: Final = 0.06, 0.5
 """A posterior of which half lies within so small a share of what was held possible leans against its edge."""
 
 

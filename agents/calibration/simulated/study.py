@@ -73,12 +73,16 @@ def summarised(table: pd.DataFrame) -> dict[str, Any]:
             found[f"{name}: {unknown} ranks uniform, p"] = float(kstest(part[f"{unknown}_rank"], "uniform").pvalue)
         found[f"{name}: friction, median error"] = float((part["friction_mean"] - part["friction"]).abs().median())
         found[f"{name}: wrongly misspecified"] = float(part["misspecified"].mean())
+        found[f"{name}: wrongly doubtful"] = float((part["refused"] & ~part["misspecified"]).mean())
     alone = table[table["set"] == "with tension"]
     inside = (alone["alone_low"] <= alone["friction"]) & (alone["friction"] <= alone["alone_high"])
     found["tension alone: friction covered"] = float(inside.mean())
     found["tension alone: friction, median error"] = float((alone["alone_mean"] - alone["friction"]).abs().median())
     for world in WORLDS:
-        found[f"{world}: called misspecified or doubtful"] = float(table[table["set"] == world]["refused"].mean())
+        part = table[table["set"] == world]
+        found[f"{world}: logs"] = len(part)
+        found[f"{world}: called misspecified"] = float(part["misspecified"].mean())
+        found[f"{world}: called misspecified or doubtful"] = float(part["refused"].mean())
     return found
 
 
