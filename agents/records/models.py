@@ -94,6 +94,12 @@ class Record(Stored):
     machine: Machine
 
 
+class Figures(Stored):
+    """``summary.json`` of a study: figures by name, and what made them."""
+
+    provenance: Record
+
+
 class Evaluated(Record):
     """``provenance.json`` of an evaluation."""
 
