@@ -9,12 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 from agents.calibration.inference import Case, Posterior, check_cases, sampled
-from agents.calibration.metres import CHANNELS, Metres, metres_of
+from agents.calibration.metres import CHANNELS, metres_of
 from agents.calibration.response import Response
 from agents.calibration.sliding import Sliding, by_sliding
 from agents.calibration.unknowns import UNKNOWNS, Prior, prior_of
 from agents.logs.log import Log
-from probe_env import Context, Plant
+from probe_env import Plant
 from probe_env.arrays import FloatArray
 
 LEVEL: Final = 0.90
@@ -160,27 +160,6 @@ def calibrate(
     sliding = tuple(by_sliding([c for c in cases if c.tube == k], prior) for k in range(len(tubes)))
     posterior = sampled(response, cases, prior, progress=progress)
     return Calibration(prior, tuple(cases), tubes, posterior, sliding, beyond, response.misfit)
-
-
-def checked_response(response: Response, plant: Plant, tubes: Sequence[Context]) -> list[str]:
-    """What of a plant's tubes lies beyond what the response was learnt from, one sentence each."""
-    nothing = np.zeros(0)
-    told = []
-    for diameter in plant.diameters:
-        scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        told += response.outside(Metres(nothing, nothing, nothing, {}), scene)
-    drag = plant.scene.air.drag_coefficient
-    values = {
-        "friction": [tube.friction for tube in tubes],
-        "contact_stiffness": [tube.contact_stiffness for tube in tubes],
-        "drag_coefficient": [drag * tube.drag_factor for tube in tubes],
-        "damping_time": [plant.scene.probe.damping_time],
-    }
-    for name, unknown in UNKNOWNS.items():
-        least, most = min(values[name]), max(values[name])
-        if least < unknown.low or most > unknown.high:
-            told.append(f"{unknown.text} {least:.4g} to {most:.4g}, beyond {unknown.low:g} to {unknown.high:g}")
-    return list(dict.fromkeys(told))
 
 
 def _sliding(found: Sliding | None) -> dict[str, dict[str, float]] | None:

@@ -63,7 +63,7 @@ class Recommend:
     """Schedules of your own to compare it with (.csv), as `probe-env evaluate` takes them; best-schedule and
     tension-scheduled are compared in any case."""
     tube: Path | None = None
-    """Your plant (tube.toml), best with the posterior of a calibration; default: table 2's."""
+    """Your plant (tube.toml), best with the posterior of a calibration; default: table 2's in the shipped lists."""
     output: Path = Path("output/recommended.csv")
     """The schedule, which `probe-env evaluate` takes; how it was found beside it (.json)."""
     folder: Path | None = None
@@ -79,13 +79,12 @@ class Recommend:
         from agents.calibration.response import stored_response
         from agents.policies.places import plant_at
         from agents.recommendation.recommend import Confirmation, recommend
-        from probe_env import Plant
 
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
         folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
         confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity)
-        recommend(plant_at(self.tube) or Plant(), self.output, confirmation, stored_response(), self.workers)
+        recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.workers)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from agents.calibration.metres import CHANNELS, Metres
 from agents.calibration.response import Response
+from agents.calibration.unknowns import UNKNOWNS
 from agents.policies.maps.vibration_map import expected_cost
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
@@ -29,6 +30,20 @@ def check_measure(config: TaskConfig) -> None:
         raise ValueError(
             f"task.vibration_measure = {config.vibration_measure!r}: recommendations know {' and '.join(MEASURES)}"
         )
+
+
+def beyond(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
+    """What of a task's tubes lies beyond what the response was learnt from, one sentence each."""
+    nothing, told = np.zeros(0), dict[str, None]()
+    for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
+        scene = config.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
+        told |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), scene))
+    table = np.concatenate([_table(tube, config.scene) for tube in tubes])
+    for values, unknown in zip(table.T, UNKNOWNS.values(), strict=True):
+        if values.min() < unknown.low or values.max() > unknown.high:
+            found = f"{values.min():.4g} to {values.max():.4g}"
+            told[f"{unknown.text} {found}, beyond {unknown.low:g} to {unknown.high:g} {unknown.unit}".strip()] = None
+    return list(told)
 
 
 def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:

@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import pandas as pd
 
-from agents.calibration.calibration import checked_response
 from agents.calibration.response import Response
 from agents.evaluation.report import evaluate, plan_of
 from agents.policies.catalogue import name_and_spec
 from agents.policies.domain import OutsideDomain
 from agents.policies.places import Place, place_of
 from agents.processes.workers import HERE, Workers
+from agents.recommendation.expectation import beyond
 from agents.recommendation.search import Found, recommended
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Plant
@@ -43,12 +43,12 @@ class Confirmation:
 
 
 def recommend(
-    plant: Plant, output: Path, confirmation: Confirmation, response: Response, workers: Workers = HERE
+    plant: Plant | None, output: Path, confirmation: Confirmation, response: Response, workers: Workers = HERE
 ) -> Found:
     """Search, write the schedule and how it was found beside it, simulate it against others, print.
 
     Args:
-        plant: the tubes and what is known of them.
+        plant: the tubes and what is known of them; None: table 2's in the shipped lists.
         output: the schedule (.csv); NAME.json beside it says how it was found.
         confirmation: against what, on how many tubes.
         response: what is felt.
@@ -58,7 +58,7 @@ def recommend(
         ValueError: the plant, or a schedule of one's own, is not valid; nothing was written.
     """
     seen, unseen = place_of(plant, "train"), place_of(plant, "test", confirmation.limit)
-    for text in checked_response(response, plant, seen.contexts):
+    for text in beyond(seen.contexts, response, seen.config):
         warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
     specs = (*confirmation.own, *OURS)
     if confirmation.limit:
@@ -82,10 +82,10 @@ def _confirm(specs: tuple[str, ...], place: Place, confirmation: Confirmation, w
     return evaluate(plan, confirmation.folder, against=NAME, workers=workers, own=own)
 
 
-def _record(found: Found, plant: Plant, place: Place) -> dict[str, Any]:
+def _record(found: Found, plant: Plant | None, place: Place) -> dict[str, Any]:
     return {
-        "tube": plant.model_dump(mode="json", exclude={"posterior"}),
-        "calibrated": plant.posterior is not None,
+        "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
+        "calibrated": plant is not None and plant.posterior is not None,
         "draws": len(place.contexts),
         "expected_reward": found.reward,
         "least_root_tension_n": found.tension,

@@ -9,9 +9,11 @@ import pytest
 
 from agents.calibration.response import stored_response
 from agents.policies.catalogue import DATA
+from agents.recommendation.expectation import beyond
 from agents.recommendation.search import MARGIN, _cheapest, expected_reward, recommended
 from probe_env import Context, Plant
 from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
+from probe_env.scene import Probe
 from probe_env.schedule import Schedule
 
 PLANT = Plant(
@@ -76,6 +78,17 @@ def test_air_that_cannot_keep_the_drive_is_refused() -> None:
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
     with pytest.raises(ValueError, match=r"air_supply_rates = .*root tension at .* and 7.5 N are needed"):
         recommended([Context(friction=0.3)], stored_response(), weak.configured())
+
+
+def test_what_was_not_learnt_is_said() -> None:
+    """Bore, length, friction and probe beyond those of the bank, each with value and range; nothing within it."""
+    response = stored_response()
+    assert beyond(TUBES, response, PLANT.configured()) == []
+    odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
+    told = "; ".join(beyond([Context(friction=0.4)], response, odd))
+    assert "radial room of the floats 0.009 to 0.009 m, beyond" in told
+    assert "a probe of another line_density" in told
+    assert "friction 0.4 to 0.4, beyond 0.05 to 0.35" in told
 
 
 def test_another_measure_is_known_or_refused() -> None:
