@@ -66,6 +66,9 @@ class Recommend:
     """Your plant (tube.toml), best with the posterior of a calibration; default: table 2's in the shipped lists."""
     output: Path = Path("output/recommended.csv")
     """The schedule, which `probe-env evaluate` takes; how it was found beside it (.json)."""
+    policy: Path | None = None
+    """File (.json) of the feedback law for this plant, which reads the friction from the root tension: a table over
+    helix diameter, friction and inserted length, which `probe-env evaluate` takes; default: none."""
     folder: Path | None = None
     """Folder of the simulated episodes and the page (report.html); default: NAME-confirmed beside the output."""
     limit: int = 24
@@ -82,9 +85,11 @@ class Recommend:
 
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
+        if self.policy and self.policy.suffix != ".json":
+            raise ValueError(f"policy = {str(self.policy)!r} is not a JSON file (.json), which feedback laws are")
         folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
         confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity)
-        recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.workers)
+        recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.policy, self.workers)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Final
 
 from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
+from agents.policies.law import Law, Lawful
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
@@ -62,7 +63,7 @@ def _is_named(spec: str) -> bool:
 
 
 def _is_file(spec: str) -> bool:
-    return Path(spec).suffix in (".csv", ".toml", ".npz") and Path(spec).exists()
+    return Path(spec).suffix in (".csv", ".toml", ".json", ".npz") and Path(spec).exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
@@ -73,7 +74,7 @@ def own_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
-    """A policy by its name, from a schedule file (.csv, .toml) or from an agent's bundle (.npz).
+    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.npz).
 
     ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
     NAME, which is training seed 0, or NAME@SEED.
@@ -98,13 +99,15 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         schedule = Schedule.read(spec)
         _warn_of_limits(spec, schedule, config)
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
+    if suffix == ".json":
+        return Lawful(config, law=Law.read(spec))
     if suffix == ".npz":
         from agents.policies.bundle import load_bundle  # torch takes seconds to import
 
         return load_bundle(spec, config)
     raise ValueError(
         f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
-        " schedule file (.csv, .toml) nor an agent's bundle (.npz)"
+        " schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.npz)"
     )
 
 

@@ -16,7 +16,7 @@ from agents.policies.domain import OutsideDomain
 from agents.policies.places import Place, place_of
 from agents.processes.workers import HERE, Workers
 from agents.recommendation.expectation import beyond
-from agents.recommendation.search import Found, recommended
+from agents.recommendation.search import Found, recommended, recommended_law
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Plant
 
@@ -42,8 +42,16 @@ class Confirmation:
     fidelity: str = "standard"
 
 
+LAW: Final = "recommended-law"
+
+
 def recommend(
-    plant: Plant | None, output: Path, confirmation: Confirmation, response: Response, workers: Workers = HERE
+    plant: Plant | None,
+    output: Path,
+    confirmation: Confirmation,
+    response: Response,
+    law: Path | None = None,
+    workers: Workers = HERE,
 ) -> Found:
     """Search, write the schedule and how it was found beside it, simulate it against others, print.
 
@@ -52,6 +60,7 @@ def recommend(
         output: the schedule (.csv); NAME.json beside it says how it was found.
         confirmation: against what, on how many tubes.
         response: what is felt.
+        law: file (.json) of the feedback law, where one is wanted.
         workers: of the simulation.
 
     Raises:
@@ -66,13 +75,18 @@ def recommend(
     found = recommended(seen.contexts, response, seen.config)
     write_atomically(output, found.schedule.to_csv())
     write_json(output.with_suffix(".json"), _record(found, plant, seen) | provenance())
+    specs = (f"{NAME}={output}", *specs)
+    if law:
+        made = recommended_law(seen.contexts, response, seen.config)
+        write_atomically(law, made.model_dump_json(indent=1))
+        specs = (specs[0], f"{LAW}={law}", *specs[1:])
     print(
         f"{output}: expected reward {found.reward:.1f} over {len(seen.contexts)} draws of what is known,"
         f" root tension at least {found.tension:.2g} N in 95 % of them"
     )
     if confirmation.limit:
         print(f"simulated on {confirmation.limit} other draws at {confirmation.fidelity}:")
-        _confirm((f"{NAME}={output}", *specs), unseen, confirmation, workers)
+        _confirm(specs, unseen, confirmation, workers)
     return found
 
 

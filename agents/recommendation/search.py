@@ -13,6 +13,7 @@ import numpy as np
 
 from agents.calibration.metres import Metres
 from agents.calibration.response import Response
+from agents.policies.law import Law, Table2D
 from agents.policies.maps.lookup import FIRST, SPACING
 from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
@@ -22,6 +23,11 @@ from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 FEEDS, AIRS = 28, 12
+STEP: Final = 0.02
+FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
+"""Of a law's rows, up to 0.34."""
+OF_A_LAW: Final = 16
+"""Draws of one helix diameter that a row of a law goes by."""
 SMOOTH: Final = 0.5
 """Cost of a change of the feed by a factor of e, or of the air over its range, from one knot to the next."""
 MARGIN: Final = 1.5
@@ -82,6 +88,34 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     gained = config.progress_weight * (end - FIRST) - float((cost * stands_for[:, None])[range(len(path)), path].sum())
     deep = places >= config.lost_drive_from
     return Found(schedule, gained, float(taut[range(len(path)), path][deep].min()) if deep.any() else float("inf"))
+
+
+def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
+    """A feedback law: the recommended schedule for each of ``FRICTIONS`` that tubes have, all else as it is drawn.
+
+    Args and errors as of ``recommended``.
+    """
+    least, most = min(tube.friction for tube in tubes), max(tube.friction for tube in tubes)
+    inside = [mu for mu in FRICTIONS if least - STEP < mu < most + STEP]
+    tables: list[Table2D] = []
+    places: tuple[float, ...] = ()
+    for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
+        alike = [tube for tube in tubes if tube.helix_diameter == diameter][:OF_A_LAW]
+        rows = []
+        for mu in inside:
+            drawn = [tube.model_copy(update={"friction": mu}) for tube in alike]
+            rows.append(recommended(drawn, response, config).schedule)
+        places = rows[0].position
+        tables.append(
+            Table2D(
+                helix_diameter=diameter,
+                feed_speed=tuple(row.feed_speed for row in rows),
+                air_supply_rate=tuple(row.air_supply_rate for row in rows),
+            )
+        )
+    values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
+    ranges = {name: (min(v), max(v)) for name, v in values.items()}
+    return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=places, tables=tuple(tables))
 
 
 def expected_reward(schedule: Schedule, tubes: Sequence[Context], response: Response, config: TaskConfig) -> float:

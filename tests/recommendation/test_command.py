@@ -21,13 +21,14 @@ def test_it_is_written_simulated_and_told(tmp_path: Path, capsys: pytest.Capture
     own.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n24,0.2,63\n")
     output = tmp_path / "my.csv"
     arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(output), "--limit", "2", "--fidelity", "fast"]
+    arguments += ["--policy", str(tmp_path / "law.json")]
     assert main(["recommend", str(own), *arguments]) == 0
     assert Schedule.read(output).position[-1] == 24.0
     found = json.loads((tmp_path / "my.json").read_text())
     assert found["least_root_tension_n"] >= 1.2
     assert not found["calibrated"]
     episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
-    assert set(episodes["policy"]) == {"recommended", "own", "best-schedule", "tension-scheduled"}
+    assert set(episodes["policy"]) == {"recommended", "recommended-law", "own", "best-schedule", "tension-scheduled"}
     assert (episodes.groupby("policy").size() == 2).all()
     page = (tmp_path / "my-confirmed" / "report.html").read_text()
     assert "own" in page
@@ -39,6 +40,7 @@ def test_it_is_written_simulated_and_told(tmp_path: Path, capsys: pytest.Capture
     ("arguments", "problem"),
     [
         (["--output", "my.txt"], "is not a CSV file"),
+        (["--policy", "my.txt"], "is not a JSON file"),
         (["nowhere.csv"], "nowhere.csv"),
         (["--limit", "100"], "limit = 100 is outside"),
         (["--fidelity", "fine"], "fidelity = 'fine' is not one of"),

@@ -1,0 +1,142 @@
+"""A feedback law as a file: schedules for some frictions, between which the friction read from the tension chooses.
+
+A rig's controller can hold it as a table: helix diameter, friction and inserted length in, feed and air out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from agents.policies.domain import Domain
+from agents.policies.fixed import FixedPolicy
+from probe_env import Scene
+from probe_env.arrays import FloatArray
+from probe_env.files import MEBI, FileError, read_text
+from probe_env.physics.closed_forms import MEASURED, friction_from_tension
+from probe_env.schedule import AIR, FEED, RANGES
+from probe_env.settings import Model, explain, tuples
+
+MOST_FILE = 8 * MEBI
+Row = Annotated[tuple[float, ...], Field(min_length=2, max_length=1000)]
+Table = Annotated[tuple[Row, ...], Field(min_length=1, max_length=100)]
+
+
+class Table2D(Model):
+    """Feed and air for one helix diameter, a row a friction and a column a length."""
+
+    helix_diameter: Annotated[float, Field(gt=0.0)]
+    """[m]."""
+    feed_speed: Table
+    """[m/s]."""
+    air_supply_rate: Table
+    """[m3/s]."""
+
+
+class Law(Model):
+    """What is fed and blown at which friction, helix diameter and inserted length, SI units."""
+
+    scene: Scene
+    """Bore, length, probe and air that it was made for."""
+    ranges: dict[str, tuple[float, float]]
+    """Least and greatest of the fields of ``Context`` that it was made for."""
+    friction: Annotated[tuple[float, ...], Field(min_length=1, max_length=100)]
+    inserted_length: Row
+    """[m]."""
+    tables: Annotated[tuple[Table2D, ...], Field(min_length=1, max_length=100)]
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        for name in ("friction", "inserted_length"):
+            if not all(np.diff(getattr(self, name)) > 0.0):
+                raise PydanticCustomError("order", f"{name} must ascend")
+        shape = len(self.friction), len(self.inserted_length)
+        for k, table in enumerate(self.tables):
+            for name, column in (("feed_speed", FEED), ("air_supply_rate", AIR)):
+                rows = getattr(table, name)
+                if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
+                    text = f"tables.{k}.{name}: must be {shape[0]} rows of {shape[1]}, a friction and a length each"
+                    raise PydanticCustomError("shape", "{text}", {"text": text})
+                low, high = RANGES[column][:2]
+                high = high / 3600.0 if column == AIR else high
+                if not all(low <= value <= high for row in rows for value in row):
+                    text = f"tables.{k}.{name}: a value is outside the accepted range {low:g} to {high:g}"
+                    raise PydanticCustomError("range", "{text}", {"text": text})
+        return self
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a law's file (JSON).
+
+        Raises:
+            FileNotFoundError: no such file.
+            FileError: not a law; names every offending field.
+        """
+        try:
+            return cls.model_validate(tuples(json.loads(read_text(Path(path), MOST_FILE))))
+        except ValidationError as error:
+            raise FileError(path, explain(error)) from error
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise FileError(path, f"not JSON: {error}") from error
+
+    def at(self, friction: FloatArray, length: FloatArray, diameter: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Feed speed [m/s] and air supply [m3/s] (n,), straight between frictions and lengths, at the nearest diameter.
+
+        Args:
+            friction: (n,).
+            length: (n,) inserted [m].
+            diameter: (n,) of the helix [m].
+        """
+        known = np.array([table.helix_diameter for table in self.tables])
+        found = np.empty((2, len(friction)))
+        for k, (mu, place, d) in enumerate(zip(friction, length, diameter, strict=True)):
+            table = self.tables[int(np.abs(known - d).argmin())]
+            for row, values in enumerate((table.feed_speed, table.air_supply_rate)):
+                column = [np.interp(place, self.inserted_length, line) for line in values]
+                found[row, k] = np.interp(mu, self.friction, column)
+        return found[0], found[1]
+
+
+@dataclass
+class Lawful(FixedPolicy):
+    """Acts by a law, with the friction that steady sliding would need for the measured tension."""
+
+    law: Law = field(kw_only=True)
+    average: float = 15.0
+    """Time constant of the friction's average [s]."""
+    memory: ClassVar[int] = 1
+
+    @property
+    def domain(self) -> Domain:
+        """What the law was made for."""
+        tube = self.law.scene.tube
+        return Domain(dict(self.law.ranges), tube.inner_diameter, tube.helix_length, self.law.scene.probe)
+
+    def start(self, memory: FloatArray) -> None:
+        """Memory: the friction."""
+        memory[:, 0] = np.median(self.law.friction)
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the averaged friction.
+
+        Raises:
+            ValueError: the task does not show the root tension.
+        """
+        if "root_tension" not in seen:
+            raise ValueError("a feedback law needs a task that shows the root tension")
+        friction = friction_from_tension({name: seen[name] for name in MEASURED}, self.config.scene)
+        gain = 1.0 - np.exp(-self.config.period / self.average)
+        memory[:, 0] += gain * (np.clip(friction, self.law.friction[0], self.law.friction[-1]) - memory[:, 0])
+        return self.law.at(memory[:, 0], seen["inserted_length"], seen["helix_diameter"])
+
+    def describe(self) -> dict[str, Any]:
+        """With a hash of the law."""
+        digest = hashlib.sha256(self.law.model_dump_json().encode()).hexdigest()[:16]
+        return {"policy": type(self).__name__, "law": digest, "average": self.average}

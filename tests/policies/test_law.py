@@ -1,0 +1,106 @@
+"""A feedback law: what its table says between its rows, made for a plant, read from a file or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.calibration.response import stored_response
+from agents.policies.catalogue import named_policies
+from agents.policies.law import Law, Lawful
+from agents.recommendation.search import recommended, recommended_law
+from agents.rollouts.plan import Plan, run_plan
+from probe_env import Context, Plant, Scene, TaskConfig
+from probe_env.fidelity import PRESETS
+
+GIVEN: dict[str, Any] = {
+    "scene": {},
+    "ranges": {"friction": [0.1, 0.2], "contact_stiffness": [1e5, 1e5], "drag_factor": [1.0, 1.0],
+               "helix_diameter": [1.0, 1.4]},
+    "friction": [0.1, 0.2],
+    "inserted_length": [5.0, 60.0],
+    "tables": [
+        {"helix_diameter": 1.0,
+         "feed_speed": [[0.4, 0.2], [0.3, 0.1]], "air_supply_rate": [[0.02, 0.02], [0.03, 0.03]]},
+        {"helix_diameter": 1.4,
+         "feed_speed": [[0.4, 0.4], [0.4, 0.4]], "air_supply_rate": [[0.01, 0.01], [0.01, 0.01]]},
+    ],
+}  # fmt: skip
+
+
+def written(folder: Path, given: dict[str, Any]) -> Path:
+    """The file of a law."""
+    path = folder / "law.json"
+    path.write_text(json.dumps(given))
+    return path
+
+
+def test_it_is_straight_between_frictions_and_lengths(tmp_path: Path) -> None:
+    """Half-way in both is the mean of four; beyond its ends it is constant; the nearest diameter counts."""
+    law = Law.read(written(tmp_path, GIVEN))
+    at = np.array
+    feed, air = law.at(at([0.15, 0.1, 0.5, 0.15]), at([32.5, 5.0, 70.0, 32.5]), at([1.0, 1.1, 1.15, 1.3]))
+    np.testing.assert_allclose(feed, [0.25, 0.4, 0.1, 0.4])
+    np.testing.assert_allclose(air, [0.025, 0.02, 0.03, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"friction": [0.2, 0.1]}, "friction must ascend"),
+        ({"friction": [0.1, 0.15, 0.2]}, r"tables.0.feed_speed: must be 3 rows of 2"),
+        ({"inserted_length": [5.0]}, "inserted_length"),
+        ({"tables": []}, "tables"),
+        ({"extra": 1}, "extra"),
+        ({"tables": [GIVEN["tables"][0] | {"feed_speed": [[0.4, 9.0], [0.3, 0.1]]}]}, "a value is outside"),
+    ],
+)
+def test_what_is_no_law_is_refused(tmp_path: Path, change: dict[str, Any], problem: str) -> None:
+    """In one line with file and field."""
+    path = written(tmp_path, GIVEN | change)
+    with pytest.raises(ValueError, match=problem) as error:
+        Law.read(path)
+    assert "law.json" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_not_json_is_refused(tmp_path: Path) -> None:
+    """By its name."""
+    path = tmp_path / "law.json"
+    path.write_text("feed = 1")
+    with pytest.raises(ValueError, match=r"law.json: not JSON"):
+        named_policies([f"mine={path}"], TaskConfig().all_shown)
+
+
+def test_its_rows_are_recommendations() -> None:
+    """A row is what is recommended for draws with its friction; the frictions reach around those of the draws."""
+    config, response = Plant().configured(), stored_response()
+    tubes = [Context(friction=mu) for mu in (0.13, 0.17)]
+    law = recommended_law(tubes, response, config)
+    assert law.friction == (0.12, 0.14, 0.16, 0.18)
+    alike = [tube.model_copy(update={"friction": 0.14}) for tube in tubes]
+    assert law.tables[0].feed_speed[1] == recommended(alike, response, config).schedule.feed_speed
+    assert law.scene == config.scene
+    assert Law.model_validate_json(law.model_dump_json()) == law
+
+
+def test_it_feeds_by_the_friction_that_the_tension_tells() -> None:
+    """In a slippery and in a rough tube the law ends near what its rows for these frictions say.
+
+    The law is fed at 5 m by its middle row and has 60 s and more to learn; steady sliding tells friction within 10 %
+    (a fifth of the distance between the two rows).
+    """
+    config = TaskConfig().all_shown
+    flat = {"inserted_length": (5.0, 60.0), "tables": (
+        {"helix_diameter": 1.2, "feed_speed": ((0.3, 0.3), (0.1, 0.1)), "air_supply_rate": ((0.0175, 0.0175),) * 2},
+    )}  # fmt: skip
+    law = Law.model_validate({**GIVEN, "scene": Scene(), "ranges": {}, "friction": (0.1, 0.2), **flat})
+    plan = Plan({"law": Lawful(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
+                fidelity=PRESETS["fast"])  # fmt: skip
+    times = run_plan(plan, None, progress=False)["inspection_time_s"]
+    assert times[0] == pytest.approx(55.0 / 0.3, rel=0.15)
+    assert times[1] == pytest.approx(55.0 / 0.1, rel=0.15)
