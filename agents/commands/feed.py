@@ -18,7 +18,8 @@ class Evaluate:
 
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
     """Policies and trained agents by name (probe-env agents lists them; ppo@2 is another training seed), schedule files
-    (.csv, .toml), feedback laws (.json) or agents' bundles (.npz). NAME=FILE names one, NAME@K=FILE the training seeds of one method."""
+    (.csv, .toml), feedback laws (.json) or agents' bundles (.npz). NAME=FILE names one, NAME@K=FILE the training seeds
+    of one method."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the study's probe; random: one for every tube and seed, drawn from the design space."""
     against: str | None = None

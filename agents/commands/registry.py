@@ -25,7 +25,7 @@ USERS: Final = {
         "probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2",
     ),
     "evaluate": Entry(
-        "feed:Evaluate", "feed policies on the same tubes: figures with intervals, a report",
+        "feed:Evaluate", "feed policies on the same tubes: figures, a report",
         "probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast",
     ),
     "log": Entry(
@@ -33,7 +33,7 @@ USERS: Final = {
         "probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png",
     ),
     "calibrate": Entry(
-        "plant:Calibrate", "friction and the rest of your plant from its logs, with intervals",
+        "plant:Calibrate", "friction and the rest of your plant from its logs",
         "probe-env calibrate rig.csv --tube mine.toml --output output/calibration",
     ),
     "recommend": Entry(

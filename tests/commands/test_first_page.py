@@ -16,7 +16,18 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
     assert main(arguments) == status
     page = capsys.readouterr().out
     assert page == first_page() + "\n"
-    assert tuple(USERS) == ("simulate", "evaluate", "log", "render", "train", "tune", "compare", "design")
+    assert tuple(USERS) == (
+        "simulate",
+        "evaluate",
+        "log",
+        "calibrate",
+        "recommend",
+        "render",
+        "train",
+        "tune",
+        "compare",
+        "design",
+    )
     places = [page.index(f"\n  {name} ") for name in (*USERS, *MAKERS)]
     assert places == sorted(places)
     assert max(map(len, page.splitlines())) <= 80
