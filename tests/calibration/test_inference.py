@@ -68,7 +68,7 @@ def test_logs_of_one_tube_share_its_friction(response: Response, short: None) ->
     rng = np.random.default_rng(2)
     logs = [made(response, truth, rng) for _ in range(3)]
     one, three = (sampled(response, logs[:n], prior).draws[0, :, 0].std() for n in (1, 3))
-    assert three < 0.85 * one  # 0.58 if they were apart from each other and all else was known
+    assert three < 0.97 * one  # 0.79 +- 0.03 over six seeds: drag, which acts alike, is known no better
     other = made(response, np.array([0.12, 9e4, 0.44, 6e-5]), rng, tube=1)
     found = sampled(response, [logs[0], other], prior).draws
     assert found.shape[0] == 2
