@@ -77,4 +77,5 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
         DOCS / "superelement.md": ("superelement",),
         DOCS / "cluster.md": ("scaling",),
+        DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
     }
