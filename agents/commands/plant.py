@@ -154,3 +154,23 @@ class Recommendations:
 
         run_study(self.tubes, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (recommendations.csv, summary.json)")
+
+
+@dataclass(frozen=True)
+class Plants:
+    """Simulate policies in plants of other bores and lengths, against the best fixed schedule for each."""
+
+    limit: int = 12
+    """Tubes of each of six plants."""
+    fidelity: str = "fast"
+    """How closely to simulate."""
+    output: Path = Path("output/plants")
+    """Folder of the tables; episodes that are there already are not run again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Simulate, store, print."""
+        from agents.recommendation.plants import run_study
+
+        run_study(self.limit, self.fidelity, self.output, self.workers)
+        print(f"written: {self.output}/ (gains.csv, episodes.csv)")

@@ -81,6 +81,7 @@ MAKERS: Final = {
     "recommendations": Entry(
         "plant:Recommendations", "recommendations for tubes whose truth is known", "probe-env recommendations --tubes 8"
     ),
+    "plants": Entry("plant:Plants", "policies in other bores and lengths", "probe-env plants --limit 2"),
     "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
     "stability": Entry("study:Stability", "which time steps hold", "probe-env stability --output output/stability"),
