@@ -67,7 +67,7 @@ def plants() -> str:
     tubes = len(episodes) // (summary["plant"].nunique() * episodes["policy"].nunique())
     return (
         f"Reward less that of the best fixed schedule for the plant (`probe-env recommend`), {tubes} tubes each, of"
-        " three helix diameters, friction 0.10 to 0.25, with 95 % intervals; the law is the plant's own, all else goes by the"
+        " three helix diameters, friction 0.1 to 0.25; 95 % intervals. The law is the plant's own, the rest goes by the"
         " shipped map or training:\n\n" + "\n".join(lines) + f"\n\n{source(folder / 'provenance.json')}"
     )
 
