@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
 from agents.calibration.unknowns import UNKNOWNS
-from agents.pages.sources import RESULTS, command, source
-from agents.recommendation.plants import HEADER, cells
+from agents.pages.sources import RESULTS, command
 from agents.records.models import Figures
-from agents.records.reading import read_csv, read_json
+from agents.records.reading import read_json
 
 
 def calibrations() -> str:
@@ -54,21 +53,6 @@ def recommendations() -> str:
         f" [{told['gain, low']:.1f}, {told['gain, high']:.1f}] of reward against the shipped `best-schedule`:"
         f" {100.0 * told['share of what knowing brings']:.0f} % of the {told['gain by knowing the tube']:+.1f} that"
         f" knowing the tube would bring. {_source(figures)}"
-    )
-
-
-def plants() -> str:
-    """Policies in plants of other bores and lengths against the best fixed schedule for each."""
-    folder = RESULTS / "plants"
-    summary = read_csv(folder / "gains.csv")
-    episodes = read_csv(folder / "episodes.csv")
-    lines = [f"| {' | '.join(HEADER)} |", "|---" * len(HEADER) + "|"]
-    lines += [f"| {' | '.join(row)} |" for row in cells(summary)]
-    tubes = len(episodes) // (summary["plant"].nunique() * episodes["policy"].nunique())
-    return (
-        f"Reward less that of the best fixed schedule for the plant (`probe-env recommend`), {tubes} tubes each, of"
-        " three helix diameters, friction 0.1 to 0.25; 95 % intervals. The law is the plant's own, the rest goes by the"
-        " shipped map or training:\n\n" + "\n".join(lines) + f"\n\n{source(folder / 'provenance.json')}"
     )
 
 
