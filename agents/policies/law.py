@@ -29,7 +29,7 @@ Row = Annotated[tuple[float, ...], Field(min_length=2, max_length=1000)]
 Table = Annotated[tuple[Row, ...], Field(min_length=1, max_length=100)]
 
 
-class Table2D(Model):
+class OfDiameter(Model):
     """Feed and air for one helix diameter, a row a friction and a column a length."""
 
     helix_diameter: Annotated[float, Field(gt=0.0)]
@@ -50,7 +50,7 @@ class Law(Model):
     friction: Annotated[tuple[float, ...], Field(min_length=1, max_length=100)]
     inserted_length: Row
     """[m]."""
-    tables: Annotated[tuple[Table2D, ...], Field(min_length=1, max_length=100)]
+    tables: Annotated[tuple[OfDiameter, ...], Field(min_length=1, max_length=100)]
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

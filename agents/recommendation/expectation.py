@@ -21,7 +21,6 @@ MEASURES: Final = {
     "acceleration": ("radial_acceleration_rms", 20.0),
 }
 """Vibration measure of a task -> channel of the response."""
-DEEP: Final = 15.0
 
 
 def check_measure(config: TaskConfig) -> None:

@@ -15,6 +15,7 @@ from agents.policies.fixed import Scheduled
 from agents.policies.law import Lawful
 from agents.policies.places import place_of
 from agents.processes.workers import Workers
+from agents.recommendation.recommend import LAW, NAME
 from agents.recommendation.search import recommended, recommended_law
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, run_plan
@@ -26,9 +27,9 @@ from probe_env.envs.plants.tables import Supply, Tubes, Walls
 from probe_env.fidelity import resolve_fidelity
 
 BORES, LENGTHS, DIAMETERS = (22e-3, 24.2e-3, 26e-3), (40.0, 80.0), (1.0, 1.4, 2.0)  # [m]
-FIXED: Final = "recommended"
+FIXED: Final = NAME
 """The best fixed schedule for a plant, by the response."""
-DECIDING: Final = ("recommended-law", "tension-scheduled", "adaptive", "ppo")
+DECIDING: Final = (LAW, "tension-scheduled", "adaptive", "ppo")
 OURS: Final = ("best-schedule", *DECIDING[1:])
 
 
@@ -86,6 +87,6 @@ def _episodes(plant: Plant, limit: int, fidelity: str, folder: Path, workers: Wo
         warnings.simplefilter("ignore", OutsideDomain)
         policies = named_policies(OURS, config, unseen.vibration)
     policies[FIXED] = Scheduled(config, recommended(seen.contexts, response, seen.config).schedule)
-    policies[DECIDING[0]] = Lawful(config, law=recommended_law(seen.contexts, response, seen.config))
+    policies[LAW] = Lawful(config, law=recommended_law(seen.contexts, response, seen.config))
     plan = Plan(policies, unseen.contexts, config=config, fidelity=resolve_fidelity(fidelity))
     return run_plan(plan, folder, workers=workers)

@@ -21,6 +21,7 @@ from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Plant
 
 NAME: Final = "recommended"
+LAW: Final = "recommended-law"
 OURS: Final = ("best-schedule", "tension-scheduled")
 """What it is compared with besides the user's own."""
 
@@ -40,9 +41,6 @@ class Confirmation:
     own: tuple[str, ...] = ()
     limit: int = 24
     fidelity: str = "standard"
-
-
-LAW: Final = "recommended-law"
 
 
 def recommend(

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.calibration.metres import Metres
 from agents.calibration.response import Response
-from agents.policies.law import Law, Table2D
+from agents.policies.law import Law, OfDiameter
 from agents.policies.maps.lookup import FIRST, SPACING
 from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
@@ -97,7 +97,7 @@ def recommended_law(tubes: Sequence[Context], response: Response, config: TaskCo
     """
     least, most = min(tube.friction for tube in tubes), max(tube.friction for tube in tubes)
     inside = [mu for mu in FRICTIONS if least - STEP < mu < most + STEP]
-    tables: list[Table2D] = []
+    tables: list[OfDiameter] = []
     places: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         alike = [tube for tube in tubes if tube.helix_diameter == diameter][:OF_A_LAW]
@@ -107,7 +107,7 @@ def recommended_law(tubes: Sequence[Context], response: Response, config: TaskCo
             rows.append(recommended(drawn, response, config).schedule)
         places = rows[0].position
         tables.append(
-            Table2D(
+            OfDiameter(
                 helix_diameter=diameter,
                 feed_speed=tuple(row.feed_speed for row in rows),
                 air_supply_rate=tuple(row.air_supply_rate for row in rows),
