@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class StabilityWarning(UserWarning):
-    """The time step is beyond the method's known stable limit."""
+    """The time step is beyond the method's known stable limit, or the couple of (9) feeds a pressed probe."""
 
 
 class SimulationError(RuntimeError):
@@ -27,7 +27,8 @@ class SimulationError(RuntimeError):
         else:
             hint = (
                 f"the step is within the known limit of {stable:.2g} s: most likely the cable was compressed and"
-                " buckled between its floats, which a shorter step does not change and the method implicit bounds"
+                " buckled between its floats, which a shorter step does not change; contact.cable = true lays it"
+                " against the walls"
             )
         super().__init__(
             f"{method} with time_step {time_step:g} s diverged at t = {time:.6g} s;"

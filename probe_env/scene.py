@@ -12,23 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, ValidationError, model_validator
+from pydantic import ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.settings import Model, quantity
 
 LENGTH_TOLERANCE = 1e-6
 """How far, in metres, a cable length may be from a whole multiple of the float pitch."""
-
-
-def _not_returning(value: float) -> float:
-    if value < 0.0:
-        raise PydanticCustomError(
-            "return_process",
-            "{value} m/s is negative: the return process is not modelled; the accepted range is 0 to 2 m/s",
-            {"value": repr(value)},
-        )
-    return value
 
 
 class Tube(Model):
@@ -77,6 +67,8 @@ class Contact(Model):
     """Coulomb's coefficient [-]."""
     walls: Literal["both", "inner"] = "both"
     """Walls that floats touch."""
+    cable: bool = False
+    """Whether the cable between floats touches the walls too, as it does where pressure buckles it."""
 
 
 class Air(Model):
@@ -95,10 +87,13 @@ class Scene(Model):
     probe: Probe = Probe()
     contact: Contact = Contact()
     air: Air = Air()
-    feed_speed: Annotated[float, AfterValidator(_not_returning), quantity(0.0, 2.0, "m/s")] = 0.2
-    """At which the cable is fed in [m/s]."""
-    air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 63.0 / 3600.0
-    """Of air behind the probe [m3/s]; 1 m3/h is 2.78e-4 m3/s."""
+    couple: Literal["frame", "tangent"] = "frame"
+    """From where the couple V l theta of (9) counts the rotation: the moving frame, as the study has it, or the tube's
+    tangent where the node is, which is right under pressure too (docs/simulation/return.md)."""
+    feed_speed: Annotated[float, quantity(-2.0, 2.0, "m/s")] = 0.2
+    """At which the cable is fed in; below 0 it is drawn back [m/s]."""
+    air_supply_rate: Annotated[float, quantity(-0.2, 0.2, "m3/s")] = 63.0 / 3600.0
+    """Of air behind the probe, below 0 towards the feed device [m3/s]; 1 m3/h is 2.78e-4 m3/s."""
     carrier_length: Annotated[float, quantity(0.0, 1e3, "m")] = 50.0
     """Cable between entrance and sensor [m]."""
 

@@ -14,6 +14,9 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.scene import Scene
 
+RISE = 0.5
+"""Length in which a probe on the outer wall comes to it from the entrance [m]."""
+
 
 class Chain(NamedTuple):
     """A chain of equal elements with per-node contact, drag and support; SI units, arrays of n + 1 nodes.
@@ -36,7 +39,10 @@ class Chain(NamedTuple):
     couple_length: float  # l in V l theta of (9); 0 switches the couple off
     frame_inertia: float  # J / r of (15)
     friction: float
-    cable_radius: float  # d_c / 2, where the cable itself would touch the wall
+    cable_radius: float  # d_c / 2, where the cable itself touches the wall
+    cable_stiffness: float  # of the wall under it; 0 where only floats touch
+    most_pressure: float  # [N] that acts in the couple; infinite where only floats touch
+    couple_turn: float  # by how much the tube's tangent turns along it, where the couple counts from there, else 0
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
@@ -83,6 +89,9 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         frame_inertia=inertia * curvature,
         friction=contact.friction,
         cable_radius=probe.cable_diameter / 2.0,
+        cable_stiffness=contact.stiffness if contact.cable else 0.0,
+        most_pressure=most_couple(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
+        couple_turn=curvature if scene.couple == "tangent" else 0.0,
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,
         lever=diameter / 2.0,
@@ -127,3 +136,29 @@ def element_stiffness(chain: Chain) -> FloatArray:
             [0.0, -g / determinant, ay / determinant],
         ]
     )
+
+
+def most_couple(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
+    """Greatest compression [N] that the couple V l theta is given where the cable touches the walls.
+
+    Beyond pi^2 EI / p^2 the cable has buckled between two floats and lies against the walls; beyond EI / h^2 its
+    bending is finer than the mesh.
+    """
+    return flexural_rigidity * min(1.0 / element_length**2, (math.pi / float_pitch) ** 2)
+
+
+def outer_start(chain: Chain, root: int) -> FloatArray:
+    """Displacements (n + 1, 3) of an unstretched probe that lies on the outer wall, but for its way there at the root.
+
+    The outer wall is the longer way round: the probe lies back by the turn times the clearance.
+    """
+    d = np.zeros((chain.node_count, 3))
+    floats = np.flatnonzero(chain.contact_stiffness[:root] > 0.0)
+    index = np.arange(root + 1)
+    share = np.clip((root - index) * chain.element_length / RISE, 0.0, 1.0)
+    y = np.interp(index, floats, chain.outer_gap[floats]) * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    lag = chain.sin_phi / chain.cos_phi * (y[:-1] + y[1:])
+    d[:root, 0] = -np.cumsum(lag[::-1])[::-1]
+    d[: root + 1, 1] = y
+    d[:root, 2] = -chain.curvature * d[:root, 0] - np.gradient(y, chain.element_length)[:-1]
+    return d

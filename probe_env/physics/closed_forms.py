@@ -20,25 +20,34 @@ SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter"
 
 
 def steady_root_tension(scene: Scene) -> float:
-    """Closed form of the root tension under steady sliding [N], friction at the float's surface.
+    """Closed form of the root tension under steady sliding [N], see ``steady_tensions``."""
+    return float(steady_tensions(scene)[-1])
 
-    T = (q r / mu') (1 - exp(-mu' L / r)), mu' = mu (1 - d_f / d_h); q is the mean drag per metre. With two
-    float sizes q is piecewise constant and the guide's end tension is carried on.
+
+def steady_tensions(scene: Scene) -> FloatArray:
+    """Closed form of the axial force behind every float under steady sliding, tip first [N]; below 0 is pressure.
+
+    T = (q r / mu') (1 - exp(-mu' s / r)), s from the tip; q is the mean drag per metre, and friction acts at the
+    float's surface: mu' = mu (1 - d_f / d_h) where the probe is pulled, on the inner wall, mu (1 + d_f / d_h) where it
+    is pressed, on the outer one. Friction lessens what the air does while the probe moves as the air does, and adds to
+    it otherwise. With two float sizes q is piecewise constant and the guide's end tension is carried on.
     """
     chain = build_chain(scene)
     relative = air_speed(scene, scene.air_supply_rate) - scene.feed_speed
     pitch = scene.probe.float_pitch
-    force = chain.drag * relative * abs(relative)
     radius = scene.tube.helix_diameter / 2.0
-    tension = 0.0
-    for drag, lever in zip(force[:-1][force[:-1] > 0.0], chain.lever[:-1][force[:-1] > 0.0], strict=True):
-        mu = chain.friction * (1.0 - lever / radius)
+    floats = chain.drag[:-1] > 0.0
+    tension, tensions = 0.0, []
+    for drag, lever in zip(chain.drag[:-1][floats] * relative * abs(relative), chain.lever[:-1][floats], strict=True):
+        side = 1.0 if (tension or drag) >= 0.0 else -1.0
+        mu = chain.friction * (1.0 - side * lever / radius) * (side if scene.feed_speed >= 0.0 else -side)
         if mu == 0.0:
             tension += drag
         else:
             limit = drag / pitch * radius / mu
             tension = limit + (tension - limit) * math.exp(-mu * pitch / radius)
-    return tension
+        tensions.append(tension)
+    return np.array(tensions)
 
 
 def drag_per_metre(scene: Scene) -> float:

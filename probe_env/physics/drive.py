@@ -1,4 +1,4 @@
-"""How the probe is driven: feed speed with a ramp limit, air with a first-order lag, and the growing length.
+"""How the probe is driven: feed speed with a ramp limit, air with a first-order lag, and the length that follows.
 
 ``inputs_of_steps`` turns targets into the inputs of every coming step, for the kernels of all methods.
 """
@@ -13,8 +13,9 @@ from numba import njit
 
 from probe_env.arrays import FloatArray
 
-SPEED, SLOPE, AIR, APPEND = 0, 1, 2, 3
-"""Columns of a step's inputs: u and Q / (a - A_c) at its start [m/s], du/dt over it [m/s2], nodes appended after."""
+SPEED, SLOPE, AIR, APPEND, KEPT = 0, 1, 2, 3, 4
+"""Columns of a step's inputs: u and Q / (a - A_c) at its start [m/s], du/dt over it [m/s2], nodes appended after it
+(-1: the last free one is held), and what is kept of the held root's offset from the tube's middle line."""
 
 
 @dataclass
@@ -26,7 +27,7 @@ class Drive:
         air, air_target: air speed in the tube [m/s].
         ramp: greatest change of the feed speed [m/s2].
         air_lag: time constant of the air [s]; 0 follows at once.
-        travel: cable fed in since the last node was appended [m].
+        travel: of the held root from the entrance, 0 to an element's length [m].
         growth: length fed in per length travelled: 0 constant length, 1 insertion, more is time-lapse.
     """
 
@@ -40,31 +41,52 @@ class Drive:
     def __post_init__(self) -> None:
         self.speed_target, self.air_target = self.speed, self.air
 
-    def inputs_of_steps(self, steps: int, time_step: float, element_length: float, room: int) -> FloatArray:
-        """Inputs (steps, 4) of the coming steps; moves on to their end. ``room``: nodes that may be appended."""
-        inputs = np.empty((steps, 4))
+    def inputs_of_steps(
+        self, steps: int, time_step: float, element_length: float, room: int, spare: int = 0
+    ) -> FloatArray:
+        """Inputs (steps, 5) of the coming steps; moves on to their end.
+
+        Args:
+            steps: how many.
+            time_step: [s].
+            element_length: [m].
+            room: nodes that may be appended.
+            spare: nodes that may be drawn back.
+        """
+        inputs = np.empty((steps, 5))
         gain = -math.expm1(-time_step / self.air_lag) if self.air_lag > 0.0 else 1.0
         self.speed, self.air, self.travel = _inputs(
             inputs, self.speed, self.speed_target, self.ramp * time_step, self.air, self.air_target, gain,
-            self.travel, self.growth, time_step, element_length, room,
+            self.travel, self.growth, time_step, element_length, room, spare,
         )  # fmt: skip
         return inputs
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _inputs(inputs, speed, speed_target, ramp_step, air, air_target, gain, travel, growth, dt, h, room):
+def _inputs(inputs, speed, speed_target, ramp_step, air, air_target, gain, travel, growth, dt, h, room, spare):
     """Step by step, so that the result does not depend on how a run is cut into calls."""
     for k in range(len(inputs)):
         change = min(max(speed_target - speed, -ramp_step), ramp_step)
         inputs[k, SPEED] = speed
         inputs[k, SLOPE] = change / dt
         inputs[k, AIR] = air
-        inputs[k, APPEND] = 0.0
+        inputs[k, APPEND], inputs[k, KEPT] = 0.0, 1.0
         speed = speed_target if abs(speed_target - speed) <= ramp_step else speed + change
         air = air_target if gain == 1.0 else air + gain * (air_target - air)
+        place = travel
         travel += growth * speed * dt
+        if place > 0.0:  # what was drawn back off the middle line comes to it as it comes to the entrance
+            inputs[k, KEPT] = min(max(travel, 0.0), h) / place if travel < h else 1.0
         if travel >= h and room > 0:
             travel -= h
-            room -= 1
+            room, spare = room - 1, spare + 1
             inputs[k, APPEND] = 1.0
+        elif travel < 0.0:
+            inputs[k, KEPT] = 0.0
+            if spare > 0:
+                travel += h
+                room, spare = room + 1, spare - 1
+                inputs[k, APPEND] = -1.0
+            else:
+                travel = 0.0
     return speed, air, travel

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND
+from probe_env.physics.drive import APPEND, KEPT
 from probe_env.physics.state import State
 
-INPUTS = 4
+INPUTS = 5
 CHANNELS = 4
 
 
@@ -70,17 +70,22 @@ def check_call(nodes: int, memory: int, inputs: FloatArray, root: int, state: St
     """Raise ValueError, naming the array, unless everything fits a chain of ``nodes`` nodes and a method's memory."""
     check_state(state, root, nodes, memory)
     check_array("inputs", inputs, (-1, INPUTS))
-    appended = inputs[:, APPEND]
-    if not ((appended == 0.0) | (appended == 1.0)).all():  # also NaN
-        raise ValueError("inputs: the last column must be 0, or 1 where a node is appended after the step")
-    if root + int(appended.sum()) > nodes - 1:
-        raise ValueError(
-            f"inputs append {int(appended.sum())} nodes to {root}: the chain has room for {nodes - 1 - root}"
-        )
     first, every, points, samples, tension_sum, counts = sampling
+    appended = inputs[:, APPEND]
+    if not ((appended == 0.0) | (np.abs(appended) == 1.0)).all():  # also NaN
+        raise ValueError("inputs: column 3 must be 0, or 1 or -1 where a node is appended or held after the step")
+    if not ((inputs[:, KEPT] >= 0.0) & (inputs[:, KEPT] < np.inf)).all():
+        raise ValueError("inputs: column 4 must be 0 or more, what is kept of the root's offset")
+    roots = root + np.cumsum(appended)
+    if len(roots) and roots.max() > nodes - 1:
+        more = int(roots.max()) - root
+        raise ValueError(f"inputs append {more} nodes to {root}: the chain has room for {nodes - 1 - root}")
     if first < 1 or every < 1:
         raise ValueError(f"sampling: first = {first!r} and every = {every!r} must be 1 or more")
     check_points(points, root)
+    least = int(max(1, *points)) if len(points) else 1
+    if len(roots) and roots.min() < least:
+        raise ValueError(f"inputs draw the root back to node {int(roots.min())}; {least} is the least here")
     check_array("samples", samples, (-1, len(points), CHANNELS))
     due = max(0, (len(inputs) - first) // every + 1)
     if len(samples) < due:

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 """Of snapshots and pickles; goes up whenever what a simulator, its drive or a batch holds changes."""
 
 

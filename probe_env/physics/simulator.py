@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypedDict, Unpack
+from typing import Any, Final, Literal, TypedDict, Unpack
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.chain import air_speed, build_chain, sensor_node
+from probe_env.physics.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.costs import pitch_step_seconds
 from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import CHANNELS, Sampling, check_state
-from probe_env.physics.methods import method_named, solver_named, ticm
+from probe_env.physics.methods import METHODS, method_named, solver_named, ticm
 from probe_env.physics.methods.method import Advance
 from probe_env.physics.run import Run, check_size, point_name, shapes_of, shown, snapshot_steps
 from probe_env.physics.saved import Saved, check_names, check_types
@@ -36,10 +36,12 @@ class Options(TypedDict, total=False):
     ramp: float
     air_lag: float
     perturbation: float
+    start: Literal["inner", "outer"]
 
 
 DEFAULTS: Final[Options] = {
-    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0
+    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0,
+    "start": "inner",
 }  # fmt: skip
 
 
@@ -66,7 +68,9 @@ class Simulator(Saved):
             ``ramp`` (default: none): greatest change of the feed speed [m/s2];
             ``air_lag`` (default 0): time constant with which the air supply follows its target [s];
             ``perturbation`` (default 0, the study's start): standard deviation of a random radial start displacement of
-            all nodes [m], to get independent members of an ensemble.
+            all nodes [m], to get independent members of an ensemble;
+            ``start`` (default "inner"): the wall that the probe lies on at rest; "outer" is for the return, in which it
+            is pressed there: from the inner wall it would have to fall across the tube.
 
     Raises:
         ValueError: an argument is not valid; names it, its value and what is accepted.
@@ -75,7 +79,7 @@ class Simulator(Saved):
 
     BUILT = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
     FIXED = frozenset(BUILT) | {
-        "scene", "perturbation", "seed", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
+        "scene", "perturbation", "seed", "start", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
     }  # fmt: skip
     REBUILT = "_advance"
 
@@ -96,13 +100,14 @@ class Simulator(Saved):
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
         self.growing, self.time_lapse = given["growing"], given["time_lapse"]
         self.ramp, self.air_lag = given["ramp"], given["air_lag"]
-        self.perturbation, self.seed = given["perturbation"], seed
+        self.perturbation, self.seed, self.start = given["perturbation"], seed, given["start"]
         h = scene.probe.float_pitch / self.nodes_per_pitch
         longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if self.growing else scene.inserted_length
         self.chain = build_chain(scene, self.nodes_per_pitch, longest)
         self._start_root = round(scene.inserted_length / h)
         self.sensor = sensor_node(scene, self.nodes_per_pitch)
         self._advance = self._build()
+        self.check_targets(scene.feed_speed, scene.air_supply_rate)
         self.stable_time_step = method_named(method).stable_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             warnings.warn(
@@ -126,9 +131,12 @@ class Simulator(Saved):
         )
         self.feed_length()
         self._error: SimulationError | None = None
+        if self.start == "outer":
+            self.state.d[:] = outer_start(self.chain, self.root)
         if self.perturbation > 0.0:
             noise = np.random.default_rng(self.seed).normal(size=self.root)
-            self.state.d[: self.root, 1] = self.perturbation * noise
+            self.state.d[: self.root, 1] += self.perturbation * noise
+        if self.start == "outer" or self.perturbation > 0.0:
             self.state = method_named(self.method).at_rest(
                 self.chain, self.nodes_per_pitch, self.time_step, self.root, self.state.d
             )
@@ -225,8 +233,10 @@ class Simulator(Saved):
         """Continue for ``duration`` towards new targets of feed speed and air supply.
 
         Args:
-            feed_speed: target [m/s], 0 to 2; approached within the ramp limit. None: as before.
-            air_supply_rate: target [m3/s], 0 to 0.2; approached with the air's lag. None: as before.
+            feed_speed: target [m/s], -2 to 2, approached within the ramp limit. Below 0 the cable is drawn back, of a
+                growing probe until the sensor is a pitch from the entrance. None: as before.
+            air_supply_rate: target [m3/s], -0.2 to 0.2, below 0 towards the feed device; approached with the air's
+                lag. None: as before.
             duration: [s], a whole number of time steps; must be given.
             sample_period: [s], a whole number of time steps.
             points: "sensor", "tip", "root" or distances from the tip [m] (the nearest node is taken).
@@ -292,8 +302,8 @@ class Simulator(Saved):
 
     def inputs_of_steps(self, steps: int) -> FloatArray:
         """Inputs (steps, 4) of the coming steps, see drive.py; the drive moves on to their end."""
-        room = self.chain.node_count - 1 - self.root
-        return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room)
+        room, spare = self.chain.node_count - 1 - self.root, self.root - self.sensor - self.nodes_per_pitch
+        return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room, max(spare, 0))
 
     def note_steps(self, steps: int, root: int, diverged: bool) -> None:
         """Count steps that a kernel has done on this state, and keep the error if it diverged."""
@@ -321,9 +331,26 @@ class Simulator(Saved):
     def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """Raise ValueError if a target is out of range."""
         if feed_speed is not None:
-            within("feed_speed", feed_speed, 0.0, 2.0, "m/s")
+            within("feed_speed", feed_speed, -2.0, 2.0, "m/s")
+            self._check_return("feed_speed", feed_speed, "m/s")
         if air_supply_rate is not None:
-            within("air_supply_rate", air_supply_rate, 0.0, 0.2, "m3/s")
+            within("air_supply_rate", air_supply_rate, -0.2, 0.2, "m3/s")
+            self._check_return("air_supply_rate", air_supply_rate, "m3/s")
+
+    def _check_return(self, name: str, value: float, unit: str) -> None:
+        """Raise ValueError if a method cannot press or draw back a probe; warn where the couple of (9) is not fit."""
+        if value >= 0.0:
+            return
+        if not method_named(self.method).draws_back:
+            able = ", ".join(other for other, method in METHODS.items() if method.draws_back)
+            raise ValueError(f"{name} = {value!r} {unit}: {self.method} does not simulate the return; {able} do")
+        if self.scene.couple == "frame":
+            warnings.warn(
+                f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
+                ' pressed probe, whose root force is some three times too large; couple = "tangent" does not',
+                StabilityWarning,
+                stacklevel=4,
+            )
 
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """New targets [m/s], [m3/s]; None leaves one as it is."""
@@ -366,5 +393,7 @@ def _check_numbers(method: str, time_step: float, nodes_per_pitch: int, options:
     within("ramp", options["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
     within("air_lag", options["air_lag"], 0.0, 1e3, "s")
     within("perturbation", options["perturbation"], 0.0, 1e-3, "m")
+    if options["start"] not in ("inner", "outer"):
+        raise ValueError(f"start = {options['start']!r} is not one of inner, outer")
     if isinstance(nodes_per_pitch, bool) or nodes_per_pitch != int(nodes_per_pitch) or not 1 <= nodes_per_pitch <= 64:
         raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")

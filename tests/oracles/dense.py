@@ -10,7 +10,7 @@ import numpy as np
 def dense_step(chain, B_a, B_v, inputs, h_a, h_v, d, v, axial_force):
     """Displacements (n + 1, 3) and axial forces of (17)-(18) at the new time, tip first like the kernels."""
     n = chain.node_count - 1
-    u, du_dt, air, _ = inputs
+    u, du_dt, air = inputs[:3]
     flip = slice(None, None, -1)
     h_a, h_v, d, v = h_a[flip], h_v[flip], d[flip], v[flip]
     V_bar = axial_force[flip]
@@ -45,21 +45,31 @@ def dense_step(chain, B_a, B_v, inputs, h_a, h_v, d, v, axial_force):
         C = np.zeros((3, 3))
         C[0, 1] = 2 * chain.mass * omega_r * chain.curvature
         K = np.diag(support[j]).astype(float)
-        K[2, 2] += V_bar[j] * chain.couple_length
+        V = max(V_bar[j], -chain.most_pressure) * chain.couple_length
+        K[2, 2] += V
         q = load[j].astype(float).copy()
+        # V l (theta + x / r)^2 / 2 for the whole of it, but for V l theta^2 / 2, which is in K; x, theta as they were
+        turn = chain.couple_turn
+        q[0] -= V * turn * (d[j, 2] + turn * d[j, 0])
+        q[2] -= V * turn * d[j, 0]
         q[1] += chain.mass * chain.curvature * omega_r**2
         rel = air - omega_r
         q[0] += drag[j] * rel * abs(rel)
-        y = d[j, 1]
-        if k_c[j] > 0 and y < 0:
-            mu = chain.friction * (1 if omega_r + v[j, 2] * lever[j] >= 0 else -1)
-            K[:, 1] += k_c[j] * np.array([-mu, 1, -mu * lever[j]])
-        elif k_c[j] > 0 and y > gap[j]:
-            mu = chain.friction * (1 if omega_r - v[j, 2] * lever[j] >= 0 else -1)
-            # normal force N = k (y - gap) inwards; friction -mu N at the outer contact point (0, +lever)
-            column = k_c[j] * np.array([mu, 1, -mu * lever[j]])
+        y, k, arm, low, high = d[j, 1], k_c[j], lever[j], 0.0, gap[j]
+        if k == 0:  # the cable: thinner than a float by this on either side
+            k, arm, thinner = chain.cable_stiffness, chain.cable_radius, lever[j] - chain.cable_radius
+            low, high = -thinner, gap[j] + thinner
+        if k > 0 and y < low:
+            mu = chain.friction * (1 if omega_r + v[j, 2] * arm >= 0 else -1)
+            column = k * np.array([-mu, 1, -mu * arm])
             K[:, 1] += column
-            q += column * gap[j]
+            q += column * low
+        elif k > 0 and y > high:
+            mu = chain.friction * (1 if omega_r - v[j, 2] * arm >= 0 else -1)
+            # normal force N = k (y - gap) inwards; friction -mu N at the outer contact point (0, +lever)
+            column = k * np.array([mu, 1, -mu * arm])
+            K[:, 1] += column
+            q += column * high
         P = B_a * M + B_v * C + K
         q = q - M @ (h_a[j] + [du_dt, 0.0, 0.0]) - C @ h_v[j]  # the frame's acceleration
         # (17): P d_j = q + f_j - fbar_j, all in node j's frame
@@ -76,6 +86,8 @@ def dense_step(chain, B_a, B_v, inputs, h_a, h_v, d, v, axial_force):
             A[row, D(j - 1)] -= L.T @ Phi
         A[row, Fb(j)] -= F / (1 + delta * B_v)
         b[row] = delta / (1 + delta * B_v) * (L.T @ Phi @ h_v[j - 1] - Phi.T @ h_v[j])
+        if j == 1:  # the root is held where it is
+            b[row] += L.T @ Phi @ d[0]
 
     # row and column scaling, so that the dense solution itself keeps its digits
     rows = 1 / np.abs(A).max(axis=1)
@@ -85,6 +97,7 @@ def dense_step(chain, B_a, B_v, inputs, h_a, h_v, d, v, axial_force):
     residual = b - (A * columns) @ lu
     x = columns * (lu + np.linalg.solve(A * columns, residual))
     d_new = np.zeros((n + 1, 3))
+    d_new[0] = d[0]
     d_new[1:] = x[: 3 * n].reshape(n, 3)
     V_new = np.zeros(n + 1)
     V_new[1:] = x[3 * n :].reshape(n, 3)[:, 0]

@@ -149,7 +149,7 @@ def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
         (lambda: SimulatorBatch([]), "scenes is empty"),
         (lambda: SimulatorBatch(SCENES, "euler"), "method = 'euler'"),
         (lambda: SimulatorBatch(SCENES, threads=0), "threads = 0"),
-        (lambda: SimulatorBatch(SCENES).advance(-0.1, 0.02), "feed_speed = -0.1"),
+        (lambda: SimulatorBatch(SCENES).advance(-2.1, 0.02), "feed_speed = -2.1"),
         (lambda: SimulatorBatch(SCENES).advance(0.1, 63.0), "air_supply_rate = 63.0"),
         (lambda: SimulatorBatch(SCENES).advance(float("nan"), 0.02), "feed_speed = nan"),
         (lambda: SimulatorBatch(SCENES).advance(0.1, 0.02, 1e-5), "duration = 1e-05"),

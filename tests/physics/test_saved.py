@@ -132,11 +132,11 @@ def test_the_format_goes_up_when_the_layout_changes():
     simulator = Simulator(SCENE)
     batch = SimulatorBatch([SCENE])
     layout = [sorted(vars(simulator)), sorted(vars(simulator.drive)), list(State._fields), sorted(vars(batch))]
-    assert FORMAT == 3
+    assert FORMAT == 4
     assert layout == [
         ["_advance", "_error", "_start_root", "air_lag", "chain", "drive", "growing", "iterations", "method",
          "nodes_per_pitch", "perturbation", "ramp", "root", "scene", "seed", "sensor", "solver", "stable_time_step",
-         "state", "steps_done", "time_lapse", "time_step", "unconverged_steps"],
+         "start", "state", "steps_done", "time_lapse", "time_step", "unconverged_steps"],
         ["air", "air_lag", "air_target", "growth", "ramp", "speed", "speed_target", "travel"],
         ["d", "v", "memory", "axial_force"],
         ["_before", "kernel_seconds", "method", "nodes_per_pitch", "simulators", "threads", "time_step"],

@@ -55,10 +55,11 @@ BROKEN = [
     ({"contact": {"friction": float("nan")}}, "contact.friction", "nan"),
     ({"contact": {"stiffness": 1e9}}, "contact.stiffness", "100 to 1e+08 N/m"),
     ({"contact": {"walls": "outer"}}, "contact.walls", "'both' or 'inner'"),
-    ({"feed_speed": -0.1}, "feed_speed", "return process"),
-    ({"feed_speed": 200.0}, "feed_speed", "0 to 2 m/s"),
+    ({"feed_speed": -2.1}, "feed_speed", "-2 to 2 m/s"),
+    ({"couple": "root"}, "couple", "'frame' or 'tangent'"),
+    ({"feed_speed": 200.0}, "feed_speed", "-2 to 2 m/s"),
     ({"feed_speed": "0.2"}, "feed_speed", "valid number"),
-    ({"air_supply_rate": 63.0}, "air_supply_rate", "0 to 0.2 m3/s"),
+    ({"air_supply_rate": 63.0}, "air_supply_rate", "-0.2 to 0.2 m3/s"),
     ({"tube": {"helix_diameter": 0.1}}, "tube.helix_diameter", "0.3 to 10000 m"),
     ({"tube": {"inner_diameter": 24.2}}, "tube.inner_diameter", "0.005 to 0.1 m"),
     ({"probe": {"line_density": 111.0}}, "probe.line_density", "0.01 to 10 kg/m"),
@@ -114,7 +115,7 @@ def test_copies_are_validated_and_keep_the_other_fields():
     changed = scene.model_copy(update={"contact": {"friction": 0.2}, "feed_speed": 0.1})
     assert (changed.contact.stiffness, changed.contact.friction, changed.feed_speed) == (2e5, 0.2, 0.1)
     with pytest.raises(ValidationError):
-        scene.model_copy(update={"feed_speed": -1.0})
+        scene.model_copy(update={"feed_speed": -3.0})
     with pytest.raises(ValidationError):
         scene.model_copy(update={"carrier_length": 59.0})
     with pytest.raises(ValidationError):

@@ -27,17 +27,20 @@ def stepper(chain: Chain, scheme: Scheme) -> Step:
     def step(inputs: FloatArray, root: int, state: State, work: Work) -> int:
         ticm.node_equations(chain, scheme, inputs, root, state, work)
         d, v, a = state.d[: root + 1], state.v[: root + 1], state.memory[: root + 1]
-        h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a  # zero at the root
+        h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a
+        h_v[-1] = -scheme.B_v * d[-1]  # the held root is at rest
         history = chain.damping_time * (h_v[:-1] @ head.T + h_v[1:] @ tail.T) @ stiffness.T
+        history[-1] += damped @ tail @ d[-1]
         right = work.q[:root] - history @ head
         right[1:] -= history[:-1] @ tail
         band = elastic[:, : 3 * root].copy()
         _add_node_matrices(band, work.P[:root])
-        solution = np.zeros((root + 1, 3))
+        solution = d.copy()
         solution[:-1] = solve_banded(
             (HALF_BANDWIDTH, HALF_BANDWIDTH), band, right.ravel(), overwrite_ab=True, check_finite=False
         ).reshape(-1, 3)
         deformation = solution[:-1] @ head.T + solution[1:] @ tail.T
+        history[-1] -= damped @ tail @ d[-1]  # which is in the deformation now
         axial = deformation @ damped[0] + history[:, 0]
         return int(ticm.apply_solution(scheme, state, solution, axial))
 

@@ -13,12 +13,16 @@ from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.factors import explicit_factors
 from probe_env.physics.methods.imex import (
     after_step,
+    cable_forces,
+    cable_walls,
     float_at,
     float_forces,
     inertia_forces,
     loaded_floats,
+    loaded_pressed,
     loaded_wall,
     magnitude,
+    pressed_forces,
     product,
 )
 from probe_env.physics.methods.lane_group import (
@@ -45,7 +49,7 @@ from probe_env.physics.methods.lane_group import (
     X,
     Y,
 )  # fmt: skip
-from probe_env.physics.methods.lanes import load, splat, store, where_less
+from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
 from probe_env.physics.methods.method import lane_method
 from probe_env.physics.methods.stability import explicit_step
 
@@ -53,6 +57,7 @@ from probe_env.physics.methods.stability import explicit_step
 @njit(cache=True, nogil=True, error_model="numpy")
 def explicit_advance(
     parameters,
+    pressed,
     factors,
     state,
     inputs,
@@ -73,6 +78,8 @@ def explicit_advance(
     delta = load(parameters, DAMPING)
     kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
     floats, wall = loaded_floats(parameters), loaded_wall(parameters)
+    pressed_couple, cable = loaded_pressed(parameters)
+    walls = cable_walls(float_at(0, floats), cable)
     cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
     row, due = 0, first
     for step in range(len(tops)):
@@ -95,7 +102,16 @@ def explicit_advance(
             aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
             force = axial * (cosine * (ex - aex) + sine * (ey + aey))
             forward = speed + vx
-            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, force, dt)
+            if len(pressed) > 0:
+                ax, ay, at = pressed_forces(kappa, pressed_couple, forward, vy, x, t, force, dt)
+            else:
+                ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, force, dt)
+            if len(pressed) > 1:
+                if to_float == 0:
+                    walls = cable_walls(float_at(i + 1, floats), cable)
+                elif any_less(y, walls[0]) or any_less(walls[1], y):
+                    cx, cy, ct = cable_forces(walls, cable, y, forward, vt)
+                    ax, ay, at = ax + cx, ay + cy, at - ct
             if to_float == 0:
                 to_float = per_pitch
                 cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, forward, vt)
@@ -118,7 +134,7 @@ def explicit_advance(
             store(state, q + X, x + dt * vx)
             store(state, q + Y, y + dt * vy)
             store(state, q + T, t + dt * vt)
-            store(state, q + V, force)
+            store(state, q + V, where_less(node, held, force, zero))
             bx, by, bt = ex, ey, et
             ex, ey, et = aex, aey, aet
             x, y, t, vx, vy, vt = nx, ny, nt, nvx, nvy, nvt

@@ -25,10 +25,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.physics.drive import AIR, APPEND, KEPT, SLOPE, SPEED
 from probe_env.physics.methods.factors import imex_factors, linear_weights, single_factors
 from probe_env.physics.methods.lane_group import (
     AXIAL,
+    CABLE,
+    CABLE_RADIUS,
     CARRIER_DRAG,
     CARRIER_GAP,
     CARRIER_LEVER,
@@ -49,10 +51,13 @@ from probe_env.physics.methods.lane_group import (
     INPUTS,
     MASS_RATIO,
     PEAK,
+    PRESSURE,
     ROOT,
     SENSOR,
     SIN,
     STIFFNESS,
+    TURN,
+    TURN_FORCE,
     VT,
     VX,
     VY,
@@ -65,7 +70,7 @@ from probe_env.physics.methods.lane_group import (
     X,
     Y,
 )  # fmt: skip
-from probe_env.physics.methods.lanes import load, splat, store, where_less
+from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
 from probe_env.physics.methods.method import lane_method
 
 
@@ -107,6 +112,30 @@ def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
     spring = couple * axial_force
     stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
     return -2.0 * kappa * forward * vy, kappa * forward * forward, zero - spring * t / stiff
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def loaded_pressed(parameters):
+    """What ``pressed_forces`` and ``cable_forces`` need: the couple's figures, and the cable's."""
+    couple = load(parameters, COUPLE), load(parameters, TURN), load(parameters, TURN_FORCE), load(parameters, PRESSURE)
+    radius, stiffness = load(parameters, CABLE_RADIUS), load(parameters, CABLE)
+    return couple, (radius, stiffness, load(parameters, FRICTION) * stiffness, radius * load(parameters, MASS_RATIO))
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def pressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
+    """``inertia_forces`` of a cable that may be pressed.
+
+    The couple may count from the tube's tangent where the node is, V l (theta + x / r), and does work on x then. Where
+    the cable touches the walls, pressure acts in it up to ``chain.couple_limits``.
+    """
+    couple, tangent, work, pressure = coupling
+    zero = splat(t, 0.0)
+    most = zero - pressure
+    spring = couple * where_less(axial_force, most, most, axial_force)
+    stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
+    moment = zero - spring * (t + tangent * x) / stiff
+    return work * moment - 2.0 * kappa * forward * vy, kappa * forward * forward, moment
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -158,6 +187,28 @@ def float_forces(own, wall, forward, air, y, slide, turn):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
+def cable_walls(own, cable):
+    """Heights y below and above which the cable between floats is in a wall: thinner than a float on either side."""
+    lever, gap, _ = own
+    clearance = lever - cable[0]
+    return splat(clearance, 0.0) - clearance, gap + clearance
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def cable_forces(walls, cable, y, slide, turn):
+    """Contact and friction of the cable between floats; see ``cable_walls``."""
+    low, high = walls
+    radius, stiffness, grip, twist = cable
+    zero = splat(y, 0.0)
+    inner = where_less(y, low, low - y, zero)
+    outer = where_less(high, y, y - high, zero)
+    side = where_less(y, low, splat(y, 1.0), splat(y, -1.0))
+    most = grip * (inner + outer)
+    friction = where_less(slide + side * radius * turn, zero, zero - most, most)
+    return zero - friction, stiffness * (inner - outer), side * friction * twist
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
 def solve_node(state, q, factors, f, wx, wy, wt):
     """W of a node on the way back, from that of its neighbour on the root side."""
     gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
@@ -183,6 +234,7 @@ def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
 @njit(cache=True, nogil=True, error_model="numpy")
 def imex_advance(
     parameters,
+    pressed,
     factors,
     state,
     inputs,
@@ -198,13 +250,20 @@ def imex_advance(
     tension,
     failed,
 ):
-    """Steps of all lanes by imex; see ``after_step`` for sampling and failure. Returns the steps done."""
+    """Steps of all lanes by imex; see ``after_step`` for sampling and failure. Returns the steps done.
+
+    ``pressed`` is a tuple whose length is part of its type, so what a scene does not need is not in the kernel: empty,
+    or one entry where the couple counts from the tangent in some lane, or two where its cable touches the walls.
+    """
     zero = splat(parameters, 0.0)
     last = len(factors) // FACTORS - 1
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
+    rate = 1.0 / tau
     drift, bounce, reflection = dt / tau, 1.0 / (tau * theta), (1.0 - theta) / theta
     kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
     floats, wall = loaded_floats(parameters), loaded_wall(parameters)
+    pressed_couple, cable = loaded_pressed(parameters)
+    walls = cable_walls(float_at(0, floats), cable)
     cosine = load(parameters, AXIAL) * load(parameters, COS)
     sine = load(parameters, AXIAL) * load(parameters, SIN)
     row, due = 0, first
@@ -222,7 +281,17 @@ def imex_advance(
             x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
             vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
             forward = speed + vx
-            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
+            if len(pressed) > 0:
+                ax, ay, at = pressed_forces(kappa, pressed_couple, forward, vy, x, t, load(state, q + V), dt)
+            else:
+                ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
+            if len(pressed) > 1:  # here, since an else below would make the compiler round the rest otherwise
+                if to_float == 0:
+                    walls = cable_walls(float_at(i + 1, floats), cable)
+                elif any_less(y, walls[0]) or any_less(walls[1], y):
+                    slide, turn = speed + rate * load(state, q + GX), rate * load(state, q + GT)
+                    cx, cy, ct = cable_forces(walls, cable, y, slide, turn)
+                    ax, ay, at = ax + cx, ay + cy, at - ct
             if to_float == 0:
                 to_float = per_pitch
                 slide, turn = speed + load(state, q + GX) / tau, load(state, q + GT) / tau
@@ -251,10 +320,10 @@ def imex_advance(
             q = i * FIELDS
             node = splat(parameters, float(i))
             ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
-            ux = where_less(node, held, ux, zero)
-            uy = where_less(node, held, uy, zero)
-            ut = where_less(node, held, ut, zero)
-            store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
+            ux = where_less(node, held, ux, load(state, q + X))
+            uy = where_less(node, held, uy, load(state, q + Y))
+            ut = where_less(node, held, ut, load(state, q + T))
+            store(state, q + V, where_less(node, held, cosine * (ux - wx) + sine * (uy + wy), zero))
             wx, wy, wt = ux, uy, ut
             vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
             store(state, q + VX, where_less(node, held, vx, zero))
@@ -306,12 +375,38 @@ def after_step(parameters, state, inputs, k, step, due, row, points, roots, samp
                 samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * FIELDS + V, lane]
             for i in range(min(len(tension), roots[lane])):
                 tension[i, lane] += state[i * FIELDS + V, lane]
-        roots[lane] += int(inputs[k + APPEND, lane])
-        parameters[ROOT, lane] = roots[lane]
+        if inputs[k + KEPT, lane] != 1.0 or inputs[k + APPEND, lane] != 0.0:
+            move_root(parameters, state, inputs, k, roots, lane)
     return running == 0
 
 
+@njit(nogil=True, error_model="numpy")
+def move_root(parameters, state, inputs, k, roots, lane):
+    """``ticm.move_root`` of a lane."""
+    q = roots[lane] * FIELDS
+    x, kept, curvature = state[q + X, lane], inputs[k + KEPT, lane], parameters[CURVATURE, lane]
+    if kept != 1.0:
+        state[q + Y, lane] *= kept
+        turn = -curvature * x
+        state[q + T, lane] = turn + kept * (state[q + T, lane] - turn)
+    if inputs[k + APPEND, lane] > 0.0:
+        roots[lane] += 1
+        q += FIELDS
+        state[q + X, lane], state[q + Y, lane], state[q + T, lane] = x, 0.0, -curvature * x
+        for field in range(VX, FIELDS):
+            state[q + field, lane] = 0.0
+    elif inputs[k + APPEND, lane] < 0.0:
+        for field in range(FIELDS):
+            state[q + field, lane] = 0.0
+        roots[lane] -= 1
+        for field in range(VX, FIELDS):
+            state[q - FIELDS + field, lane] = 0.0
+    parameters[ROOT, lane] = roots[lane]
+
+
 IMEX = lane_method("imex", LaneKernel(imex_advance, imex_factors, np.float64), order=2, usual_step=2e-4)
+# in the return a probe lies back by some 0.4 m, whose rounding in single precision lifts it off the wall by 0.1 mm
 IMEX32 = lane_method(
-    "imex32", LaneKernel(imex_advance, single_factors, np.float32), order=2, usual_step=2e-4, least_step=5e-5
-)
+    "imex32", LaneKernel(imex_advance, single_factors, np.float32), order=2, usual_step=2e-4, least_step=5e-5,
+    draws_back=False,
+)  # fmt: skip

@@ -31,8 +31,8 @@ import numpy.typing as npt
 from numba import njit
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.physics.chain import Chain, most_couple
+from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods.factors import LONG_STEP, implicit_weights
 from probe_env.physics.methods.method import Advance, Method
@@ -44,6 +44,7 @@ from probe_env.physics.methods.ticm import (
     OK,
     OVERFLOW,
     behind,
+    move_root,
     record,
     through_field,
     through_point,
@@ -96,14 +97,13 @@ def contact_places(chain: Chain) -> FloatArray:
 
 
 def couple_limits(chain: Chain, nodes_per_pitch: int) -> tuple[float, float]:
-    """Greatest compression and tension [N] that the couple V l theta is given.
+    """Greatest compression and tension [N] that the couple V l theta is given, see ``most_couple``.
 
-    Beyond pi^2 EI / p^2 the cable has buckled between two floats and lies against the walls; beyond EI / h^2 in
-    compression and 3 EI / h^2 in tension its bending is finer than the mesh.
+    Beyond 3 EI / h^2 in tension its bending is finer than the mesh.
     """
-    bending = chain.element_length / chain.bending_compliance
-    mesh = bending / chain.element_length**2
-    return min(mesh, math.pi**2 * bending / (nodes_per_pitch * chain.element_length) ** 2), 3.0 * mesh
+    h = chain.element_length
+    rigidity = h / chain.bending_compliance
+    return most_couple(rigidity, h, nodes_per_pitch * h), 3.0 * rigidity / h**2
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -129,11 +129,18 @@ def free_rows(chain, weights, limits, speed, slope, air, state, i, P, q):
     P[i, 4] = 0.0
     P[i, 5] = c * chain.inertia + half * st + couple * at_end
     P[i, 6] = 0.0
+    relative, turn = t, chain.couple_turn
+    if turn > 0.0:  # counted from the tangent at x, and its work on x
+        relative += turn * x
+        P[i, 0] += turn * turn * couple * at_end
+        P[i, 3] += turn * couple * at_end
+        P[i, 6] += turn * couple * at_end
     q[i, 0] = chain.load[i, 0] + chain.mass * hx + coriolis * y - (1.0 - half) * sx * x
     q[i, 0] += drag * (air - speed + x / tau)
     q[i, 1] = chain.load[i, 1] + chain.mass * hy - (1.0 - half) * sy * y
     q[i, 2] = chain.load[i, 2] + chain.inertia * ht - chain.frame_inertia * hx
-    q[i, 2] -= (1.0 - half) * st * t + couple * (1.0 - at_end) * t
+    q[i, 0] -= turn * couple * (1.0 - at_end) * relative
+    q[i, 2] -= (1.0 - half) * st * t + couple * (1.0 - at_end) * relative
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -232,9 +239,10 @@ def solve(chain, root, places, law, state, work):
     F_xx, F_yy, F_tt = chain.axial_compliance, chain.shear_compliance, chain.bending_compliance
     F_yt = chain.coupling_compliance
     Tj = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    sx = sy = st = 0.0
     T[root, :] = 0.0
-    s[root, :] = 0.0
+    x, y, t = d[root, 0], d[root, 1], d[root, 2]
+    s[root, 0], s[root, 1], s[root, 2] = x, y, t
+    sx, sy, st = c * x - sn * y, sn * x + c * y, t
     for back in range(root):
         i = root - 1 - back
         p0, p1, p2, p3 = work.free_p[i, 0], work.free_p[i, 1], work.free_p[i, 2], work.free_p[i, 3]
@@ -338,7 +346,7 @@ def advance(
         counts[1] += 0 if converged else 1
         if node >= 0:
             return DIVERGED, step + 1, node, root
-        root += int(inputs[step, APPEND])
+        root = move_root(chain, inputs[step], root, state)
         due -= 1
         if due == 0:
             due = every

@@ -23,16 +23,17 @@ from probe_env.physics.state import State
 # rows of the parameters; forces are per mass, moments per inertia
 (
     ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
-    GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK,
-) = range(18)  # fmt: skip
-PARAMETERS = 18
+    GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK, TURN, TURN_FORCE, CABLE, CABLE_RADIUS,
+    PRESSURE,
+) = range(23)  # fmt: skip
+PARAMETERS = 23
 # fields of a node, rows of its state: displacement, velocity, partial solution, axial force
 X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
 FIELDS = 10
 # three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
 FACTORS = 27
 A, B, C = 0, 9, 18
-INPUTS = 4
+INPUTS = 5
 DIVERGED_RADIAL = 1.0  # [m]
 
 
@@ -99,7 +100,7 @@ class LaneKernel:
         )  # before each step
         held = roots[:used] + appended.astype(np.int64)
         tops, bottoms = held.max(axis=1), held.min(axis=1)
-        nodes = int(max(lane.root + lane.inputs[:, APPEND].sum() for lane in lanes)) + 2
+        nodes = int(tops.max(initial=roots.max())) + 3
 
         parameters = np.zeros((PARAMETERS, width), dtype=precision)
         parameters[DAMPING] = 1.0  # idle lanes divide by it
@@ -110,25 +111,27 @@ class LaneKernel:
             parameters[ROOT, k] = lane.root
             factors[: len(lane.factors), :, k] = lane.factors
             factors[len(lane.factors) :, :, k] = lane.factors[-1]
-            state[: lane.root, X : T + 1, k] = lane.state.d[: lane.root]
+            state[: lane.root + 1, X : T + 1, k] = lane.state.d[: lane.root + 1]
             state[: lane.root, VX : VT + 1, k] = lane.state.v[: lane.root]
             state[: lane.root, GX : GT + 1, k] = lane.state.memory[: lane.root]
             state[: lane.root, V, k] = lane.state.axial_force[: lane.root]
         packed_samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
         packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
+        pressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if (parameters[TURN] > 0.0).any() else ()
         begin = time.perf_counter()
         self.advance(
-            parameters, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
+            parameters, pressed, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
             tops, bottoms, time_step, per_pitch, first_sample, sample_every, packed_points, roots, packed_samples,
             packed_tension, failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         for k, lane in enumerate(lanes):
             lane.root = int(roots[k])
-            lane.state.d[: lane.root] = state[: lane.root, X : T + 1, k]
-            lane.state.v[: lane.root] = state[: lane.root, VX : VT + 1, k]
-            lane.state.memory[: lane.root] = state[: lane.root, GX : GT + 1, k]
-            lane.state.axial_force[: lane.root] = state[: lane.root, V, k]
+            own, free = lane.state, lane.root
+            own.d[: free + 1], own.d[free + 1 :] = state[: free + 1, X : T + 1, k], 0.0
+            own.v[:free], own.v[free:] = state[:free, VX : VT + 1, k], 0.0
+            own.memory[:free], own.memory[free:] = state[:free, GX : GT + 1, k], 0.0
+            own.axial_force[:free], own.axial_force[free:] = state[:free, V, k], 0.0
             lane.samples[...] = packed_samples[..., k]
         if tension_sum is not None:
             covered = min(nodes, len(tension_sum))
@@ -160,7 +163,7 @@ class Lane:
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(18,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
+    """(23,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
     values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor
@@ -175,4 +178,7 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[COUPLE] = chain.couple_length / chain.inertia
     values[MASS_RATIO] = chain.mass / chain.inertia
     values[DAMPING] = chain.damping_time
+    values[[TURN, TURN_FORCE]] = chain.couple_turn, chain.couple_turn * chain.inertia / chain.mass
+    values[[CABLE, CABLE_RADIUS]] = chain.cable_stiffness / chain.mass, chain.cable_radius
+    values[PRESSURE] = chain.most_pressure
     return values

@@ -104,6 +104,18 @@ def where_less(typing_context: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
     return a(a, a, a, a), code
 
 
+@intrinsic
+def any_less(typing_context: Any, a: Any, b: Any) -> Any:
+    """``any_less(a, b)``: whether a < b in any lane."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = ir.IntType(signature.args[0].count)
+        found = builder.bitcast(builder.fcmp_ordered("<", *arguments), bits)
+        return builder.icmp_unsigned("!=", found, ir.Constant(bits, 0))
+
+    return types.boolean(a, a), code
+
+
 def _arithmetic(symbol: Any, instruction: str) -> None:
     @intrinsic
     def vector_operation(typing_context: Any, a: Any, b: Any) -> Any:

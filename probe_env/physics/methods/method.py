@@ -40,6 +40,7 @@ class Method:
         lanes: the kernel of a method that advances several probes side by side.
         memory: numbers a node that it keeps of its last step.
         start: a state at rest, where displacements are not all of it; arguments of ``at_rest``.
+        draws_back: whether it simulates the return: pressed on the outer wall, and drawn out at the root.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Method:
     lanes: LaneKernel | None = None
     memory: int = 3
     start: Callable[[Chain, int, float, int, FloatArray], State] | None = None
+    draws_back: bool = True
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
         """A state at rest with displacements d (n + 1, 3) [m, rad] of a chain held at ``root``."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND
 from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.method import Advance, Method, Prepare
@@ -88,13 +87,13 @@ def _by_ticm(
 
 def _solved_by(scheme_of: Callable[[float], Scheme], solver: Solver) -> Prepare:
     def prepare(chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
-        return partial(_step_by_step, solver(chain, scheme_of(time_step)), workspace(chain.node_count))
+        return partial(_step_by_step, chain, solver(chain, scheme_of(time_step)), workspace(chain.node_count))
 
     return prepare
 
 
 def _step_by_step(
-    step: Step, work: Work, inputs: FloatArray, root: int, state: State, sampling: Sampling
+    chain: Chain, step: Step, work: Work, inputs: FloatArray, root: int, state: State, sampling: Sampling
 ) -> tuple[int, int, int, int]:
     """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
     row, due = 0, sampling.first
@@ -102,7 +101,7 @@ def _step_by_step(
         node = step(step_inputs, root, state, work)
         if node >= 0:
             return ticm.DIVERGED, k + 1, node, root
-        root += int(step_inputs[APPEND])
+        root = ticm.move_root(chain, step_inputs, root, state)
         due -= 1
         if due == 0:
             due = sampling.every

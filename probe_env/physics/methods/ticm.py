@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.physics.drive import AIR, APPEND, KEPT, SLOPE, SPEED
 
 FASTMATH = {"contract"}
 DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
@@ -44,26 +44,38 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
     q_x = chain.load[i, 0] - chain.mass * (ha_x + slope) - 2.0 * inertial * hv_y
     q_y = chain.load[i, 1] - chain.mass * ha_y + inertial * speed
     q_t = chain.load[i, 2] - chain.inertia * ha_t + chain.frame_inertia * (ha_x + slope)
+    if chain.couple_turn > 0.0:  # the couple from the tangent at x: V l (theta + x / r), and its work on x
+        turning = max(state.axial_force[i], -chain.most_pressure) * chain.couple_length * chain.couple_turn
+        q_x -= turning * (d[i, 2] + chain.couple_turn * d[i, 0])
+        q_t -= turning * d[i, 0]
 
+    if state.axial_force[i] < -chain.most_pressure:  # more than the buckled cable takes
+        P[i, 5] -= (state.axial_force[i] + chain.most_pressure) * chain.couple_length
     if chain.drag[i] > 0.0:  # (10)
         relative = air - speed
         q_x += chain.drag[i] * relative * abs(relative)
-    k = chain.contact_stiffness[i]
+    k, lever, inner, outer = chain.contact_stiffness[i], chain.lever[i], 0.0, chain.outer_gap[i]
+    if k == 0.0 and chain.cable_stiffness > 0.0:  # the cable between floats, further from both walls
+        k, lever = chain.cable_stiffness, chain.cable_radius
+        inner = lever - chain.lever[i]
+        outer -= inner
     if k > 0.0:
-        lever = chain.lever[i]
-        if y < 0.0:  # inner wall, (11)-(12)
+        if y < inner:  # inner wall, (11)-(12)
             mu_k = k * chain.friction if speed + v[i, 2] * lever >= 0.0 else -k * chain.friction
             P_xy -= mu_k
             P_yy += k
             P_ty -= mu_k * lever
-        elif y > chain.outer_gap[i]:  # outer wall: the contact point is on the other side of the float
+            q_x -= mu_k * inner
+            q_y += k * inner
+            q_t -= mu_k * lever * inner
+        elif y > outer:  # outer wall: the contact point is on the other side of the float
             mu_k = k * chain.friction if speed - v[i, 2] * lever >= 0.0 else -k * chain.friction
             P_xy += mu_k
             P_yy += k
             P_ty -= mu_k * lever
-            q_x += mu_k * chain.outer_gap[i]
-            q_y += k * chain.outer_gap[i]
-            q_t -= mu_k * lever * chain.outer_gap[i]
+            q_x += mu_k * outer
+            q_y += k * outer
+            q_t -= mu_k * lever * outer
     P[i, 1] = P_xy
     P[i, 2] = P_yy
     P[i, 4] = P_ty
@@ -192,11 +204,12 @@ def ticm_step(chain, scheme, inputs, root, state, work):
 
     # T and s of the node on the root side, already turned into the frame of the element ahead, (25)
     Tj = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    sx = sy = st = 0.0
-    # its h_v, turned likewise; the held root has none
-    wx = wy = wt = 0.0
+    x, y, t = state.d[root, 0], state.d[root, 1], state.d[root, 2]
     T[root, :] = 0.0
-    s[root, :] = 0.0
+    s[root, 0], s[root, 1], s[root, 2] = x, y, t
+    sx, sy, st = c * x - sn * y, sn * x + c * y, t
+    # its h_v, turned likewise; the held root is at rest: v = B_v d + h_v = 0
+    wx, wy, wt = -scheme.B_v * sx, -scheme.B_v * sy, -scheme.B_v * st
     for back in range(root):  # counting down costs a sixth more: numba checks for negative indices
         i = root - 1 - back
         node_equation(chain, scheme, speed, slope, air, state, i, P, q)
@@ -251,13 +264,36 @@ def advance(chain, scheme, inputs, root, state, work, first_sample, sample_every
         node = ticm_step(chain, scheme, inputs[step], root, state, work)
         if node >= 0:
             return DIVERGED, step + 1, node, root
-        root += int(inputs[step, APPEND])
+        root = move_root(chain, inputs[step], root, state)
         due -= 1
         if due == 0:
             due = sample_every
             record(state, root, points, samples, row, tension_sum)
             row += 1
     return OK, len(inputs), -1, root
+
+
+@njit(cache=True, nogil=True)
+def move_root(chain, inputs, root, state):
+    """Bring the held root nearer to the tube's middle line, hold another node if one is due; the node held then.
+
+    What comes in is as far back as the root was, unstretched and straight; what is drawn back is held as it is.
+    """
+    x, kept = state.d[root, 0], inputs[KEPT]
+    if kept != 1.0:
+        state.d[root, 1] *= kept
+        turn = -chain.curvature * x  # of a probe that lies further back along the helix
+        state.d[root, 2] = turn + kept * (state.d[root, 2] - turn)
+    if inputs[APPEND] > 0.0:
+        root += 1
+        state.d[root, 0], state.d[root, 1], state.d[root, 2] = x, 0.0, -chain.curvature * x
+    elif inputs[APPEND] < 0.0:
+        state.d[root, :] = 0.0
+        root -= 1
+        state.v[root, :] = 0.0
+        state.memory[root, :] = 0.0
+        state.axial_force[root] = 0.0
+    return root
 
 
 @njit(cache=True, nogil=True)

@@ -27,9 +27,10 @@ def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: Sta
     """One step; returns the first diverged node or -1 (a lost solution counts as diverged: node 0)."""
     ticm.node_equations(chain, scheme, inputs, root, state, work)
     h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.memory
+    h_v[root] = -scheme.B_v * state.d[root]  # the held root is at rest
     columns = np.empty((root + 1, 3, 4))
     axial = np.empty((root + 1, 4))
-    tip_force = _sweep(chain, scheme.B_v, h_v, work.P, work.q, columns, axial)
+    tip_force = _sweep(chain, scheme.B_v, state.d[root], h_v, work.P, work.q, columns, axial)
     if not np.isfinite(tip_force).all():
         return 0
     try:
@@ -41,10 +42,11 @@ def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: Sta
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sweep(chain, B_v, h_v, P, q, columns, axial):
+def _sweep(chain, B_v, held, h_v, P, q, columns, axial):
     """Displacements of all nodes and axial forces as linear functions of the root force and 1.
 
-    The first three of the four columns belong to the root force, the last to the loads. Returns the force
+    The first three of the four columns belong to the root force, the last to the loads and where the root is held.
+    Returns the force
     on the tip's free side (3, 4).
     """
     c, s, h = chain.cos_phi, chain.sin_phi, chain.element_length
@@ -54,10 +56,11 @@ def _sweep(chain, B_v, h_v, P, q, columns, axial):
     unit = np.eye(4)
     f_end = np.zeros((3, 4))
     columns[root] = 0.0
+    columns[root, :, 3] = held
     axial[root] = 0.0
     for k in range(4):
-        x = y = t = 0.0
         fx, fy, ft, loaded = unit[k, 0], unit[k, 1], unit[k, 2], unit[k, 3]
+        x, y, t = loaded * held[0], loaded * held[1], loaded * held[2]
         for i in range(root - 1, -1, -1):
             x, y = c * x - s * y, s * x + c * y  # into the element's frame (26b)
             fx, fy = c * fx - s * fy, s * fx + c * fy

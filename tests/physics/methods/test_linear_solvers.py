@@ -10,7 +10,7 @@ from probe_env.physics.methods import banded, ticm, transfer_matrix
 from probe_env.physics.methods.newmark import newmark, wilson, workspace
 from probe_env.physics.state import State
 
-INPUTS = np.array([0.2, 0.3, 60.0, 0.0])  # u, du/dt, air speed
+INPUTS = np.array([0.2, 0.3, 60.0, 0.0, 1.0])  # u, du/dt, air speed
 
 
 def random_chain(rng, n, stiffness):
@@ -38,20 +38,31 @@ def random_state(rng, nodes):
     return State(d, v, a, rng.normal(size=nodes) * 4.0)
 
 
+def pressed(chain, rng):
+    """The same chain with a cable that touches the walls and a couple that counts from the tangent."""
+    return chain._replace(
+        cable_stiffness=10 ** rng.uniform(3.0, 7.0), cable_radius=4e-3, couple_turn=chain.curvature, most_pressure=5.0
+    )
+
+
 def copy(state):
     return State(*(array.copy() for array in state))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 50, 200, 500])
 @pytest.mark.parametrize("time_step", [1e-5, 1e-4, 1e-3])
-@pytest.mark.parametrize("scheme", [newmark, wilson])
-def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme):
+@pytest.mark.parametrize(("scheme", "returning"), [(newmark, False), (wilson, False), (newmark, True)])
+def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme, returning):
     rng = np.random.default_rng([n, round(1e5 * time_step), scheme is wilson])
     chain = random_chain(rng, n, 10 ** rng.uniform(3.0, 7.0))
     start = random_state(rng, n + 1)
+    if returning:
+        chain = pressed(chain, rng)
+        start.d[-1] = rng.normal(size=3) * [1e-2, 1e-3, 1e-2]  # where the root is held
     coefficients = scheme(time_step)._replace(wilson=False)  # the solution of (17)-(18) itself
     h_a = coefficients.a_d * start.d + coefficients.a_v * start.v + coefficients.a_a * start.memory
     h_v = coefficients.v_d * start.d + coefficients.v_v * start.v + coefficients.v_a * start.memory
+    h_v[-1] = -coefficients.B_v * start.d[-1]  # at rest
     d, axial = dense_step(
         chain, coefficients.B_a, coefficients.B_v, INPUTS, h_a, h_v, start.d, start.v, start.axial_force
     )

@@ -39,7 +39,7 @@ def superelement_contact_step(scene: Scene, nodes_per_pitch: int) -> float:
 
 _named = partial(
     lane_method, order=2, usual_step=2e-4, stable_step=superelement_step, contact_step=superelement_contact_step,
-    memory=MEMORY, start=released,
+    memory=MEMORY, start=released, draws_back=False,
 )  # fmt: skip
 SUPERELEMENT = _named("superelement", PieceKernel(superelement_advance, None, np.float64))
 SUPERELEMENT32 = _named("superelement32", PieceKernel(superelement_advance, None, np.float32), least_step=5e-5)

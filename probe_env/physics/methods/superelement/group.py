@@ -49,6 +49,7 @@ MEMORY = MOMENTUM + 4 * MOST
 """Momentum, then q and p of the even and of the odd modes; rows of floats alone are in use."""
 
 
+INSTEAD = "imex with 8 nodes a pitch simulates it"
 ROOMS = (LEAST, (3, 3), (MOST, MOST))
 """Even and odd modes of which there is a kernel."""
 
@@ -62,7 +63,15 @@ class PieceKernel(LaneKernel):
         return _room(factors)
 
     def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Any]:
-        """Parameters and tables of a probe."""
+        """Parameters and tables of a probe.
+
+        Raises:
+            ValueError: a scene in which the cable between floats is more than elastic.
+        """
+        if chain.cable_stiffness > 0.0:
+            raise ValueError(f"contact.cable = true: superelement has no nodes between floats; {INSTEAD}")
+        if chain.couple_turn > 0.0:
+            raise ValueError(f'couple = "tangent": superelement knows "frame" only; {INSTEAD}')
         own = tables(chain, nodes_per_pitch, time_step)
         values = np.zeros(PARAMETERS)
         values[: PARAMETERS - 1] = lane_parameters(chain, sensor, nodes_per_pitch)

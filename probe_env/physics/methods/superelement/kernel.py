@@ -67,9 +67,9 @@ from probe_env.physics.methods.superelement.tables import (
     TO_MODES,
 )
 
-MOST_TENSION = 18
+MOST_TENSION = 23
 """Row of the parameters after those of the other kernels in lanes."""
-PARAMETERS = 19
+PARAMETERS = 24
 
 
 @njit(nogil=True, error_model="numpy", inline="always")

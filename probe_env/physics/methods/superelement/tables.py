@@ -113,7 +113,7 @@ def _linear(chain: Chain) -> tuple[float, ...]:
 
 def _cable(linear: tuple[float, ...]) -> Chain:
     none = np.zeros((2, 3))
-    rest = (0.0, 0.0, none[:, 0], none[:, 0], none[:, 0], none[:, 0], none, none)
+    rest = (0.0, 0.0, 0.0, 0.0, 0.0, none[:, 0], none[:, 0], none[:, 0], none[:, 0], none, none)
     return Chain(*linear, *rest)  # type: ignore[arg-type, call-arg]
 
 

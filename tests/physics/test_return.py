@@ -1,0 +1,233 @@
+"""The way back: negative feed and air, a length that shrinks, the cable on the walls, the couple under pressure."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from probe_env import Scene, SimulationError, Simulator, StabilityWarning
+from probe_env.physics.batch import SimulatorBatch
+from probe_env.physics.chain import RISE, most_couple, outer_start
+from probe_env.physics.closed_forms import steady_tensions
+from probe_env.physics.drive import Drive
+from probe_env.physics.state import State
+
+BACK = {"feed_speed": -0.2, "air_supply_rate": -63.0 / 3600.0, "couple": "tangent"}
+IN = {"feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "couple": "tangent", "contact": {"cable": True}}
+METHODS = pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("implicit", 1e-4)])
+DRIVEN = {"growing": True, "ramp": 0.5, "air_lag": 0.3}
+
+
+def test_the_drive_goes_back():
+    drive = Drive(0.2, 60.0, ramp=0.5, growth=1.0, travel=0.01)
+    drive.speed_target = -0.2
+    dt, h = 1e-3, 0.025
+    inputs = drive.inputs_of_steps(3000, dt, h, room=100, spare=10)
+    assert inputs[:, 3].sum() == -10  # no more than may leave
+    assert drive.travel == 0.0  # at the entrance
+    time = np.arange(3000) * dt
+    assert inputs[:, 0] == pytest.approx(np.maximum(0.2 - 0.5 * time, -0.2))
+    moved = 0.01 + np.cumsum(inputs[:, 0] * dt)
+    first = int(np.argmax(inputs[:, 3] < 0))
+    appended = inputs[:first, 3].sum()
+    assert appended == 1  # 0.01 + 0.04 m less a step, in elements of 0.025 m
+    assert moved[first] == pytest.approx(h * appended, abs=0.4 * dt)
+    # what is kept of the root's offset while it comes from h to the entrance is what is left of the way
+    second = first + 1 + int(np.argmax(inputs[first + 1 :, 3] < 0))
+    kept = np.cumprod(inputs[first + 1 : second, 4])
+    left = h + np.cumsum(inputs[first + 1 : second, 0] * dt)
+    assert kept == pytest.approx(np.maximum(left, 0.0) / h, abs=0.4 * dt / h)
+    pieces = Drive(0.2, 60.0, ramp=0.5, growth=1.0, travel=0.01)
+    pieces.speed_target = -0.2
+    parts, spare = [], 10
+    for steps in (1, 499, 2500):
+        parts.append(pieces.inputs_of_steps(steps, dt, h, room=100, spare=spare))
+        spare += int(parts[-1][:, 3].sum())
+    assert (np.concatenate(parts) == inputs).all()
+
+
+@pytest.mark.parametrize(("method", "length"), [("newmark", 5.0), ("imex", 30.0), ("implicit", 2.0)])
+def test_steady_sliding_under_pressure(method, length):
+    """The capstan on the outer wall: pressure along the probe to 1 % of the root's, when the start has died away."""
+    scene = Scene.model_validate(BACK | {"carrier_length": length})
+    simulator = Simulator(scene, method, 1e-4 if method in ("newmark", "implicit") else 2e-4, start="outer")
+    simulator.advance(duration=2.0)
+    run = simulator.advance(duration=1.0)
+    expected = steady_tensions(scene)[::-1]
+    behind = run.mean_tension[3::4]  # elements on the root side of each float, entrance first
+    away = np.arange(len(expected)) * 0.1 >= RISE  # where it lies on the wall and does not come to it
+    assert expected[0] < -1.0
+    assert np.abs(behind - expected)[away].max() <= 0.01 * abs(expected[0])
+    assert (np.abs(simulator.state.d[: simulator.root : 4, 1][::-1] - 5.2e-3)[away] < 1e-4).all()
+
+
+def test_the_start_on_the_outer_wall_is_unstretched():
+    simulator = Simulator(
+        Scene.model_validate(BACK | {"air_supply_rate": 0.0, "feed_speed": 0.0}), "newmark", start="outer"
+    )
+    assert simulator.state.d[0, 0] == pytest.approx(-5.2e-3 * 52.5 / 0.6, rel=0.01)
+    run = simulator.advance(duration=2e-4, sample_period=1e-4)
+    assert np.abs(run.mean_tension).max() < 0.05  # of 1.1e5 N a strain: 0.5 micrometre a metre
+
+
+@METHODS
+def test_a_turn_about_the_helix_changes_nothing(method, time_step):
+    """The couple from the tangent: a probe that lies 10 mm further along and is turned with the tube moves alike.
+
+    From the frame it does not: that is what makes it useless far from x = 0.
+    """
+    apart = {}
+    for couple in ("tangent", "frame"):
+        scene = Scene.model_validate(BACK | {"carrier_length": 2.0, "couple": couple})
+        moved = []
+        for shift in (0.0, -0.01):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", StabilityWarning)
+                simulator = Simulator(scene, method, time_step, start="outer")
+            simulator.state.d[:] += shift * np.array([1.0, 0.0, -simulator.chain.curvature])
+            run = simulator.advance(duration=0.02, points=("tip",))
+            moved.append(np.column_stack([run.axial - shift, run.radial, run.rotation + shift / 0.6]))
+        apart[couple] = np.abs(moved[0] - moved[1]).max(axis=0) / np.ptp(moved[0], axis=0)
+    assert apart["tangent"].max() < 1e-7
+    assert apart["frame"].max() > 10.0 * apart["tangent"].max()
+
+
+@METHODS
+def test_in_and_back_and_in_again(method, time_step):
+    """All methods tell the same story: pulled, pressed, pulled; the root tension by the closed form of the length."""
+    scene = Scene.model_validate(IN | {"carrier_length": 1.0})
+    simulator = Simulator(scene, method, time_step, **DRIVEN)
+    lengths = [simulator.inserted_length]
+    for sign, seconds in ((1.0, 0.6), (-1.0, 2.5), (1.0, 2.5)):
+        simulator.advance(sign * 0.2, sign * 63.0 / 3600.0, seconds - 0.5)
+        run = simulator.advance(None, None, 0.5, points=("root", "sensor"))
+        lengths.append(simulator.inserted_length)
+        middle = round(lengths[-1] - 0.2 * sign * 0.25 - 2.5, 1)
+        expected = steady_tensions(
+            scene.model_copy(
+                update={
+                    "feed_speed": 0.2 * sign,
+                    "air_supply_rate": simulator.air_supply_rate,
+                    "carrier_length": middle,
+                }
+            )
+        )[-1]
+        if seconds > 1.0:
+            assert run.tension[1:, 0].mean() == pytest.approx(expected, rel=0.06)  # lagging air, half a float
+        on_wall = run.radial[1:, 1].mean()
+        assert on_wall == pytest.approx(0.0 if sign > 0.0 else 5.2e-3, abs=1e-4)
+    assert lengths[2] == pytest.approx(lengths[1] - 0.2 * (2.5 - 0.8), abs=1e-3)  # 0.8 s to turn round
+    assert np.abs(simulator.state.d[simulator.root + 1 :]).max(initial=0.0) == 0.0
+
+
+def test_what_leaves_is_gone_and_what_is_held_rests():
+    """At every moment: nothing beyond the root, no velocity at it, its offset as long as its way to the entrance."""
+    simulator = Simulator(Scene.model_validate(IN | {"carrier_length": 1.0}), "imex", 2e-4, **DRIVEN)
+    simulator.advance(-0.2, -63.0 / 3600.0, 2.0)
+    offsets = []
+    for _ in range(40):
+        simulator.advance(duration=0.01)
+        state, root = simulator.state, simulator.root
+        assert not state.d[root + 1 :].any()
+        assert not state.v[root:].any()
+        assert not state.axial_force[root:].any()
+        offsets.append((simulator.root, simulator.drive.travel, state.d[root, 1]))
+    held = [entry for entry in offsets if entry[0] == offsets[20][0]]
+    assert len(held) > 3
+    ratios = [y / travel for _, travel, y in held]
+    assert ratios == pytest.approx([ratios[0]] * len(ratios), rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["newmark", "imex", "explicit", "implicit"])
+def test_a_shrinking_probe_is_restored_to_the_bit(method):
+    step = 5e-6 if method == "explicit" else 1e-4
+    simulator = Simulator(Scene.model_validate(IN | {"carrier_length": 1.0}), method, step, growing=True, ramp=500.0)
+    simulator.advance(-2.0, -63.0 / 3600.0, 0.02)
+    saved, before = simulator.snapshot(), simulator.root
+    first = simulator.advance(duration=0.02)
+    simulator.restore(saved)
+    second = simulator.advance(duration=0.02)
+    assert simulator.root < before
+    assert (first.radial == second.radial).all()
+    assert (first.tension == second.tension).all()
+
+
+def test_probes_that_go_both_ways_side_by_side_equal_single_ones():
+    scenes = [Scene.model_validate(IN | {"carrier_length": length}) for length in (1.0, 3.0, 2.0)]
+    speeds, airs = np.array([-0.2, 0.2, -0.1]), np.array([-0.02, 0.02, -0.01])
+    batch = SimulatorBatch(scenes, "imex", 2e-4, threads=1, **DRIVEN)
+    singles = [Simulator(scene, "imex", 2e-4, seed=k, **DRIVEN) for k, scene in enumerate(scenes)]
+    for turn in (1.0, -1.0):
+        batch.advance(turn * speeds, turn * airs, 1.0)
+        for simulator, speed, air in zip(singles, turn * speeds, turn * airs, strict=True):
+            simulator.advance(speed, air, 1.0)
+    for one, other in zip(singles, batch.simulators, strict=True):
+        assert one.root == other.root
+        for mine, theirs in zip(State(*one.state), State(*other.state), strict=True):
+            assert (mine == theirs).all()
+
+
+@pytest.mark.parametrize("method", ["newmark", "imex", "implicit"])
+def test_a_cable_that_buckles_lies_against_the_tube(method):
+    """A cable of Euler load 2 N between floats under 15 N: with floats alone it folds up, on the walls it is held."""
+    for cable in (True, False):
+        weak = {"carrier_length": 5.0, "contact": {"cable": cable}, "probe": {"flexural_rigidity": 2e-3}}
+        scene = Scene.model_validate(BACK | weak | {"feed_speed": -0.4, "air_supply_rate": -130.0 / 3600.0})
+        simulator = Simulator(scene, method, 1e-4, start="outer")
+        if cable or method == "implicit":  # which knows no other cable
+            run = simulator.advance(duration=0.5, points=("root",))
+            # 5.2 mm and the 5.325 mm by which the cable is thinner than a float, and what 15 N press into 1e5 N/m
+            assert simulator.state.d[: simulator.root, 1].max() == pytest.approx(10.525e-3, abs=0.15e-3)
+            assert -25.0 < run.tension[-1, 0] < -5.0
+        else:
+            with pytest.raises(SimulationError):
+                simulator.advance(duration=0.5)
+
+
+def test_the_couple_s_limit_is_euler_s_between_floats():
+    assert most_couple(4.8e-2, 0.025, 0.1) == pytest.approx(np.pi**2 * 4.8e-2 / 0.01)
+    assert most_couple(4.8e-2, 0.05, 0.1) == pytest.approx(4.8e-2 / 0.05**2)
+
+
+def test_outer_start_of_two_float_sizes():
+    scene = Scene.model_validate({"carrier_length": 5.0, "probe": {"guide_float_diameter": 20e-3}})
+    chain = Simulator(scene).chain
+    d = outer_start(chain, chain.node_count - 1)
+    assert d[0, 1] == pytest.approx(4.2e-3)
+    assert d[150, 1] == pytest.approx(5.2e-3)
+    assert (d[-1] == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"contact": {"cable": True}}, r"contact\.cable = true: superelement has no nodes between floats; imex"),
+        ({"couple": "tangent"}, 'couple = "tangent": superelement knows "frame" only; imex'),
+    ],
+)
+def test_superelements_refuse_what_they_cannot_take(change, message):
+    with pytest.raises(ValueError, match=message):
+        Simulator(Scene.model_validate(change), "superelement32", 2e-4)
+
+
+@pytest.mark.parametrize("method", ["superelement", "superelement32", "imex32"])
+@pytest.mark.parametrize("given", ["feed_speed", "air_supply_rate"])
+def test_methods_that_do_not_go_back(method, given):
+    simulator = Simulator(Scene(carrier_length=5.0), method, 2e-4, growing=True)
+    message = (
+        f"{given} = -0.1 m3?/s: {method} does not simulate the return; newmark, wilson, imex, implicit, explicit do"
+    )
+    with pytest.raises(ValueError, match=message):
+        simulator.advance(**{given: -0.1}, duration=0.1)
+    with pytest.raises(ValueError, match=message):
+        Simulator(Scene.model_validate({given: -0.1}), method, 2e-4)
+
+
+def test_the_study_s_couple_is_told_unfit():
+    with pytest.warns(StabilityWarning, match='feed_speed = -0.1 m/s with couple = "frame"'):
+        Simulator(Scene(carrier_length=5.0, feed_speed=-0.1))
+
+
+def test_a_start_that_is_not_known():
+    with pytest.raises(ValueError, match="start = 'left' is not one of inner, outer"):
+        Simulator(Scene(), start="left")
