@@ -66,3 +66,9 @@ for _version, _settings in VERSIONS.items():
     gymnasium.register(
         id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=dict(_settings)
     )
+
+gymnasium.register(
+    id="probe_env/Inspection-v0",
+    entry_point="probe_env.envs.env:InspectionEnv",
+    vector_entry_point="probe_env.envs.vector:InspectionVectorEnv",
+)

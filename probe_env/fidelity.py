@@ -71,6 +71,14 @@ PRESETS: Final[dict[str, Fidelity]] = {
 }
 
 
+BOTH_WAYS: Final[dict[str, Fidelity]] = {
+    "standard": Fidelity(method="imex", time_step=1.25e-4, nodes_per_pitch=8),
+    "fast": Fidelity(method="imex", time_lapse=4.0),
+}
+"""What presets are where the probe is drawn back, too: the cable then meets the walls between its floats, which takes
+nodes there, and displacements of 0.4 m, which take double precision. "fast" has four nodes a pitch."""
+
+
 class Measured(NamedTuple):
     """Error of one output for one setting; ``length`` is None for a whole insertion."""
 
@@ -92,7 +100,10 @@ class Choice(NamedTuple):
 
 
 def resolve_fidelity(
-    fidelity: str | Fidelity | Mapping[str, Any], scene: Scene | None = None, growing: bool = True
+    fidelity: str | Fidelity | Mapping[str, Any],
+    scene: Scene | None = None,
+    growing: bool = True,
+    both_ways: bool = False,
 ) -> Fidelity:
     """A preset by name, settings of one's own, or "auto" or "auto:TOLERANCE".
 
@@ -100,10 +111,14 @@ def resolve_fidelity(
         fidelity: name, settings, or a mapping of them.
         scene: that "auto" chooses for; default: table 2's.
         growing: whether the probe is fed in, for "auto".
+        both_ways: whether it is drawn back, too.
 
     Raises:
-        ValueError: no such preset, settings that are not valid, or a tolerance that nothing measured keeps.
+        ValueError: no such preset, settings that are not valid, a tolerance that nothing measured keeps, or a method
+            that does not simulate the way back.
     """
+    if both_ways:
+        return _both_ways(fidelity)
     if isinstance(fidelity, Fidelity):
         return fidelity
     if not isinstance(fidelity, str):
@@ -119,6 +134,22 @@ def resolve_fidelity(
     except ValueError:
         raise ValueError(f"fidelity = {fidelity!r}: {auto['tolerance']!r} is not a number") from None
     return choose_fidelity(scene or Scene(), tolerance, growing=growing).fidelity
+
+
+def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
+    """``resolve_fidelity`` for a probe that is drawn back."""
+    if isinstance(fidelity, str) and fidelity in BOTH_WAYS:
+        return BOTH_WAYS[fidelity]
+    known = ", ".join((*BOTH_WAYS, "study"))
+    if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
+        raise ValueError(f"fidelity = {fidelity!r}: nothing was measured on the way back; give one of {known}")
+    chosen = resolve_fidelity(fidelity)
+    if not METHODS[chosen.method].draws_back:
+        raise ValueError(
+            f"fidelity = {fidelity!r}: {chosen.method} does not simulate the way back; give one of {known}, or settings"
+            f" with one of {', '.join(name for name, method in METHODS.items() if method.draws_back)}"
+        )
+    return chosen
 
 
 @lru_cache

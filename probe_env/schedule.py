@@ -26,7 +26,9 @@ POSITIONS: Final[dict[str, tuple[Over, float, str]]] = {
 }
 FEED, AIR = "feed_speed_m_per_s", "air_supply_m3_per_h"
 RANGES: Final = {FEED: (0.0, 2.0, "m/s"), AIR: (0.0, 720.0, "m3/h")}
-COLUMNS: Final = (*POSITIONS, *RANGES)
+BACK: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per_h"}
+"""Columns of the way back, beside those of the way in."""
+COLUMNS: Final = (*POSITIONS, *RANGES, *BACK.values())
 CSV_COMMENT = "# interpolation:"
 MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
 """What a file may hold: three hours of a log at 100 Hz."""
@@ -88,7 +90,8 @@ class Schedule:
 
         A CSV file has the columns ``time_s`` or ``inserted_length_m``, ``feed_speed_m_per_s`` and
         ``air_supply_m3_per_h`` (others are ignored, so a log can be replayed; one with time and length goes by time,
-        in which standstills last, from its first length on) and may begin with the line
+        in which standstills last, from its first length on), over length also ``return_feed_speed_m_per_s`` and
+        ``return_air_supply_m3_per_h`` for the way back, and may begin with the line
         ``# interpolation: steps``. A TOML file has ``interpolation`` and ``points``, a list of tables with these keys.
 
         Raises:
@@ -102,6 +105,30 @@ class Schedule:
         if interpolation not in ("linear", "steps"):
             raise FileError(path, f"interpolation = {interpolation[:80]!r} is not one of linear, steps")
         return _validated(path, interpolation, rows)  # type: ignore[arg-type]
+
+    @classmethod
+    def read_back(cls, path: str | Path) -> Schedule | None:
+        """The way back of a schedule over inserted length: how fast the probe is drawn and how much air blows it out.
+
+        Returns:
+            None if the file has neither of the columns of ``BACK``.
+
+        Raises:
+            FileNotFoundError, FileError: as ``read``; one of the columns without the other, or over time.
+        """
+        path = Path(path)
+        forth = cls.read(path)
+        _, rows = _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
+        given = [name for name in BACK.values() if any(name in row for _, row in rows)]
+        if not given:
+            return None
+        if len(given) < len(BACK) or forth.over == "time":
+            raise FileError(path, f"{' and '.join(BACK.values())} go together, beside inserted_length_m")
+        named = {back: name for name, back in BACK.items()}
+        swapped = [
+            (place, {named.get(name, name): row[name] for name in row if name not in BACK}) for place, row in rows
+        ]
+        return _validated(path, forth.interpolation, swapped)
 
     def to_csv(self) -> str:
         """The schedule as CSV text that ``read`` takes."""

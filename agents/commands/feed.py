@@ -44,15 +44,22 @@ class Evaluate:
     """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list."""
     strict: bool = False
     """Refuse policies that were not made for these tubes, instead of saying so."""
+    passes: Literal["in", "both"] = "in"
+    """both: feed the probe in and draw it back. Policies are for the way in; schedule files may have columns for the
+    way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others come back as fast as the device can."""
+    inspects: Literal["in", "back", "best"] = "best"
+    """What a metre counts for with --passes both: the way in, the way back, or the better of both."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
         from agents.policies.catalogue import own_policies
-        from agents.policies.places import place_at
+        from agents.policies.places import both_ways, place_at
 
         place, checks = place_at(self.tube, self.contexts, self.limit), Checks(self.check_fidelity, self.finer)
+        if self.passes == "both":
+            place = both_ways(place, self.inspects)
         plan = plan_of(self.policies, place, self.seeds, self.fidelity, self.probes, self.strict)
         evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))
 

@@ -37,7 +37,9 @@ def plan_of(
     config = place.config.all_shown
     policies = named_policies(specs, config, place.vibration)
     check_domains(domains_of(specs, policies), config, place.contexts, strict)
-    return Plan(policies, place.contexts, range(seeds), config, resolve_fidelity(fidelity), probes)
+    return Plan(
+        policies, place.contexts, range(seeds), config, resolve_fidelity(fidelity, both_ways=config.returns), probes
+    )
 
 
 NO_CHECKS: Final = Checks()

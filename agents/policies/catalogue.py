@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from agents.policies.both_ways import BothWays, fastest_back, way_in
 from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
@@ -77,12 +78,17 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.npz).
 
     ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
-    NAME, which is training seed 0, or NAME@SEED.
+    NAME, which is training seed 0, or NAME@SEED. Where the probe is drawn back, too, a policy is for the way in, and
+    the way back is in a schedule file's own columns, or as fast as it goes.
 
     Raises:
         ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
+    if config.returns:
+        forth, file = make_policy(spec, way_in(config), vibration), Path(policy_file(spec))
+        back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
+        return BothWays(config, forth, back or fastest_back(config))
     spec = policy_file(spec)
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]

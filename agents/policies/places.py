@@ -15,6 +15,8 @@ from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.task import TaskConfig
 
 MAP_SUFFIX: Final = "-map.npz"
+WHOLE_SHIFT: Final = 2.0
+"""Time limit of both passes over that of the way in."""
 SPLITS: Final = tuple(SPLIT_SIZES)
 
 
@@ -119,3 +121,10 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
                 path, f"made for another [{name}] than {tube.name} has now: make it anew with `probe-env map`"
             )
     return known
+
+
+def both_ways(place: Place, inspects: str) -> Place:
+    """The same place with a task of both passes; ``inspects`` as in ``TaskConfig``."""
+    limit = WHOLE_SHIFT * place.config.time_limit
+    update = {"passes": "both", "inspects": inspects, "time_limit": limit}
+    return place._replace(config=place.config.model_copy(update=update))

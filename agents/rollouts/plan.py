@@ -215,7 +215,8 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, thr
         observation = step.observation
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
-            profile[k].append(tuple(float(info[name]) for name in CARRIED))
+            if info.get("way", 1.0) > 0.0:  # per metre of the way in
+                profile[k].append(tuple(float(info[name]) for name in CARRIED))
             if "episode_kpis" in info:
                 yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k], probes[k])
 

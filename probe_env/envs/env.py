@@ -201,3 +201,43 @@ class SnapshotEnv(ProbeEnv):
     """
 
     defaults: ClassVar[dict[str, Any]] = {"growing": False, "period": 0.1, "time_limit": 8.0, "settle_time": 0.1}
+
+
+class InspectionEnv(ProbeEnv):
+    """A whole inspection: feed a probe in and draw it back, looking both ways.
+
+    ## Description
+    The probe is fed in as in `Insertion-v1`. At the end of the helix feed and air are turned round: the air blows
+    towards the feed device, which draws the cable out, until the probe is where it began. On the way back the cable is
+    pressed and lies on the outer wall, where it hardly rings. What a metre counts for is the better of both passes:
+    so is it worth to look on the way in?
+
+    ## Action Space
+    As `Insertion-v1`: how fast and how much air, on the way that the probe is on. The feed goes through zero within its
+    ramp where the probe turns.
+
+    ## Observation Space
+    As `Insertion-v1`; feed speed and air supply are below 0 on the way back, and `way` comes before what is privileged:
+    1 on the way in, -1 on the way back.
+
+    ## Rewards
+    As `Insertion-v1`, for time and air of both ways. `config={"inspects": "best"}` (default): a metre that is quieter
+    on the way back than on the way in gives the difference back; `"in"`: the way back shows nothing; `"back"`: nothing
+    but the way back counts as inspected.
+
+    ## Starting State
+    As `Insertion-v1`.
+
+    ## Episode End
+    Terminated when the probe is back where it began, on lost drive on the way in, and when the simulation diverges;
+    truncated after 1,800 s.
+
+    ## Arguments
+    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate the way back, with nodes between the floats; so do
+    settings with newmark, wilson, imex, implicit or explicit. The cable touches the walls in every scene.
+
+    ## Version History
+    * v0: first version.
+    """
+
+    defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}

@@ -16,9 +16,10 @@ import numpy.typing as npt
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
-from probe_env.envs.kpis import Tally
+from probe_env.envs.kpis import SIGNALS, Tally
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import observe
+from probe_env.envs.passes import Counted, Passes
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
     MEASURES,
@@ -86,7 +87,7 @@ class Episodes:
         self.config = config
         feed_speed, air_supply_rate = settling(config, settings)
         self.starts = Starts(config, given["contexts"], given["probes"], feed_speed, air_supply_rate)
-        self.fidelity = resolve_fidelity(given["fidelity"], self.starts.stiffest, config.growing)
+        self.fidelity = resolve_fidelity(given["fidelity"], self.starts.stiffest, config.growing, config.returns)
         self.start_action = config.action(feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
@@ -106,6 +107,7 @@ class Episodes:
         self.start = np.zeros(count)
         self.running = np.zeros(count, dtype=bool)
         self.window: Window | None = None
+        self.passes = Passes(count, config, len(SIGNALS)) if config.returns else None
 
     def __len__(self) -> int:
         return len(self.tally)
@@ -141,6 +143,8 @@ class Episodes:
             )  # fmt: skip
             self.batch.replace(k, simulator)
             self.start[k] = simulator.inserted_length
+            if self.passes is not None:
+                self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
             self.tally[k] = Tally()
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
@@ -172,6 +176,8 @@ class Episodes:
         """
         chosen, actions = self._decided(actions, active)
         targets = self.config.targets(actions, self.may_stand)
+        if self.passes is not None:
+            targets *= self.passes.way[:, None]
         ended = np.flatnonzero(chosen & ~self.running)
         if len(ended):
             raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")
@@ -183,17 +189,19 @@ class Episodes:
         )
         good = chosen & ~window.diverged
         after, length = self._inserted(), self._helix_length()
-        inspected = np.where(good, travel(self.config, before, after, window.feed_speed), 0.0)
         air = np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0)
-        ratio = window.statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
-        self._count(chosen, good, window, inspected, ratio, air)
+        counted = self._counted(good, window, before, after)
+        self._count(chosen, good, window, counted, air)
         slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
         end = ending(self.config, after, length, slack_periods, time, chosen, window.diverged)
+        if self.passes is not None:
+            self.passes.turn(end.complete)
+            end = end._replace(complete=self.passes.is_back(after, self.start) & good)
         over = end.terminated | end.truncated
-        reached = np.where(good, after, before)  # what passed in a period that diverged was not inspected
-        left = np.where(over & self.config.growing, length - reached, 0.0)
-        squares, seconds = inspected * capped_square(self.config, ratio), np.full(len(self), self.config.period)
-        terms = reward_terms(self.config, Outcome(inspected, squares, seconds, air, left, end.diverged), change)
+        left = np.where(over & self.config.growing, self._uninspected(before, after, good), 0.0)
+        seconds = np.full(len(self), self.config.period)
+        outcome = Outcome(counted.inspected, counted.squares, seconds, air, left, end.diverged)
+        terms = reward_terms(self.config, outcome, change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
         observation = self._observe(window, good)[:, None]
         late = np.concatenate([self.observed[:, 1:], observation], axis=1)
@@ -246,33 +254,46 @@ class Episodes:
         except ValueError as error:
             raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
 
-    def _count(
-        self,
-        chosen: BoolArray,
-        good: BoolArray,
-        window: Window,
-        inspected: FloatArray,
-        ratio: FloatArray,
-        air: FloatArray,
-    ) -> None:
+    def _counted(self, good: BoolArray, window: Window, before: FloatArray, after: FloatArray) -> Counted:
+        """What a period adds to what is inspected."""
+        statistics = window.statistics
+        ratio = statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
+        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
+        squares = capped_square(self.config, ratio)
+        if self.passes is not None:
+            return self.passes.count(good, after, squares, ratio <= 1.0, rms**2)
+        inspected = np.where(good, travel(self.config, before, after, window.feed_speed), 0.0)
+        within = np.where(ratio <= 1.0, inspected, 0.0)
+        return Counted(inspected, inspected * squares, within, inspected[:, None] * rms**2)
+
+    def _uninspected(self, before: FloatArray, after: FloatArray, good: BoolArray) -> FloatArray:
+        """(N,) what is left to inspect [m], where the length grows."""
+        length = self._helix_length()
+        if self.passes is not None and self.config.inspects == "back":
+            return np.asarray(length - self.start - np.array([tally.inspected for tally in self.tally]))
+        if self.passes is not None:
+            return np.asarray(length - self.passes.reached)
+        return length - np.where(good, after, before)  # what passed in a period that diverged was not inspected
+
+    def _count(self, chosen: BoolArray, good: BoolArray, window: Window, counted: Counted, air: FloatArray) -> None:
         """Add a period to the tallies."""
         assert window.radial is not None
         hanging = slack(self.config, window.statistics["tension_mean_n"], self._inserted())
+        if self.passes is not None:
+            hanging &= self.passes.way > 0.0  # the air drives it out as well, but it is drawn
         for k in np.flatnonzero(chosen):
             tally = self.tally[k]
             tally.time += self.config.period
             if not good[k]:
                 continue
-            tally.inspected += float(inspected[k])
-            tally.within_limit += float(inspected[k]) if ratio[k] <= 1.0 else 0.0
+            tally.inspected += float(counted.inspected[k])
+            tally.within_limit += float(counted.within[k])
             tally.air += float(air[k])
             tally.slack_periods = tally.slack_periods + 1 if hanging[k] else 0
             tally.lost_drive_events += tally.slack_periods == self.config.lost_drive_periods
-            rms = {
-                "radial": float(window.statistics["radial_rms_m"][k]),
-                "radial_acceleration": float(window.statistics["radial_acceleration_rms_m_per_s2"][k]),
-            }
-            tally.add_signals(float(inspected[k]), rms, window.radial[:, k], SAMPLE_PERIOD)
+            back = self.passes is not None and self.passes.way[k] < 0.0
+            rest = float(window.radial[:, k].mean()) if back else 0.0  # on the outer wall, or on its way there
+            tally.add_signals(counted.measures[k].tolist(), window.radial[:, k], SAMPLE_PERIOD, rest)
 
     def _options(self) -> dict[str, Any]:
         return {
@@ -309,6 +330,7 @@ class Episodes:
             "air_supply_rate": window.air_supply_rate,
             "feed_action": self.actions[:, 0].astype(float),
             "air_action": self.actions[:, 1].astype(float),
+            **({} if self.passes is None else {"way": self.passes.way.copy()}),
         }
 
     def _info(self, k: int | np.integer[Any], window: Window) -> dict[str, Any]:
@@ -322,4 +344,5 @@ class Episodes:
             "feed_speed": float(window.feed_speed[k]),
             "air_supply_rate": float(window.air_supply_rate[k]),
             **{name: float(window.statistics[name][k]) for name in names},
+            **({} if self.passes is None else {"way": float(self.passes.way[k])}),
         }

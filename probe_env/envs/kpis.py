@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,12 +52,15 @@ class Tally:
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
     last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
 
-    def add_signals(self, travel: float, rms: dict[str, float], radial: FloatArray, sample_period: float) -> None:
-        """Radial displacement samples (k,) [m] of a period, and the rms of each signal in it."""
+    def add_signals(self, squares: Sequence[float], radial: FloatArray, sample_period: float, rest: float) -> None:
+        """Radial displacement samples (k,) [m] of a period, and what it adds to the sums over length of each square.
+
+        ``rest`` is the displacement of a sensor that does not vibrate [m].
+        """
         acceleration = np.diff(np.concatenate([self.last_radial, radial]), n=2) / sample_period**2
         self.last_radial = radial[-2:].copy()
-        for name, values in (("radial", radial), ("radial_acceleration", acceleration)):
-            self.squares[name] += travel * rms[name] ** 2
+        for name, square, values in zip(SIGNALS, squares, (radial - rest, acceleration), strict=True):
+            self.squares[name] += square
             self.greatest[name] = max(self.greatest[name], float(np.abs(values).max()))
             self.samples[name].add(values)
 
@@ -75,7 +79,7 @@ class Tally:
             "complete": float(complete),
         }
         for name, unit in SIGNALS.items():
-            mean_square = self.squares[name] / self.inspected if self.inspected > 0.0 else 0.0
+            mean_square = max(self.squares[name] / self.inspected, 0.0) if self.inspected > 0.0 else 0.0
             values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))
             values[f"{name}_p99_{unit}"] = self.samples[name].percentile(99.0)
             values[f"{name}_max_{unit}"] = self.greatest[name]

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.observations import OBSERVATIONS, PRIVILEGED, PROBE
+from probe_env.envs.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
@@ -53,11 +53,17 @@ class TaskConfig(Model):
 
     Sensors: relative noise of the eddy-current noise and of the root tension (standard deviations), and how many
     periods an observation is late; the actions in it are late as well.
+
+    With ``passes = "both"`` the probe is fed in to the helix's end and drawn back to where it began, feed and air being
+    how fast and how much on the way that it is on. ``inspects`` says what a metre counts for: the way in, the way back,
+    or the better of both.
     """
 
     scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
     """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
     growing: bool = True
+    passes: Literal["in", "both"] = "in"
+    inspects: Literal["in", "back", "best"] = "best"
     period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
     time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
     settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
@@ -97,6 +103,19 @@ class TaskConfig(Model):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _passes_need_a_length_that_changes(self) -> TaskConfig:
+        if self.returns and not self.growing:
+            raise PydanticCustomError(
+                "passes", 'passes = "both" needs growing = true: the probe is fed in and drawn back'
+            )
+        return self
+
+    @property
+    def returns(self) -> bool:
+        """Whether the probe is drawn back as well."""
+        return self.passes == "both"
+
     @property
     def limit(self) -> float:
         """Limit of the vibration measure, SI units."""
@@ -118,7 +137,8 @@ class TaskConfig(Model):
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
         shown = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
-        return shown | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
+        both = BOTH_WAYS if self.returns else {}
+        return shown | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
 
     @property
     def all_shown(self) -> TaskConfig:
@@ -261,7 +281,7 @@ def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed
 
 def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> FloatArray:
     """Air [m3] used in a period, by the supply rates [m3/s] around it."""
-    return 0.5 * (before + after) * config.period
+    return 0.5 * (np.abs(before) + np.abs(after)) * config.period
 
 
 def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from probe_env.arrays import FloatArray
 from probe_env.envs.env import (
     InsertionEnv,
+    InspectionEnv,
     Observation,
     ProbeEnv,
     SnapshotEnv,
@@ -153,3 +154,9 @@ class SnapshotVectorEnv(ProbeVectorEnv):
     """Native batch of ``probe_env/Snapshot-v1``."""
 
     single = SnapshotEnv
+
+
+class InspectionVectorEnv(ProbeVectorEnv):
+    """Native batch of ``probe_env/Inspection-v0``."""
+
+    single = InspectionEnv
