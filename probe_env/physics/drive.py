@@ -13,9 +13,9 @@ from numba import njit
 
 from probe_env.arrays import FloatArray
 
-SPEED, SLOPE, AIR, APPEND, KEPT = 0, 1, 2, 3, 4
+SPEED, SLOPE, AIR, APPEND = 0, 1, 2, 3
 """Columns of a step's inputs: u and Q / (a - A_c) at its start [m/s], du/dt over it [m/s2], nodes appended after it
-(-1: the last free one is held), and what is kept of the held root's offset from the tube's middle line."""
+(-1: the last free one is held)."""
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Drive:
     def inputs_of_steps(
         self, steps: int, time_step: float, element_length: float, room: int, spare: int = 0
     ) -> FloatArray:
-        """Inputs (steps, 5) of the coming steps; moves on to their end.
+        """Inputs (steps, 4) of the coming steps; moves on to their end.
 
         Args:
             steps: how many.
@@ -53,7 +53,7 @@ class Drive:
             room: nodes that may be appended.
             spare: nodes that may be drawn back.
         """
-        inputs = np.empty((steps, 5))
+        inputs = np.empty((steps, 4))
         gain = -math.expm1(-time_step / self.air_lag) if self.air_lag > 0.0 else 1.0
         self.speed, self.air, self.travel = _inputs(
             inputs, self.speed, self.speed_target, self.ramp * time_step, self.air, self.air_target, gain,
@@ -70,19 +70,15 @@ def _inputs(inputs, speed, speed_target, ramp_step, air, air_target, gain, trave
         inputs[k, SPEED] = speed
         inputs[k, SLOPE] = change / dt
         inputs[k, AIR] = air
-        inputs[k, APPEND], inputs[k, KEPT] = 0.0, 1.0
+        inputs[k, APPEND] = 0.0
         speed = speed_target if abs(speed_target - speed) <= ramp_step else speed + change
         air = air_target if gain == 1.0 else air + gain * (air_target - air)
-        place = travel
         travel += growth * speed * dt
-        if place > 0.0:  # what was drawn back off the middle line comes to it as it comes to the entrance
-            inputs[k, KEPT] = min(max(travel, 0.0), h) / place if travel < h else 1.0
         if travel >= h and room > 0:
             travel -= h
             room, spare = room - 1, spare + 1
             inputs[k, APPEND] = 1.0
         elif travel < 0.0:
-            inputs[k, KEPT] = 0.0
             if spare > 0:
                 travel += h
                 room, spare = room + 1, spare - 1

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND, KEPT
+from probe_env.physics.drive import APPEND
 from probe_env.physics.state import State
 
-INPUTS = 5
+INPUTS = 4
 CHANNELS = 4
 
 
@@ -73,9 +73,9 @@ def check_call(nodes: int, memory: int, inputs: FloatArray, root: int, state: St
     first, every, points, samples, tension_sum, counts = sampling
     appended = inputs[:, APPEND]
     if not ((appended == 0.0) | (np.abs(appended) == 1.0)).all():  # also NaN
-        raise ValueError("inputs: column 3 must be 0, or 1 or -1 where a node is appended or held after the step")
-    if not ((inputs[:, KEPT] >= 0.0) & (inputs[:, KEPT] < np.inf)).all():
-        raise ValueError("inputs: column 4 must be 0 or more, what is kept of the root's offset")
+        raise ValueError(
+            "inputs: the last column must be 0, 1 where a node is appended after the step, or -1 where one is held"
+        )
     roots = root + np.cumsum(appended)
     if len(roots) and roots.max() > nodes - 1:
         more = int(roots.max()) - root

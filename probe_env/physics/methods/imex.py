@@ -22,10 +22,12 @@ nothing but the step size, the nodes a pitch and the number of steps.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
-from probe_env.physics.drive import AIR, APPEND, KEPT, SLOPE, SPEED
+from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
 from probe_env.physics.methods.factors import imex_factors, linear_weights, single_factors
 from probe_env.physics.methods.lane_group import (
     AXIAL,
@@ -72,6 +74,7 @@ from probe_env.physics.methods.lane_group import (
 )  # fmt: skip
 from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
 from probe_env.physics.methods.method import lane_method
+from probe_env.physics.methods.ticm import LEAVING
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -375,7 +378,7 @@ def after_step(parameters, state, inputs, k, step, due, row, points, roots, samp
                 samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * FIELDS + V, lane]
             for i in range(min(len(tension), roots[lane])):
                 tension[i, lane] += state[i * FIELDS + V, lane]
-        if inputs[k + KEPT, lane] != 1.0 or inputs[k + APPEND, lane] != 0.0:
+        if inputs[k + APPEND, lane] != 0.0:
             move_root(parameters, state, inputs, k, roots, lane)
     return running == 0
 
@@ -384,15 +387,13 @@ def after_step(parameters, state, inputs, k, step, due, row, points, roots, samp
 def move_root(parameters, state, inputs, k, roots, lane):
     """``ticm.move_root`` of a lane."""
     q = roots[lane] * FIELDS
-    x, kept, curvature = state[q + X, lane], inputs[k + KEPT, lane], parameters[CURVATURE, lane]
-    if kept != 1.0:
-        state[q + Y, lane] *= kept
-        turn = -curvature * x
-        state[q + T, lane] = turn + kept * (state[q + T, lane] - turn)
+    length = 2.0 * parameters[SIN, lane] / parameters[CURVATURE, lane]  # of an element, (2)
     if inputs[k + APPEND, lane] > 0.0:
+        x, y = state[q + X, lane], state[q + Y, lane] * math.exp(-length / LEAVING)
         roots[lane] += 1
         q += FIELDS
-        state[q + X, lane], state[q + Y, lane], state[q + T, lane] = x, 0.0, -curvature * x
+        state[q + X, lane], state[q + Y, lane] = x, y
+        state[q + T, lane] = y / LEAVING - parameters[CURVATURE, lane] * x
         for field in range(VX, FIELDS):
             state[q + field, lane] = 0.0
     elif inputs[k + APPEND, lane] < 0.0:

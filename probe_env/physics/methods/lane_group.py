@@ -33,7 +33,7 @@ FIELDS = 10
 # three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
 FACTORS = 27
 A, B, C = 0, 9, 18
-INPUTS = 5
+INPUTS = 4
 DIVERGED_RADIAL = 1.0  # [m]
 
 

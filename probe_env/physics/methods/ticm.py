@@ -8,13 +8,17 @@ cache does not see edits in another file, so ``make clean`` after changing them.
 
 from __future__ import annotations
 
+import math
+
 from numba import njit
 
-from probe_env.physics.drive import AIR, APPEND, KEPT, SLOPE, SPEED
+from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
 
 FASTMATH = {"contract"}
 DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
 OVERFLOW = 1e100  # beyond it the next product may be infinite
+
+LEAVING = 0.1  # [m]
 
 OK, DIVERGED = 0, 1
 
@@ -275,18 +279,17 @@ def advance(chain, scheme, inputs, root, state, work, first_sample, sample_every
 
 @njit(cache=True, nogil=True)
 def move_root(chain, inputs, root, state):
-    """Bring the held root nearer to the tube's middle line, hold another node if one is due; the node held then.
+    """Hold another node if one is due; the node that is held now.
 
-    What comes in is as far back as the root was, unstretched and straight; what is drawn back is held as it is.
+    What is drawn back is held as it is when it comes to the entrance, so that a pressed probe is drawn out along the
+    outer wall: brought to the inner one there, every float would shake it, and the shaking grows on the way to the tip.
+    What comes in is as far back as the root was, unstretched, on a line that leaves where the root was held for the
+    inner wall within some ``LEAVING``.
     """
-    x, kept = state.d[root, 0], inputs[KEPT]
-    if kept != 1.0:
-        state.d[root, 1] *= kept
-        turn = -chain.curvature * x  # of a probe that lies further back along the helix
-        state.d[root, 2] = turn + kept * (state.d[root, 2] - turn)
     if inputs[APPEND] > 0.0:
+        x, y = state.d[root, 0], state.d[root, 1] * math.exp(-chain.element_length / LEAVING)
         root += 1
-        state.d[root, 0], state.d[root, 1], state.d[root, 2] = x, 0.0, -chain.curvature * x
+        state.d[root, 0], state.d[root, 1], state.d[root, 2] = x, y, y / LEAVING - chain.curvature * x
     elif inputs[APPEND] < 0.0:
         state.d[root, :] = 0.0
         root -= 1
