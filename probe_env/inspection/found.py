@@ -1,0 +1,82 @@
+"""What would have been found in one episode: places are added period by period, curve and figures leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from scipy.stats import normaltest
+
+from probe_env.arrays import FloatArray
+from probe_env.inspection.detection import DEPTHS, EDGES, depth_found, pod_as_seen, pod_gaussian, snr_at, threshold
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import COUNT
+
+GOOD: Final = 3.0
+"""Signal-to-noise of a 20 % groove above which length counts as well inspected."""
+SUSPECT: Final = 1e-3
+"""Probability below which excursions are not taken for Gaussian (D'Agostino and Pearson)."""
+LEAST_TESTED: Final = 20
+MIDDLE: Final = slice(3 * COUNT // 8, 5 * COUNT // 8)
+"""Of the last second, what is counted: its ends wrap around in the filter."""
+POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in DEPTHS)
+"""KPIs: the probability of detection at each of ``DEPTHS``."""
+
+
+@dataclass
+class Found:
+    """Places of one episode: length [m], signal-to-noise of the 20 % groove, share of motion in the noise."""
+
+    sensor: Sensor = field(default_factory=Sensor)
+    lengths: list[float] = field(default_factory=list)
+    snr: list[float] = field(default_factory=list)
+    shares: list[float] = field(default_factory=list)
+    peaks: list[float] = field(default_factory=list)
+    singles: list[float] = field(default_factory=list)
+    counts: FloatArray = field(default_factory=lambda: np.zeros(len(EDGES) - 1))
+
+    def add(self, length: float, snr: float, share: float, peak_to_peak: float, excursions: FloatArray) -> None:
+        """A period: metres inspected, and what was ``matched.heard`` in it."""
+        self.lengths.append(length)
+        self.snr.append(snr)
+        self.shares.append(share)
+        self.peaks.append(peak_to_peak)
+        counted = excursions[MIDDLE]
+        self.singles.append(float(counted[len(counted) // 2]))
+        inner = np.clip(counted, EDGES[0], np.nextafter(EDGES[-1], 0.0))
+        self.counts += np.bincount(((inner - EDGES[0]) / (EDGES[1] - EDGES[0])).astype(int), minlength=len(self.counts))
+
+    @property
+    def gaussian(self) -> bool:
+        """Whether the filtered motion, one sample a period, can be taken for Gaussian."""
+        if len(self.singles) < LEAST_TESTED or np.ptp(self.singles) == 0.0:
+            return True
+        return bool(normaltest(self.singles).pvalue >= SUSPECT)
+
+    def curve(self, length: float, tube_length: float) -> FloatArray:
+        """Probability of detection (d,) at ``DEPTHS``, averaged over ``length`` [m]; nothing is found where no sensor was.
+
+        ``tube_length`` [m] is what false calls are counted over.
+        """
+        if not self.lengths or length <= 0.0:
+            return np.zeros(len(DEPTHS))
+        z, snr = threshold(self.sensor, tube_length), snr_at(self.sensor, np.array(self.snr))
+        share = np.array(self.shares)
+        pod = pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, share, self.counts)
+        return np.asarray(np.array(self.lengths) @ pod / max(length, sum(self.lengths)))
+
+    def kpis(self, length: float, tube_length: float) -> dict[str, float]:
+        """Figures by name; ``length`` is all that was to be inspected [m]. Depths are in % of the wall."""
+        pod, metres = self.curve(length, tube_length), np.array(self.lengths)
+        inspected = float(metres.sum()) if len(metres) else 0.0
+        over = float(metres[np.array(self.snr) >= GOOD].sum()) if inspected else 0.0
+        peaks = float(metres @ np.array(self.peaks)) / inspected if inspected > 0.0 else 0.0
+        return {
+            "a50_percent_wall": 100.0 * depth_found(pod, 0.5),
+            "a90_percent_wall": 100.0 * depth_found(pod, 0.9),
+            "length_with_snr_over_3_m": over,
+            "noise_peak_to_peak_v": peaks,
+            "noise_gaussian": float(self.gaussian),
+            **dict(zip(POD_NAMES, map(float, pod), strict=True)),
+        }
