@@ -44,8 +44,8 @@ class Found:
         self.peaks.append(peak_to_peak)
         counted = excursions[MIDDLE]
         self.singles.append(float(counted[len(counted) // 2]))
-        inner = np.clip(counted, EDGES[0], np.nextafter(EDGES[-1], 0.0))
-        self.counts += np.bincount(((inner - EDGES[0]) / (EDGES[1] - EDGES[0])).astype(int), minlength=len(self.counts))
+        place = ((counted - EDGES[0]) / (EDGES[1] - EDGES[0])).astype(int)
+        self.counts += np.bincount(np.clip(place, 0, len(self.counts) - 1), minlength=len(self.counts))
 
     @property
     def gaussian(self) -> bool:
@@ -55,7 +55,7 @@ class Found:
         return bool(normaltest(self.singles).pvalue >= SUSPECT)
 
     def curve(self, length: float, tube_length: float) -> FloatArray:
-        """Probability of detection (d,) at ``DEPTHS``, averaged over ``length`` [m]; nothing is found where no sensor was.
+        """Probability of detection (d,) at ``DEPTHS``, mean over ``length`` [m]; nothing is found where no sensor was.
 
         ``tube_length`` [m] is what false calls are counted over.
         """

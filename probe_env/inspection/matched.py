@@ -13,7 +13,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.inspection.flaw import energy_above, power
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE, SPAN, STEP, density
+from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE, SPAN, STEP
 
 SLOWEST: Final = 0.01
 """[m/s]: below it a flaw's band has no line of the spectrum, and the figures of this speed are given."""
@@ -51,13 +51,18 @@ def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Float
     return np.asarray(2.0 * sensor.groove_signal * passing * np.sqrt(inner + above))
 
 
-def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Heard:
-    """What the last second of motion (N, COUNT), see ``spectrum.straightened``, leaves of the signal-to-noise.
+def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray) -> Heard:
+    """What motion leaves of the signal-to-noise.
 
-    A density from few tapers scatters, and the mean of 1/S is above 1/(mean of S): ``INVERSE`` takes that back where
+    A density from few seconds scatters, and the mean of 1/S is above 1/(mean of S): ``INVERSE`` takes that back where
     motion is all the noise, and does nothing where there is none.
+
+    Args:
+        sensor: its constants.
+        feed: (N,) feed speed [m/s].
+        motion: (N, COUNT) of the last second [m], see ``spectrum.straightened``.
+        spectrum: (N, m) its mean density [m2/Hz].
     """
-    spectrum = density(motion)
     snr = snr_of_groove(sensor, feed, INVERSE * spectrum)
     passing = (sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))[:, None]
     moved = sensor.seen_gain**2 * spectrum

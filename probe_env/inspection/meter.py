@@ -1,4 +1,4 @@
-"""The signal-to-noise of N probes, a control period at a time: keeps their last second of motion and no more."""
+"""The signal-to-noise of N probes, a control period at a time: keeps a second of their motion and a mean spectrum."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from probe_env.arrays import FloatArray
 from probe_env.inspection.matched import Heard, heard
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import SPAN, straightened
+from probe_env.inspection.spectrum import FREQUENCY, MEMORY, SPAN, density, straightened
 
 
 class Meter:
@@ -20,6 +20,8 @@ class Meter:
         sensor: its constants.
         count: N.
         sample_period: of the motion [s], a divisor of 5 ms.
+
+    ``spectrum`` (N, m) is the mean one-sided density of the motion at ``FREQUENCY`` [m2/Hz].
     """
 
     def __init__(self, sensor: Sensor, count: int, sample_period: float) -> None:
@@ -27,6 +29,7 @@ class Meter:
         self.sample_period: Final = sample_period
         self._kept = np.zeros((count, round(SPAN / sample_period)))
         self._known = np.zeros(count, dtype=np.int64)
+        self.spectrum = np.zeros((count, len(FREQUENCY)))
         self._last: dict[int, tuple[float, float, float, FloatArray]] = {}
 
     def forget(self, k: int) -> None:
@@ -48,8 +51,12 @@ class Meter:
         self._take(which, radial)
         motion = straightened(self._kept[which], self.sample_period)
         # until a second has passed the rest stands still: the same power in the part that is known
-        part = np.sqrt(self._kept.shape[1] / np.maximum(self._known[which], 1))
-        told = heard(self.sensor, feed, motion * part[:, None])
+        known = self._known[which] * self.sample_period
+        motion *= np.sqrt(np.maximum(SPAN / known, 1.0))[:, None]
+        passed = len(radial) * self.sample_period
+        gain = np.maximum(1.0 - np.exp(-passed / MEMORY), passed / known)[:, None]
+        self.spectrum[which] += np.minimum(gain, 1.0) * (density(motion) - self.spectrum[which])
+        told = heard(self.sensor, feed, motion, self.spectrum[which])
         for row, k in enumerate(which.tolist()):
             self._last[k] = (*(float(values[row]) for values in told[:3]), told.excursions[row])
         return told
@@ -57,8 +64,7 @@ class Meter:
     def _take(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray) -> None:
         size = self._kept.shape[1]
         new = radial[-size:].T
-        known = np.minimum(self._known[which] + new.shape[1], size)
         fresh = self._known[which] == 0
         before = np.where(fresh[:, None], new[:, :1], self._kept[which][:, new.shape[1] :])
         self._kept[which] = np.concatenate([before, new], axis=1)
-        self._known[which] = known
+        self._known[which] += len(radial)

@@ -1,4 +1,4 @@
-"""The spectrum of the sensor's motion from its last second, and nothing older.
+"""The spectrum of the sensor's motion: of its last second, and a mean over the seconds before.
 
 Sine tapers (Riedel and Sidorenko, IEEE Transactions on Signal Processing 43, 1995) give ``TAPERS`` nearly independent
 estimates from one second, which a Hann window would use for one.
@@ -19,8 +19,12 @@ STEP: Final = 5e-3
 """Of the samples behind the means [s]: to 100 Hz; the flaw's band ends at 60 Hz at 0.4 m/s."""
 COUNT: Final = round(SPAN / STEP)
 TAPERS: Final = 4
-INVERSE: Final = TAPERS / (TAPERS - 1.0)
-"""The mean of 1/S over that of chi-squared estimates with 2 ``TAPERS`` degrees of freedom: E[1/X] = v/(v - 2)."""
+MEMORY: Final = 2.0
+"""Time constant of the mean of spectra [s], of the motion's own clock: signal-to-noise from it scatters by some 7 %."""
+FREEDOM: Final = 2 * TAPERS * round(2.0 * MEMORY / SPAN)
+"""Degrees of freedom of such a mean: an exponential one weighs as a plain one over twice its time constant."""
+INVERSE: Final = FREEDOM / (FREEDOM - 2.0)
+"""The mean of 1/S over 1/(mean of S) for estimates S that are chi-squared."""
 FREQUENCY: Final = np.arange(1, COUNT // 2) / SPAN
 """(m,) lines of a spectrum [Hz]; neither the mean nor the end of the band."""
 
