@@ -10,7 +10,6 @@ import math
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtr, ndtri
 
 from probe_env.arrays import FloatArray
@@ -24,6 +23,8 @@ EDGES: Final = np.linspace(-8.0, 8.0, 65)
 MIDDLES: Final = 0.5 * (EDGES[1:] + EDGES[:-1])
 LEAST_GAUSSIAN: Final = 1e-3
 """Share of the electronics in the filtered noise that is always taken as Gaussian, so that curves have no steps."""
+SMALLEST: Final = 1e-9
+"""Probability beyond which curves are cut off."""
 WORST: Final = 1.0
 """Depth that is given where even a hole is not found so often."""
 
@@ -66,17 +67,21 @@ def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray
     return values
 
 
-def depth_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> float:
-    """Least depth from which a share ``level`` of the flaws is found, by a curve (d,); ``WORST`` where none is.
+def depths_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> FloatArray:
+    """(n,) least depths from which a share ``level`` of the flaws is found, by curves (n, d); ``WORST`` where none is.
 
-    Between depths its probit is interpolated over the logarithm of the depth, in which the Gaussian's is smooth.
+    Between depths the probit of a curve is a straight line, which that of one place is for an amplitude that goes with
+    the depth.
     """
-    rising = np.maximum.accumulate(pod)
-    if rising[-1] < level:
-        return WORST
-    if rising[0] >= level:
-        return float(depths[0])
-    probit = ndtri(np.clip(rising, 1e-9, 1.0 - 1e-9)) - ndtri(level)
-    curve = PchipInterpolator(np.log(depths), probit)
-    roots = curve.roots(extrapolate=False)
-    return float(np.exp(np.min(roots[np.isfinite(roots)])))
+    probit = ndtri(np.clip(np.maximum.accumulate(pod, axis=1), SMALLEST, 1.0 - SMALLEST)) - ndtri(level)
+    after = np.clip((probit < 0.0).sum(axis=1), 1, len(depths) - 1)
+    rows = np.arange(len(pod))
+    low, high = probit[rows, after - 1], probit[rows, after]
+    share = np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+    found = depths[after - 1] + share * (depths[after] - depths[after - 1])
+    return np.asarray(np.where(probit[:, -1] < 0.0, WORST, found))
+
+
+def depth_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> float:
+    """``depths_found`` of one curve (d,)."""
+    return float(depths_found(np.asarray(pod)[None], level, depths)[0])
