@@ -64,14 +64,15 @@ class Found:
         z, snr = threshold(self.sensor, tube_length), snr_at(self.sensor, np.array(self.snr))
         share = np.array(self.shares)
         pod = pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, share, self.counts)
-        return np.asarray(np.array(self.lengths) @ pod / max(length, sum(self.lengths)))
+        # a plain sum: a matrix product rounds by where its arrays lie
+        return np.asarray((np.array(self.lengths)[:, None] * pod).sum(axis=0) / max(length, sum(self.lengths)))
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
         """Figures by name; ``length`` is all that was to be inspected [m]. Depths are in % of the wall."""
         pod, metres = self.curve(length, tube_length), np.array(self.lengths)
         inspected = float(metres.sum()) if len(metres) else 0.0
         over = float(metres[np.array(self.snr) >= GOOD].sum()) if inspected else 0.0
-        peaks = float(metres @ np.array(self.peaks)) / inspected if inspected > 0.0 else 0.0
+        peaks = float((metres * self.peaks).sum()) / inspected if inspected > 0.0 else 0.0
         return {
             "a50_percent_wall": 100.0 * depth_found(pod, 0.5),
             "a90_percent_wall": 100.0 * depth_found(pod, 0.9),

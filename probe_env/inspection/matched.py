@@ -78,3 +78,21 @@ def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatA
     # variance is a sum of one-sided densities over lines: times their distance it is that of ``filtered``
     excursions = filtered / np.sqrt(np.maximum(variance * LINE, 1e-300))[:, None]
     return Heard(snr, share, np.abs(sensor.seen_gain) * np.ptp(motion, axis=1), excursions)
+
+
+def response_of(sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray) -> FloatArray:
+    """(n,) a signal (n,) [V], means over ``STEP``, behind the matched filter, over its noise's deviation.
+
+    Args:
+        sensor: its constants.
+        feed: feed speed [m/s].
+        spectrum: (m,) density of the motion at ``FREQUENCY`` [m2/Hz].
+        signal: (n,) along the direction of the flaw.
+    """
+    passing = sensor.flaw_width / max(abs(feed), SLOWEST)
+    frequency = np.fft.rfftfreq(len(signal), STEP)
+    noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
+    gain = np.sqrt(power(frequency * passing)) / noise
+    deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
+    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain / np.sinc(frequency * STEP), len(signal))
+    return np.asarray(out / deviation)

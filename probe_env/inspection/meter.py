@@ -34,7 +34,7 @@ class Meter:
 
     def forget(self, k: int) -> None:
         """Another episode of probe k begins."""
-        self._known[k] = 0
+        self._known[k], self.spectrum[k] = 0, 0.0
 
     def of(self, k: int) -> tuple[float, float, float, FloatArray]:
         """What was heard of probe k last, see ``Heard``: one row of each."""

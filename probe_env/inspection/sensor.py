@@ -43,7 +43,7 @@ class Sensor(Model):
     """k1 [V/m], where it was measured; default: what ``shaken_snr`` says."""
     square_gain: Annotated[float, quantity(-1e12, 1e12, "V")] = 35.5
     """k2 [V], of (y/R)^2 with the bore's radius R; assumption: as strong as k1 y a radius off."""
-    angle: Annotated[float, quantity(-math.pi, math.pi, "rad")] = -0.6
+    angle: Annotated[float, quantity(-math.pi, math.pi, "rad")] = 0.6
     """Of coil X from the radial direction; assumption: X and Y opposite and unequal, as in the study's figure 3(b)."""
     flaw_angle: Annotated[float, quantity(-math.pi, math.pi, "rad")] = 0.0
     """Of the flaw from the radial direction; assumption, the worst: motion and flaw look alike."""

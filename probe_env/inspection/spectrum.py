@@ -38,16 +38,19 @@ def _tapers() -> FloatArray:
 
 @lru_cache
 def _line() -> FloatArray:
-    """(COUNT, 2) orthonormal: a constant and a slope."""
-    return np.linalg.qr(np.column_stack([np.ones(COUNT), np.arange(COUNT)]))[0]
+    """(COUNT,) a slope of unit energy and no mean."""
+    place = np.arange(COUNT) - 0.5 * (COUNT - 1)
+    return np.asarray(place / np.sqrt((place**2).sum()))
 
 
 def straightened(samples: FloatArray, sample_period: float) -> FloatArray:
     """(N, COUNT) means over ``STEP`` of the last ``SPAN`` of samples (N, k), without their straight line."""
     each = round(STEP / sample_period)
     means = samples[:, -COUNT * each :].reshape(len(samples), COUNT, each).mean(axis=2)
-    line = _line()
-    return np.asarray(means - (means @ line) @ line.T)
+    level = means - means.mean(axis=1, keepdims=True)
+    slope = _line()
+    # no matrix product: it would round a row otherwise in another company
+    return np.asarray(level - (level * slope).sum(axis=1, keepdims=True) * slope)
 
 
 def density(motion: FloatArray) -> FloatArray:
