@@ -83,6 +83,15 @@ def support_places(spacing: float, length: float) -> FloatArray:
     return np.arange(0.5 * spacing, length, spacing)
 
 
+def support_signal(sensor: Sensor, place: FloatArray, supports: FloatArray) -> FloatArray:
+    """(k,) voltage of supports [V], alike in both channels."""
+    signal = np.zeros(len(place))
+    for support in supports:
+        near = np.abs(place - support) < FLAW_REACH * sensor.support_width
+        signal[near] += sensor.support_signal * shape((place[near] - support) / sensor.support_width)
+    return signal
+
+
 def channels(
     sensor: Sensor,
     passage: Passage,
@@ -98,17 +107,14 @@ def channels(
         passage: how the sensor went and moved.
         bore: inner diameter of the tube [m].
         flaws: in it.
-        supports: places of its supports [m], which both channels see alike.
+        supports: places of its supports [m].
         rng: of the electronic noise.
     """
     moved = passage.radial - passage.radial.mean()
     voltages = sensor.gain * np.outer(moved, looks(sensor, 0.0))
     voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]
     voltages += np.outer(flaw_signal(sensor, passage.place, flaws), looks(sensor, sensor.flaw_angle))
-    for place in supports:
-        near = np.abs(passage.place - place) < FLAW_REACH * sensor.support_width
-        seen = sensor.support_signal * shape((passage.place[near] - place) / sensor.support_width)
-        voltages[near] += seen[:, None]
+    voltages += support_signal(sensor, passage.place, supports)[:, None]
     deviation = math.sqrt(0.5 * sensor.noise_density / passage.sample_period)
     voltages += deviation * rng.normal(size=voltages.shape)
     return np.asarray(voltages - voltages.mean(axis=0))
