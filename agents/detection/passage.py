@@ -12,7 +12,7 @@ from tqdm import tqdm
 from agents.rollouts.plan import Policy
 from probe_env import Context, Fidelity
 from probe_env.envs.episodes import SAMPLE_PERIOD, Episodes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import Players
 from probe_env.inspection.channels import Passage
 from probe_env.settings import within
@@ -57,7 +57,7 @@ def insert(
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     places, periods, radial, spectra = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), [], []
     with tqdm(desc="sensor at", initial=places[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
-        while episodes.running[0] and (until is None or places[-1] + guide < until):
+        while episodes.running[0] and (until is None or places[-1] + guide < until - END_TOLERANCE):
             step = episodes.step(players.act(observation, episodes.running))
             observation, info = step.observation, step.infos[0]
             if info["diverged"]:

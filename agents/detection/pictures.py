@@ -18,7 +18,7 @@ from probe_env.inspection.channels import Flaw, Passage
 
 SHOWN: Final = 10e-3
 """[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
-AROUND: Final = 0.04
+AROUND: Final = 0.025
 """[m] on either side of a flaw that its figure shows."""
 
 
@@ -54,15 +54,13 @@ class Marks:
             axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
 
 
-def strip_chart(
-    run: Insertion, voltages: FloatArray, behind: tuple[FloatArray, FloatArray], marks: Marks, path: Path
-) -> Path:
+def strip_chart(run: Insertion, voltages: FloatArray, behind: FloatArray, marks: Marks, path: Path) -> Path:
     """X and Y, what the filter makes of them, and the vibration, over the place of the sensor.
 
     Args:
         run: the insertion.
         voltages: (k, 2) channels [V].
-        behind: place [m] and value of the filtered signal, over its noise.
+        behind: (k,) the filtered signal, over its noise.
         marks: what stands in the tube and what was called.
         path: of the picture.
     """
@@ -71,7 +69,7 @@ def strip_chart(
     for axis, values, name in zip(axes, shown.T, "XY", strict=False):
         axis.plot(passage.place, values, color=BLUE, linewidth=0.4)
         axis.set_ylabel(f"{name} [V]")
-    axes[2].plot(*behind, color="0.2", linewidth=0.4)
+    axes[2].plot(passage.place, behind, color="0.2", linewidth=0.4)
     axes[2].axhline(marks.threshold, color=RED, linewidth=0.8)
     axes[2].plot(marks.called, np.full(len(marks.called), marks.threshold), "v", color=RED, markersize=6)
     axes[2].set_ylabel("behind the filter\n[deviations of its noise]")

@@ -26,7 +26,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import Flaw, along, calls, channels, filtered, support_places, support_signal
-from probe_env.inspection.detection import snr_at, threshold
+from probe_env.inspection.detection import snr_at
 from probe_env.inspection.sensor import GROOVE
 from probe_env.settings import within
 
@@ -106,7 +106,7 @@ class Chart:
 
     Attributes:
         voltages: (k, 2) X and Y [V].
-        place, values: (n,) place [m] and filtered signal, over its noise's deviation.
+        values: (k,) filtered signal along the flaw, over its noise's deviation.
         flaws: that were passed.
         supports: places [m].
         called: places [m].
@@ -116,7 +116,6 @@ class Chart:
     """
 
     voltages: FloatArray
-    place: FloatArray
     values: FloatArray
     flaws: tuple[Flaw, ...]
     supports: FloatArray
@@ -136,8 +135,8 @@ def chart_of(
     supports = support_places(spacing, last)
     voltages = channels(sensor, passage, tube.inner_diameter, flaws, supports, rng)
     seen = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
-    _, place, values = filtered(sensor, passage, seen)
-    z = threshold(sensor, tube.helix_length)
+    place, values = passage.place, filtered(sensor, passage, seen)
+    z = run.found["call_threshold"]
     called = calls(values, place, z, sensor.flaw_width)
     ends = np.array([period["inserted_length"] for period in run.periods])
     ends += passage.place[-1] - ends[-1]
@@ -150,7 +149,7 @@ def chart_of(
         rows.append((flaw.place, 100.0 * flaw.depth, snr, shown, shown > z))
     false = sum(all(abs(call - flaw.place) > sensor.flaw_width for flaw in flaws) for call in called)
     table = pd.DataFrame(rows, columns=list(ROWS))
-    return Chart(voltages, place, values, flaws, supports, called, z, table, false)
+    return Chart(voltages, values, flaws, supports, called, z, table, false)
 
 
 def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
@@ -163,7 +162,7 @@ def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
     write_atomically(output / "channels.csv", pd.DataFrame(columns).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "flaws.csv", chart.table.to_csv(index=False, float_format="%.5g"))
     marks = pictures.Marks(title, chart.flaws, chart.supports, chart.called, chart.threshold)
-    pictures.strip_chart(run, chart.voltages, (chart.place, chart.values), marks, output / "strip.png")
+    pictures.strip_chart(run, chart.voltages, chart.values, marks, output / "strip.png")
     if chart.flaws:
         kept = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
         pictures.grooves(run, chart.voltages, [chart.flaws[k] for k in kept], output / "flaws.png")

@@ -12,9 +12,9 @@ from scipy.signal import find_peaks
 
 from probe_env.arrays import FloatArray
 from probe_env.inspection.flaw import shape
-from probe_env.inspection.matched import SLOWEST, response_of
+from probe_env.inspection.matched import response_of
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, INVERSE, STEP
+from probe_env.inspection.spectrum import INVERSE, SPAN
 
 FLAW_REACH: Final = 1.5
 """Widths from a flaw within which it is seen: g(1.5) is below 1e-17."""
@@ -120,29 +120,17 @@ def channels(
     return np.asarray(voltages - voltages.mean(axis=0))
 
 
-def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The signal (k,) along the flaw behind the matched filter of each control period, over its noise's deviation.
-
-    Returns:
-        time [s], place [m] and value, (n,) each, a mean over ``STEP`` a value.
-    """
-    each = round(STEP / passage.sample_period)
-    count = len(signal) // each
-    means = signal[: count * each].reshape(count, each).mean(axis=1)
-    padded = np.pad(means, COUNT)
-    values = np.zeros(count)
-    width = passage.period // each
-    for number, begin in enumerate(range(0, count, width)):
-        end = min(begin + width, count)
-        middle = begin + COUNT + (end - begin) // 2
-        around = padded[middle - COUNT // 2 - width : middle + COUNT // 2 + width]
-        feed = max(abs(float(passage.feed[begin * each])), SLOWEST)
-        spectrum = INVERSE * passage.spectrum[min(number, len(passage.spectrum) - 1)]
-        out = response_of(sensor, feed, spectrum, around)
-        inner = len(around) // 2 - (end - begin) // 2
-        values[begin:end] = out[inner : inner + end - begin]
-    middles = np.arange(count) * each + each // 2
-    return passage.time[middles], passage.place[middles], values
+def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray:
+    """(k,) the signal (k,) along the flaw behind the filter of each control period, over its noise's deviation."""
+    around = round(SPAN / passage.sample_period)
+    padded = np.pad(signal, around)
+    values = np.zeros(len(signal))
+    for number, begin in enumerate(range(0, len(signal), passage.period)):
+        part = padded[begin : begin + passage.period + 2 * around]
+        feed, spectrum = float(passage.feed[begin]), INVERSE * passage.spectrum[number]
+        out = response_of(sensor, feed, spectrum, part, passage.sample_period)
+        values[begin : begin + passage.period] = out[around : around + passage.period]
+    return values
 
 
 def calls(values: FloatArray, place: FloatArray, z: float, width: float) -> FloatArray:

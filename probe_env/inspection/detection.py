@@ -10,6 +10,7 @@ import math
 from typing import Final
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from probe_env.arrays import FloatArray
@@ -18,7 +19,7 @@ from probe_env.inspection.sensor import GROOVE, Sensor
 
 DEPTHS: Final = np.geomspace(0.02, 1.0, 21)
 """Shares of the wall at which curves are kept."""
-EDGES: Final = np.linspace(-8.0, 8.0, 65)
+EDGES: Final = np.linspace(-16.0, 16.0, 129)
 """Of the histogram of excursions."""
 MIDDLES: Final = 0.5 * (EDGES[1:] + EDGES[:-1])
 LEAST_GAUSSIAN: Final = 1e-3
@@ -65,6 +66,26 @@ def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray
     for weight, excursion in zip(weights, motion, strict=True):
         values += weight * ndtr((snr - z + np.sqrt(share) * excursion) / np.sqrt(1.0 - share))
     return values
+
+
+def threshold_as_seen(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
+    """The threshold that noise as it was seen exceeds over as much of the length as Gaussian noise does ``z``.
+
+    Never below ``z``: what the few excursions of one tube do not show may come in the next.
+
+    Args:
+        z: threshold for Gaussian noise.
+        lengths: (n,) of the places [m].
+        share: (n,) of the noise's variance that is motion.
+        counts: (len(MIDDLES),) of its excursions.
+    """
+    weights = lengths / lengths.sum()
+
+    def above(level: float) -> float:
+        exceeded = pod_as_seen(np.zeros((len(share), 1)), level, share, counts)[:, 0]
+        return float((weights * exceeded).sum() / ndtr(-z) - 1.0)
+
+    return z if above(z) <= 0.0 else float(brentq(above, z, EDGES[-1] + 2.0 * z, xtol=1e-3))
 
 
 def depths_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> FloatArray:

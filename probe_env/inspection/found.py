@@ -9,7 +9,16 @@ import numpy as np
 from scipy.stats import normaltest
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.detection import DEPTHS, EDGES, depth_found, pod_as_seen, pod_gaussian, snr_at, threshold
+from probe_env.inspection.detection import (
+    DEPTHS,
+    EDGES,
+    depth_found,
+    pod_as_seen,
+    pod_gaussian,
+    snr_at,
+    threshold,
+    threshold_as_seen,
+)
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import COUNT
 
@@ -54,6 +63,13 @@ class Found:
             return True
         return bool(normaltest(self.singles).pvalue >= SUSPECT)
 
+    def threshold(self, tube_length: float) -> float:
+        """Above which a flaw is called, in deviations of the noise; higher where the motion is spiky."""
+        z, lengths = threshold(self.sensor, tube_length), np.array(self.lengths)
+        if self.gaussian or lengths.sum() <= 0.0:
+            return z
+        return threshold_as_seen(z, lengths, np.array(self.shares), self.counts)
+
     def curve(self, length: float, tube_length: float) -> FloatArray:
         """Probability of detection (d,) at ``DEPTHS``, mean over ``length`` [m]; nothing is found where no sensor was.
 
@@ -61,9 +77,8 @@ class Found:
         """
         if not self.lengths or length <= 0.0:
             return np.zeros(len(DEPTHS))
-        z, snr = threshold(self.sensor, tube_length), snr_at(self.sensor, np.array(self.snr))
-        share = np.array(self.shares)
-        pod = pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, share, self.counts)
+        z, snr = self.threshold(tube_length), snr_at(self.sensor, np.array(self.snr))
+        pod = pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, np.array(self.shares), self.counts)
         # a plain sum: a matrix product rounds by where its arrays lie
         return np.asarray((np.array(self.lengths)[:, None] * pod).sum(axis=0) / max(length, sum(self.lengths)))
 
@@ -79,5 +94,6 @@ class Found:
             "length_with_snr_over_3_m": over,
             "noise_peak_to_peak_v": peaks,
             "noise_gaussian": float(self.gaussian),
+            "call_threshold": self.threshold(tube_length),
             **dict(zip(POD_NAMES, map(float, pod), strict=True)),
         }

@@ -80,19 +80,22 @@ def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatA
     return Heard(snr, share, np.abs(sensor.seen_gain) * np.ptp(motion, axis=1), excursions)
 
 
-def response_of(sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray) -> FloatArray:
-    """(n,) a signal (n,) [V], means over ``STEP``, behind the matched filter, over its noise's deviation.
+def response_of(
+    sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray, sample_period: float
+) -> FloatArray:
+    """(n,) a signal (n,) [V] behind the matched filter, over its noise's deviation.
 
     Args:
         sensor: its constants.
         feed: feed speed [m/s].
         spectrum: (m,) density of the motion at ``FREQUENCY`` [m2/Hz].
         signal: (n,) along the direction of the flaw.
+        sample_period: [s].
     """
     passing = sensor.flaw_width / max(abs(feed), SLOWEST)
-    frequency = np.fft.rfftfreq(len(signal), STEP)
+    frequency = np.fft.rfftfreq(len(signal), sample_period)
     noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
     gain = np.sqrt(power(frequency * passing)) / noise
     deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
-    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain / np.sinc(frequency * STEP), len(signal))
+    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain, len(signal))
     return np.asarray(out / deviation)

@@ -146,3 +146,13 @@ def test_silence_is_the_electronics_alone():
     assert (told.share == 0.0).all()
     assert (told.excursions == 0.0).all()
     assert told.snr == pytest.approx(7.5 * np.sqrt(0.2 / FEEDS), rel=1.1e-3)
+
+
+def test_slow_feed_helps_twice():
+    """Half the feed gives sqrt(2) in white noise; of ringing at 14 Hz the flaw's band moves away as well."""
+    _, truth = ringing(np.random.default_rng(4), 1, 1, 2e-6)
+    fast, slow = snr_of_groove(Sensor(), np.array([0.2, 0.1]), np.tile(truth, (2, 1)))
+    white = np.full_like(truth, truth.mean())
+    fast_white, slow_white = snr_of_groove(Sensor(), np.array([0.2, 0.1]), np.tile(white, (2, 1)))
+    assert slow_white / fast_white == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    assert slow / fast > 1.2 * np.sqrt(2.0)
