@@ -40,3 +40,5 @@ def shown_of(columns: Iterable[str]) -> dict[str, tuple[str, float, str]]:
 
 CARRIED = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 """Columns of an episode's profile, SI units."""
+HEARD = ("noise_rms_m",)
+"""Alike, of episodes that were stored since there is a sensor: noise in the band of a flaw, as radial rms."""

@@ -344,4 +344,5 @@ class Episodes:
             "air_supply_rate": float(window.air_supply_rate[k]),
             **{name: float(window.statistics[name][k]) for name in names},
             "snr": 1.0 / noise if noise > 0.0 else 0.0,
+            "noise_rms_m": float(self.config.sensor.equivalent_rms(np.array(noise))),
         }

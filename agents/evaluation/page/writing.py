@@ -179,8 +179,8 @@ def _pictures(done: Evaluation, summary: pd.DataFrame, fronts: pd.DataFrame | No
         ]
         if found.tells(done.table):
             text = (
-                "Probability that a flaw is called over its depth, mean over the tubes' length, with 95 % bands over the"
-                " tubes. Depths are relative to the two anchors of the sensor (docs/inspection/signal.md)."
+                "Probability that a flaw is called over its depth, mean over the tubes' length, with 95 % bands over"
+                " the tubes. Depths are relative to the two anchors of the sensor (docs/inspection/signal.md)."
             )
             drawn.append(("What is found", text, curves(found.bands(done.table), folder / "pod.png")))
         if fronts is not None:
