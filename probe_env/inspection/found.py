@@ -75,16 +75,20 @@ class Found:
 
         ``tube_length`` [m] is what false calls are counted over.
         """
+        return self._curve(length, self.threshold(tube_length))
+
+    def _curve(self, length: float, z: float) -> FloatArray:
         if not self.lengths or length <= 0.0:
             return np.zeros(len(DEPTHS))
-        z, snr = self.threshold(tube_length), snr_at(self.sensor, np.array(self.snr))
+        snr = snr_at(self.sensor, np.array(self.snr))
         pod = pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, np.array(self.shares), self.counts)
         # a plain sum: a matrix product rounds by where its arrays lie
         return np.asarray((np.array(self.lengths)[:, None] * pod).sum(axis=0) / max(length, sum(self.lengths)))
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
         """Figures by name; ``length`` is all that was to be inspected [m]. Depths are in % of the wall."""
-        pod, metres = self.curve(length, tube_length), np.array(self.lengths)
+        z, metres = self.threshold(tube_length), np.array(self.lengths)
+        pod = self._curve(length, z)
         inspected = float(metres.sum()) if len(metres) else 0.0
         over = float(metres[np.array(self.snr) >= GOOD].sum()) if inspected else 0.0
         peaks = float((metres * self.peaks).sum()) / inspected if inspected > 0.0 else 0.0
@@ -94,6 +98,6 @@ class Found:
             "length_with_snr_over_3_m": over,
             "noise_peak_to_peak_v": peaks,
             "noise_gaussian": float(self.gaussian),
-            "call_threshold": self.threshold(tube_length),
+            "call_threshold": z,
             **dict(zip(POD_NAMES, map(float, pod), strict=True)),
         }
