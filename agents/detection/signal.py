@@ -18,7 +18,7 @@ from agents.policies.places import Place
 from agents.records.atomic import write_atomically
 from agents.records.provenance import provenance, write_json
 from agents.records.reading import read_parquet
-from agents.records.tables import EPISODES
+from agents.records.tables import EPISODES, EPISODES_FOUND
 from agents.rollouts import found
 from agents.rollouts.statistics import grouped
 from agents.terminal.tables import print_table
@@ -209,7 +209,7 @@ def draw_curves(evaluation: Path, output: Path) -> None:
         FileNotFoundError: there is no such evaluation.
         ValueError: its episodes were stored before there was a sensor.
     """
-    table = grouped(read_parquet(evaluation / "episodes.parquet", EPISODES))
+    table = grouped(read_parquet(evaluation / "episodes.parquet", EPISODES, EPISODES_FOUND))
     if not found.tells(table):
         raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
     curves = found.bands(table)

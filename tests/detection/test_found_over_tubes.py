@@ -5,7 +5,11 @@ import pandas as pd
 import pytest
 
 from agents.detection import pictures
+from agents.detection.signal import draw_curves
+from agents.records.columns import FOUND, KPIS
+from agents.records.models import ENDINGS
 from agents.rollouts import found
+from probe_env import Context
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
 from probe_env.inspection.found import POD_NAMES
 from probe_env.inspection.sensor import Sensor
@@ -56,3 +60,17 @@ def test_bands_and_their_picture(tmp_path):
     assert pictures.curves(bands, tmp_path / "pod.png").stat().st_size > 5000
     assert found.tells(both)
     assert not found.tells(both.drop(columns=POD_NAMES[0]))
+
+
+def test_curves_of_a_stored_evaluation(tmp_path, capsys):
+    """What older episodes lack is said; what newer ones have is read from their file."""
+    whole = table(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *FOUND, *Context.model_fields), 1.0))
+    whole = whole.assign(**dict.fromkeys(ENDINGS, 0.0))
+    whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
+    with pytest.raises(ValueError, match="its episodes have no curves of detection: run the evaluation again"):
+        draw_curves(tmp_path, tmp_path / "out")
+    whole.to_parquet(tmp_path / "episodes.parquet", index=False)
+    draw_curves(tmp_path, tmp_path / "out")
+    assert "over 3 tubes" in capsys.readouterr().out
+    assert len(pd.read_csv(tmp_path / "out" / "pod.csv")) == len(DEPTHS)
+    assert (tmp_path / "out" / "pod.png").exists()

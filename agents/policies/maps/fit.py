@@ -14,7 +14,7 @@ from agents.policies.fixed import FixedPolicy
 from agents.policies.maps.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from agents.records.provenance import provenance, write_json
 from agents.records.reading import read_parquet
-from agents.records.tables import PROFILE
+from agents.records.tables import PROFILE, PROFILE_HEARD
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.arrays import FloatArray
@@ -125,7 +125,7 @@ def make_map(seeds: int, output: Path, target: Path, plant: Plant | None = None)
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
     plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
     run_plan(plan, output)
-    profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts)
+    profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
     fitted.save(target)
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
