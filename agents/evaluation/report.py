@@ -15,7 +15,7 @@ from agents.policies.catalogue import domains_of, named_policies
 from agents.policies.domain import check_domains
 from agents.policies.places import Place
 from agents.processes.workers import HERE, Workers
-from agents.records.columns import KPIS
+from agents.records.columns import shown_of
 from agents.records.provenance import write_json
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
 from agents.rollouts.statistics import Interval, endings, grouped, method_and_seed, sentences, summarise
@@ -80,7 +80,7 @@ def evaluate(
 
 def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
-    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()))
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown_of(table.columns).values()))
     rows = ((policy, *cells) for policy, cells in kpi_cells(table))
     print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
@@ -98,7 +98,7 @@ def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
     for policy in dict.fromkeys(summary["policy"]):
         part = summary[summary["policy"] == policy].set_index("kpi")
         cells = []
-        for kpi, (_, factor, _) in KPIS.items():
+        for kpi, (_, factor, _) in shown_of(table.columns).items():
             row = part.loc[kpi]
             cells.append(Interval(row["mean"], row["low"], row["high"]).text(factor))
         rows.append((str(policy), cells))

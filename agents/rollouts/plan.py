@@ -22,7 +22,7 @@ from tqdm import tqdm
 from agents.processes.workers import HERE, Workers
 from agents.records import reading as stored
 from agents.records.code_hash import class_hash, code_hash
-from agents.records.columns import CARRIED
+from agents.records.columns import CARRIED, HEARD
 from agents.records.models import Setting
 from agents.records.provenance import commit, provenance, write_json
 from agents.rollouts.folder import UNFINISHED, episodes_of, gathered, write_tables
@@ -216,7 +216,7 @@ def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, thr
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
             if info.get("way", 1.0) > 0.0:  # per metre of the way in
-                profile[k].append(tuple(float(info[name]) for name in CARRIED))
+                profile[k].append(tuple(float(info[name]) for name in (*CARRIED, *HEARD)))
             if "episode_kpis" in info:
                 yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k], probes[k])
 
@@ -239,18 +239,19 @@ def _line(
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, np.ndarray]:
-    """Periods (the columns of ``CARRIED``) gathered by metre of inserted length: means, but root mean square of rms.
+    """Periods (of ``CARRIED`` and ``HEARD``) gathered by metre of inserted length: means, but root mean square of rms.
 
     ``inserted_length`` is then the middle of the metre, ``time`` that of its last period.
     """
+    names, squared = (*CARRIED, *HEARD), ["radial_rms_m", *HEARD]
     if not profile:
-        return {name: np.zeros(0) for name in CARRIED}
-    periods = pd.DataFrame(profile, columns=list(CARRIED))
+        return {name: np.zeros(0) for name in names}
+    periods = pd.DataFrame(profile, columns=list(names))
     # the period that ends on a whole metre belongs to the metre before
     metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0
-    groups = periods.assign(radial_rms_m=periods["radial_rms_m"] ** 2).groupby(metre)
+    groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
     gathered = groups.mean()
-    gathered["radial_rms_m"] **= 0.5
+    gathered[squared] **= 0.5
     gathered["time"] = groups["time"].max()
     gathered["inserted_length"] = gathered.index + 0.5
-    return {name: gathered[name].to_numpy() for name in CARRIED}
+    return {name: gathered[name].to_numpy() for name in names}
