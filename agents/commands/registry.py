@@ -20,6 +20,9 @@ class Entry(NamedTuple):
 
 
 USERS: Final = {
+    "app": Entry(
+        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
+    ),
     "simulate": Entry(
         "study:Simulate", "one scene by any method: statistics, signals and figures",
         "probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2",

@@ -17,6 +17,7 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
     page = capsys.readouterr().out
     assert page == first_page() + "\n"
     assert tuple(USERS) == (
+        "app",
         "simulate",
         "evaluate",
         "log",

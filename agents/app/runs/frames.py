@@ -92,10 +92,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class Planned:
-    """A run has begun: its episodes, and what was said of its policies."""
+    """A run has begun.
+
+    Attributes:
+        episodes: that it has.
+        notes: what was said of its policies.
+        limit: of the radial rms [m]; None: the task's is one of another measure.
+    """
 
     episodes: int
     notes: tuple[str, ...]
+    limit: float | None
 
 
 @dataclass(frozen=True)

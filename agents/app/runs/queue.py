@@ -34,6 +34,7 @@ class Run:
         done, planned: episodes.
         problem: why it failed, or what happened on the way.
         notes: what was said of its policies.
+        limit: of the radial rms [m]; None: not known, or of another measure.
         frame: the last one.
         film: the last slow motion.
         films: how many there were.
@@ -47,6 +48,7 @@ class Run:
     planned: int = 0
     problem: str = ""
     notes: tuple[str, ...] = ()
+    limit: float | None = None
     frame: Frame | None = None
     film: Motion | None = None
     films: int = 0
@@ -62,7 +64,8 @@ class Run:
         """Take in what the worker tells."""
         match message:
             case Planned():
-                self.planned, self.notes, self.traces = message.episodes, message.notes, {}
+                self.planned, self.notes, self.limit = message.episodes, message.notes, message.limit
+                self.traces = {}
             case Frame():
                 self.frame, self.done, self.planned = message, message.done, message.planned
                 for unit, rows in message.rows:

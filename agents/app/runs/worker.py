@@ -84,7 +84,8 @@ class _Run:
             claim_folder(plan, self.wanted.output, against, self.wanted.own)
             self.planned = len(plan.units())
             self.done = self.planned - len(_missing(plan, self.wanted))
-            self._send(Planned(self.planned, tuple(str(w.message) for w in told)))
+            limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
+            self._send(Planned(self.planned, tuple(str(w.message) for w in told), limit))
             run_plan(plan, self.wanted.output, progress=False, source=self._source)
             self._send(Over("finished"))
         except _StoppedError:
