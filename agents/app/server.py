@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import webbrowser
 from pathlib import Path
 from typing import Any, Final
@@ -76,6 +77,12 @@ def _checked(handler: RequestHandler) -> str:
     return "here"
 
 
+def _free_port() -> int:
+    """A port that nobody listens at: the origins that are let in must name it."""
+    with socket.create_server((HERE[1], 0)) as probe:
+        return int(probe.getsockname()[1])
+
+
 def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
     """Serve the page until it is interrupted.
 
@@ -114,8 +121,9 @@ def server_of(office: Office, tube: Path | None, port: int) -> Server:
     def open_page(document: Document) -> None:
         page_of(office, tube).add_to(document)
 
-    origins = [f"{host}:{port or '*'}" for host in HERE]
+    taken = port or _free_port()
+    origins = [f"{host}:{taken}" for host in HERE]
     return Server(
-        {"/": Application(FunctionHandler(open_page))}, address=HERE[1], port=port, allow_websocket_origin=origins,
+        {"/": Application(FunctionHandler(open_page))}, address=HERE[1], port=taken, allow_websocket_origin=origins,
         extra_patterns=[(REPORT, _Report)], auth_provider=_LocalOnly(), check_unused_sessions_milliseconds=10_000,
     )  # fmt: skip

@@ -20,9 +20,6 @@ class Entry(NamedTuple):
 
 
 USERS: Final = {
-    "app": Entry(
-        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
-    ),
     "simulate": Entry(
         "study:Simulate", "one scene by any method: statistics, signals and figures",
         "probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2",
@@ -62,6 +59,9 @@ USERS: Final = {
     "design": Entry(
         "design:DesignSearch", "a search for better probes",
         "probe-env design --trials 100 --limit 6 --jobs 2",
+    ),
+    "app": Entry(
+        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
     ),
 }  # fmt: skip
 """What the project is for."""

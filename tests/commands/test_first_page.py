@@ -17,7 +17,6 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
     page = capsys.readouterr().out
     assert page == first_page() + "\n"
     assert tuple(USERS) == (
-        "app",
         "simulate",
         "evaluate",
         "log",
@@ -28,6 +27,7 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
         "tune",
         "compare",
         "design",
+        "app",
     )
     places = [page.index(f"\n  {name} ") for name in (*USERS, *MAKERS)]
     assert places == sorted(places)

@@ -68,7 +68,7 @@ class ScheduleScreen:
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
         self.place: Place = desk.place()
-        self.points = ColumnDataSource(dict(desk.points))
+        self.points = ColumnDataSource(dict(desk.points), name="points")
         self.mirror = ColumnDataSource(dict(desk.points), name="mirror")
         self.band = ColumnDataSource({"length": [], "low": [], "middle": [], "high": []}, name="expected")
         self.lines = ColumnDataSource({"name": [], "colour": [], "dash": [], "length": [], FEED: [], AIR: []})
@@ -120,7 +120,7 @@ class ScheduleScreen:
         return self.place.config.feed_speeds, (low * HOUR, high * HOUR)
 
     def _editable(self, column: str, label: str) -> Any:
-        plot = chart("inserted length [m]", label, 210, x_range=self.along, y_range=(0.0, 1.0), tools="reset")
+        plot = chart("inserted length [m]", label, 210, x_range=self.along, y_range=(0.0, 1.0), tools="", name=column)
         plot.multi_line("length", column, source=self.lines, color="colour", line_dash="dash", line_width=1.6,
                         alpha=0.9, **({"legend_field": "name"} if column == FEED else {}))  # fmt: skip
         plot.line(LENGTH, column, source=self.points, color=BLUE, line_width=3)
