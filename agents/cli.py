@@ -9,13 +9,11 @@ from typing import Any, Final
 
 from agents.processes.interrupts import heard, tell
 
-EXTRAS: Final = {
-    "agents": (
-        "cmaes", "moocore", "openpyxl", "optuna", "pint", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"
-    ),
-    "app": ("bokeh", "tornado"),
-}  # fmt: skip
-"""Modules of the extras, which commands import when they need them."""
+AGENTS: Final = (
+    "cmaes", "moocore", "openpyxl", "optuna", "pint", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"
+)  # fmt: skip
+"""Modules of the extra "agents", which commands import when they need them."""
+EXTRAS: Final = {"agents": AGENTS, "app": ("bokeh", "tornado")}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -42,7 +43,9 @@ def line_of(spec: str, place: Place) -> Line:
         FileNotFoundError: no such file.
         ValueError: no such policy, or one that decides by what it feels.
     """
-    policy = make_policy(spec, place.config.all_shown, place.vibration)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the device does not give is not in the line that is drawn
+        policy = make_policy(spec, place.config.all_shown, place.vibration)
     if isinstance(policy, Replayed):
         return _over_length(policy.schedule)
     if not isinstance(policy, FixedPolicy) or (spec not in BY_LENGTH and not hasattr(policy, "schedule")):

@@ -41,13 +41,13 @@ def points_of(schedule: Schedule) -> Points:
 
 
 def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
-    """Points after a drag: in order, within the helix and what the feed device and the air supply give.
+    """Points after a drag: in order, within what the feed device and the air supply give; beyond the helix they may be.
 
     What is ``MISSING`` is filled in straight between the neighbours.
     """
     columns = np.array([[_finite(value) for value in points[name]] for name in NAMES], dtype=float)
     columns = columns[:, np.argsort(columns[0], kind="stable")]
-    length = np.clip(columns[0], 0.0, config.scene.tube.helix_length)
+    length = np.maximum(columns[0], 0.0)
     for k in range(1, len(length)):
         length[k] = max(length[k], length[k - 1] + LEAST_GAP)
     ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))

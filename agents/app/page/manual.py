@@ -66,6 +66,8 @@ class ManualScreen:
             side_by_side(panel(below(self.unrolled.layout), 380), panel(self.traces.layout, 380),
                          styles={"align-items": "flex-start"}),
         )  # fmt: skip
+        self.pictures = self.layout.children[-1]
+        self.pictures.visible = False
         self.refresh_place()
         self.refresh()
 
@@ -96,6 +98,7 @@ class ManualScreen:
         self.score.text = "".join(lines) + over.get(run.state, "") + problem(run.problem)
         self.hold.label = "go on" if self._paused() else "pause"
         if run.frame is not None and run.frame.shape is not None:
+            self.pictures.visible = True
             self.unrolled.show(run.frame.shape)
         self._round += 1
         if self._round % 3 == 0 or run.state != "running":

@@ -105,8 +105,8 @@ class ScheduleScreen:
             self.wrong.text = problem(refusal(error))
             return
         config = self.place.config
-        for plot, (low, high) in zip(self.charts, self._ranges(), strict=True):
-            plot.y_range.update(start=0.0, end=1.12 * high)
+        for plot, column, (low, high) in zip(self.charts, (FEED, AIR), self._ranges(), strict=True):
+            plot.y_range.update(start=0.0, end=1.12 * max(high, *self.desk.points[column]))
             plot.center[-1].update(bottom=low, top=high)
         self.along.update(start=0.0, end=config.scene.tube.helix_length * 1.01)
         displaced = config.vibration_measure == "displacement"

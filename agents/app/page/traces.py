@@ -39,7 +39,7 @@ class Traces:
         for number, column in enumerate(columns):
             label, _, scale = KINDS[column]
             shared = {"x_range": self.charts[0].x_range} if self.charts else {}
-            plot = chart("inserted length [m]", label, height, y_axis_type=scale, toolbar_location="right", **shared)
+            plot = chart("inserted length [m]", label, height, y_axis_type=scale, **shared)
             drawn = plot.multi_line(
                 "length", column, source=self.source, color="colour", line_dash="dash", line_width="width",
                 **({"legend_field": "name"} if number == 0 else {}),
