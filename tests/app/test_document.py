@@ -13,7 +13,7 @@ from agents.app.server import server_of
 class Idle:
     """A line of runs without a worker."""
 
-    runs = ()
+    runs: tuple[()] = ()
     changes = 0
 
 

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import sync_playwright
 
 CHROMIUM = os.environ.get("PROBE_ENV_CHROMIUM", "/usr/bin/chromium")
-LONG = 60_000
+LONG = 120_000
 """[ms] that a test waits for what takes seconds: only what hangs takes so long."""
 SHORT_TUBE = """[tube]
 helix_length = 7.0

@@ -1,5 +1,6 @@
 """The page in a real browser: what is dragged, typed, run and compared, and what is refused."""
 
+import io
 import json
 import os
 import re
@@ -8,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import opened, served
+from PIL import Image
 
 from agents.cli import main
 from agents.records.columns import KPIS
@@ -254,7 +256,10 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
                 page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m in")).wait_for()
             page.wait_for_timeout(500)  # what was hidden is laid out
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            page.screenshot(path=folder / f"{title}-{width}.png", full_page=True)
+            taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))
+            taken.convert("RGB").quantize(96).save(
+                folder / f"{title}-{width}.png", optimize=True
+            )  # a third of the bytes
             if title == "insertion":
                 page.get_by_role("button", name="go on", exact=True).first.click()
                 page.locator("[data-state=finished]").wait_for()

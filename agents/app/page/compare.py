@@ -148,6 +148,7 @@ class _Front:
     def __init__(self) -> None:
         self.plot = chart("inspection time [s]", "radial rms [mm]", 330, y_axis_type="log",
                           tools="pan,wheel_zoom,reset", title="Down and left is better; bars: 95 %")  # fmt: skip
+        self.plot.x_range.range_padding = self.plot.y_range.range_padding = 0.25  # room for names
         names = ("name", "colour", "x", "y", "x_low", "x_high", "y_low", "y_high")
         self.source = ColumnDataSource({name: [] for name in names})
         for dimension, base, low, high in (("height", "x", "y_low", "y_high"), ("width", "y", "x_low", "x_high")):

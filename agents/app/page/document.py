@@ -110,7 +110,7 @@ def page_of(office: Office, tube: Any = None) -> Page:
         office: what it shares with the others.
         tube: a plant's file or the name of one that ships; None: the study's tubes.
     """
-    desk = Desk(office)
+    desk = Desk(office, run=next(reversed(office.queue.runs), None))
     if tube is not None:
         desk.tube.open(tube)
     return Page(desk)

@@ -43,7 +43,7 @@ class InsertionScreen:
         self.desk = desk
         self.unrolled, self.slow = Unrolled(), SlowMotion()
         self.traces = Traces(("radial_rms_m", "feed_speed", "air_supply_rate"))
-        self.signal = chart("time before now [s]", "sensor, radial [mm]", 150)
+        self.signal = chart("time before now [s]", "sensor [mm]", 150)
         self.samples = self.signal.line([], [], line_width=1.2, color="#009E73").data_source
         self.told, self.seen, self.wrong = words(name="run-words"), words(), words(name="run-problem")
         self.list = RunList(desk, self._look_at)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -41,6 +42,13 @@ def stored_runs(folder: Path) -> list[Stored]:
 
 def described(folder: Path) -> Stored:
     """A stored evaluation, in words."""
+    files = (folder / WHOLE, folder / UNFINISHED, episodes_of(folder).path)
+    return _described(folder, tuple(path.stat().st_mtime_ns if path.exists() else 0 for path in files))
+
+
+@lru_cache(maxsize=4096)
+def _described(folder: Path, changed: tuple[int, ...]) -> Stored:
+    """As it was when its files had last changed: a page lists all folders again and again."""
     whole = not (folder / UNFINISHED).exists()
     try:
         if not whole:
