@@ -217,5 +217,5 @@ def _seen(seen: dict[str, float], run: Run, frame: Frame) -> str:
     return (
         f"<h2>What {escape(unit[0])} sees and does</h2>"
         f"<p>It asked for <b>{fed:.3f} m/s</b> and <b>{blown:.0f} m³/h</b>.</p>"
-        f"<table><tbody>{''.join(cells)}</tbody></table>"
+        f"<table class='folds'><tbody>{''.join(cells)}</tbody></table>"
     )

@@ -20,7 +20,7 @@ html { color-scheme: light; }
 body { margin: 0; padding: 10px 16px 40px; font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; }
 """
 TEXT: Final = """
-:host { font-size: 15px; line-height: 1.45; max-width: 100%; }
+:host { font-size: 15px; line-height: 1.45; max-width: 100%; overflow-x: auto; }
 h1 { font-size: 21px; margin: 0; } h2 { font-size: 17px; margin: 12px 0 2px; } p { margin: 3px 0; }
 .problem { color: #a33a00; font-weight: 600; } .problem::before { content: "\\26A0\\00A0"; }
 .quiet { color: #555; } .big { font-size: 19px; }
@@ -28,7 +28,7 @@ h1 { font-size: 21px; margin: 0; } h2 { font-size: 17px; margin: 12px 0 2px; } p
 table { border-collapse: collapse; font-size: 14px; }
 th, td { text-align: right; padding: 3px 10px; border-bottom: 1px solid #ddd; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; } thead th { white-space: normal; vertical-align: bottom; }
-small { color: #555; display: block; } td.best { font-weight: 700; }
+table.folds td { white-space: normal; } small { color: #555; display: block; } td.best { font-weight: 700; }
 code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
 """
 CONTROL: Final = """
