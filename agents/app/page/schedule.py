@@ -48,7 +48,7 @@ from agents.terminal.refusals import refusal
 from probe_env.schedule import AIR, FEED, Schedule
 
 MM: Final = 1e3
-AT_ONCE: Final = 40
+AT_ONCE: Final = 20
 """Milliseconds between two looks at points that are being dragged."""
 WHILE_DRAGGED: Final = """
 if (window.probe_dragged) return;
