@@ -257,7 +257,7 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
             page.wait_for_timeout(500)  # what was hidden is laid out
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
             taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))
-            taken.convert("RGB").quantize(96).save(
+            taken.convert("RGB").quantize(256).save(
                 folder / f"{title}-{width}.png", optimize=True
             )  # a third of the bytes
             if title == "insertion":
