@@ -64,6 +64,9 @@ USERS: Final = {
         "design:DesignSearch", "a search for better probes",
         "probe-env design --trials 100 --limit 6 --jobs 2",
     ),
+    "app": Entry(
+        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
+    ),
 }  # fmt: skip
 """What the project is for."""
 MAKERS: Final = {

@@ -63,6 +63,21 @@ def evaluate(
             f"check_fidelity = {checks.level!r} replays tube by tube, for which other probes are drawn:"
             " with probes = 'random' it must be no, half-step or acting"
         )
+    reference = claim_folder(plan, output, against, own)
+    table = run_plan(plan, output, workers=workers)
+    write_report(output)
+    print_summary(grouped(table), reference)
+    run_checks(checks, plan, table, output, workers)
+    print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
+    return table
+
+
+def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[str]) -> str:
+    """Note in a folder what its report is to compare; gives the policy that the others are compared with.
+
+    Raises:
+        ValueError: there is no such policy, or the folder holds another evaluation; nothing was written.
+    """
     methods = [method_and_seed(name)[0] for name in plan.policies]
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
@@ -70,12 +85,7 @@ def evaluate(
     stored_episodes(plan, output)  # refuses a folder before anything is written to it
     mine = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
     write_json(output / "report.json", {"against": reference, "own": mine})
-    table = run_plan(plan, output, workers=workers)
-    write_report(output)
-    print_summary(grouped(table), reference)
-    run_checks(checks, plan, table, output, workers)
-    print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
-    return table
+    return reference
 
 
 def print_summary(table: pd.DataFrame, against: str) -> None:

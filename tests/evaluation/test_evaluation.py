@@ -96,7 +96,7 @@ def test_a_line_that_was_cut_off_is_run_again(tmp_path):
 
 def test_what_is_done_is_not_done_again_and_another_setting_is_refused(tmp_path, monkeypatch):
     run_plan(plan(), tmp_path, progress=False)
-    monkeypatch.setattr("agents.rollouts.plan.Episodes", None)  # running anything would fail
+    monkeypatch.setattr("agents.rollouts.playing.Episodes", None)  # running anything would fail
     assert len(run_plan(plan(), tmp_path, progress=False)) == 12
     with pytest.raises(ValueError, match="another setting"):
         run_plan(plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), tmp_path, progress=False)

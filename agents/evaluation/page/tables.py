@@ -81,10 +81,16 @@ def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
 
 def _ended(row: Mapping[str, int]) -> Cell:
     """Insertions that came to their end, and why others did not."""
+    complete, _, told = ended(row).partition(", ")
+    return Cell(complete, told)
+
+
+def ended(row: Mapping[str, int]) -> str:
+    """How many insertions came to their end, and why others did not, in words."""
     late = row["episodes"] - row["complete"] - row["lost_drive"] - row["diverged"]
     reasons = (("lost drive", row["lost_drive"]), ("diverged", row["diverged"]), ("out of time", late))
-    told = ", ".join(f"{count} {reason}" for reason, count in reasons if count)
-    return Cell(f"{row['complete']} of {row['episodes']} complete", told)
+    told = [f"{count} {reason}" for reason, count in reasons if count]
+    return ", ".join([f"{row['complete']} of {row['episodes']} complete", *told])
 
 
 def by_diameter(table: pd.DataFrame, told: Collection[str]) -> tuple[list[str], list[Row]]:
