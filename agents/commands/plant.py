@@ -174,3 +174,23 @@ class Plants:
 
         run_study(self.limit, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (gains.csv, episodes.csv)")
+
+
+@dataclass(frozen=True)
+class Passes:
+    """Play schedules in and back, for both of the study's probes: where is it worth to look?"""
+
+    limit: int = 12
+    """Tubes of the test list, the first of it, which are balanced."""
+    fidelity: str = "fast"
+    """How closely to simulate: fast, standard or study."""
+    output: Path = Path("output/passes")
+    """Folder of the tables; episodes that are there already are not played again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Play, store, print."""
+        from agents.evaluation.passes import run_study
+
+        run_study(self.limit, self.fidelity, self.output, self.workers)
+        print(f"written: {self.output}/ (passes.csv, episodes.csv)")

@@ -87,7 +87,7 @@ def band(
         raise table.error(
             rows[row],
             f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m that"
-            " are taken for noise - the return is not modelled: cut the file there, or --backward",
+            " are taken for noise - a log is of the way in: cut the file there, or --backward",
             k,
         )
     most = POSITIONS["inserted_length_m"][1]

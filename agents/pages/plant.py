@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import pandas as pd
+
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
 from agents.calibration.unknowns import UNKNOWNS
+from agents.evaluation import passes as passes_study
 from agents.pages.sources import RESULTS, command
-from agents.records.models import Figures
+from agents.recommendation import plants as plants_study
+from agents.records.models import Figures, Record
 from agents.records.reading import read_json
 
 
@@ -54,6 +60,56 @@ def recommendations() -> str:
         f" {100.0 * told['share of what knowing brings']:.0f} % of the {told['gain by knowing the tube']:+.1f} that"
         f" knowing the tube would bring. {_source(figures)}"
     )
+
+
+def plants() -> str:
+    """Policies in plants of other bores and lengths."""
+    folder = RESULTS / "plants"
+    summary, figures = pd.read_csv(folder / "gains.csv"), read_json(folder / "provenance.json", Record)
+    rows = [f"| {' | '.join(map(str, row))} |" for row in plants_study.cells(summary)]
+    told = summary[summary["policy"] == "tension-scheduled"]
+    worse = told[told["high"] < 0.0]["plant"].tolist()
+    verdict = (
+        f"`tension-scheduled` is worse by more than scatter in {', '.join(worse)}"
+        if worse
+        else "`tension-scheduled` is nowhere worse by more than scatter"
+    )
+    record = figures.model_dump()
+    return (
+        f"| {' | '.join(plants_study.HEADER)} |\n{'|---' * len(plants_study.HEADER)}|\n" + "\n".join(rows) + "\n\n"
+        f"Reward less that of the best fixed schedule for the plant, {record['limit']} tubes each, paired 95 %"
+        f" intervals: {verdict}. Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def passes() -> str:
+    """Where it is worth to look."""
+    folder = RESULTS / "passes"
+    summary, figures = pd.read_csv(folder / "passes.csv"), read_json(folder / "provenance.json", Record)
+    rows = [f"| {' | '.join(row)} |" for row in passes_study.cells(summary)]
+    entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
+    found = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
+    fast, slow = found["original", "fast-in", "back"], found["original", "best-schedule", "in"]
+    best = {
+        probe: max((entry for entry in entries if entry["probe"] == probe), key=lambda entry: float(entry["reward"]))
+        for probe in passes_study.PROBES
+    }
+    record = figures.model_dump()
+    return (
+        f"**With the study's probe, in fast and looking on the way back takes {fast['inspection_time_s']:.0f} s with"
+        f" {100.0 * fast['share_within_limit']:.0f} % of the length within the limit; looking on the way in by the best"
+        f" schedule takes {slow['inspection_time_s']:.0f} s with {100.0 * slow['share_within_limit']:.0f} %. The most"
+        f" reward has {_best(best['original'])} with the study's probe, and {_best(best['improved'])} with the improved"
+        f" one.**\n\n"
+        f"| {' | '.join(passes_study.HEADER)} |\n{'|---' * len(passes_study.HEADER)}|\n" + "\n".join(rows) + "\n\n"
+        f"Means over {record['limit']} tubes, both ways; the last column is the reward less that of looking on the way"
+        f" in by `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
+        f" {record['commit']}."
+    )
+
+
+def _best(entry: dict[str, Any]) -> str:
+    return f"`{entry['policy']}` looking at {passes_study.LOOKS[entry['inspects']]}"
 
 
 def _cell(what: str, value: float) -> str:

@@ -78,4 +78,6 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "superelement.md": ("superelement",),
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
+        DOCS / "inspection" / "passes.md": ("passes",),
+        DOCS / "inspection" / "tube.md": ("plants",),
     }

@@ -19,6 +19,8 @@ from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
+Inspects = Literal["in", "back", "best"]
+"""What a metre counts for in an inspection of both passes."""
 Measure = Literal["displacement", "velocity", "acceleration", "snr"]
 MEASURES: Final[dict[Measure, tuple[str, float]]] = {
     "displacement": ("radial_rms_m", 1e-4),
@@ -67,7 +69,7 @@ class TaskConfig(Model):
     """What motion does to the signals, and when a flaw is called."""
     growing: bool = True
     passes: Literal["in", "both"] = "in"
-    inspects: Literal["in", "back", "best"] = "best"
+    inspects: Inspects = "best"
     period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
     time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
     settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
