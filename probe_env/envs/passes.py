@@ -35,18 +35,20 @@ class Passes:
 
     Attributes:
         way: (N,) 1 on the way in, -1 on the way back.
+        begun: (N,) inserted length at the start [m].
         reached: (N,) greatest inserted length so far [m].
         left: (N,) least inserted length on the way back so far [m].
     """
 
     def __init__(self, count: int, config: TaskConfig, measures: int) -> None:
         self.config, self.measures = config, measures
-        self.way, self.reached, self.left = np.ones(count), np.zeros(count), np.full(count, np.inf)
+        self.way, self.begun, self.reached = np.ones(count), np.zeros(count), np.zeros(count)
+        self.left = np.full(count, np.inf)
         self._shown: list[FloatArray] = [np.zeros((0, 3 + measures)) for _ in range(count)]
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length, on the way in."""
-        self.way[k], self.reached[k], self.left[k] = 1.0, start, np.inf
+        self.way[k], self.begun[k], self.reached[k], self.left[k] = 1.0, start, start, np.inf
         # a row a bin, sums over its length: 1, squares, within the limit, measures
         self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, 3 + self.measures))
 
@@ -72,11 +74,11 @@ class Passes:
                     sums[k] += (after[k] - self.reached[k]) * shown
                 self.reached[k] = after[k]
             if self.way[k] < 0.0:
-                from_ = min(self.left[k], self.reached[k])
-                if after[k] < from_:
-                    for bin_, length in _bins(after[k], from_):
+                high, low = min(self.left[k], self.reached[k]), max(after[k], self.begun[k])
+                if low < high:
+                    for bin_, length in _bins(low, high):
                         sums[k] += self._back(k, bin_, length, shown)
-                    self.left[k] = after[k]
+                    self.left[k] = low
         return Counted(sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3:])
 
     def turn(self, which: BoolArray) -> None:

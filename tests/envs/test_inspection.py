@@ -29,8 +29,8 @@ def shown(inspects, way_in, way_back):
         counted = passes.count(good, np.array([end]), squares, squares <= 1.0, squares[:, None])
         total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
     passes.turn(good)
-    for end in np.arange(8.5, 4.99, -0.5):
-        squares = np.array([way_back[int(end - 4.75)]])
+    for end in (*np.arange(8.5, 4.99, -0.5), 4.9):  # a little too far
+        squares = np.array([way_back[max(int(end - 4.75), 0)]])
         counted = passes.count(good, np.array([end]), squares, squares <= 1.0, squares[:, None])
         total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
     assert passes.is_back(np.array([5.0]), np.array([5.0])).all()
