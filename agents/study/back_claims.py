@@ -1,0 +1,134 @@
+"""The study's experiment (e), the return beside the insertion, judged on an ensemble table."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from agents.study.back import BACKS, PROBES, SETTLED, SETTLING, TANGENTS, Trip
+from agents.study.cases import DURATION
+from agents.study.claims import Ensemble, Finding, short
+from probe_env.physics.closed_forms import steady_root_tension
+
+NOTICEABLE: Final = 0.1
+"""Share of the insertion's highest peak from which one of the return is noticeable: a tenth, -20 dB."""
+BEGIN: Final = 0.25 * DURATION
+"""Of the statistics of a published run [s]."""
+TENSION_TOLERANCE: Final = 0.01
+FIGURE: Final = "(e)"
+
+
+def back_findings(table: pd.DataFrame, scenes: Path = Path("configs/scenes")) -> list[Finding]:
+    """Every claim on the return that the cases in the table can answer; ``scenes`` holds the scene files."""
+    e = Ensemble(table)
+    paired = [trip for trip in BACKS if e.has(trip.name, trip.beside().name)]
+    return [
+        *(_less_vibration(e, trip) for trip in paired),
+        *_peaks(e, paired),
+        *_dying(e),
+        *_improvement(e, paired),
+        *_tensions(e, paired, scenes),
+        *_couple(e),
+    ]
+
+
+def described(trip: Trip) -> str:
+    """Probe, length, feed, and what differs from the usual."""
+    words = [f"{trip.probe}, {trip.carrier_length} m, {trip.feed:g} m/s"]
+    words += [f"friction {trip.friction:g}"] if trip.friction != Trip.friction else []
+    words += [trip.method] if trip.method != Trip.method else []
+    return ", ".join(words)
+
+
+def _less_vibration(e: Ensemble, trip: Trip) -> Finding:
+    back, fed = trip.name, trip.beside().name
+    diverged = [int(np.isfinite(e.values(name, "diverged_at_s")).sum()) for name in (back, fed)]
+    claim = f"less vibration in the return: {described(trip)}"
+    if any(diverged):
+        return Finding(claim, FIGURE, f"{diverged[0]} runs back and {diverged[1]} in diverged", "no")
+    less = e.mean(back) / e.mean(fed)
+    axial = e.mean(back, "axial_rms_m") / e.mean(fed, "axial_rms_m")
+    result = f"radial rms {e.mm(back)} against {e.mm(fed)} mm: {short(less)} times; axial {short(axial)} times"
+    return Finding(claim, FIGURE, result, "yes" if e.greater(fed, back) else "not clearly")
+
+
+def _peaks(e: Ensemble, paired: list[Trip]) -> Iterator[Finding]:
+    """The highest peak of the return's spectrum as a share of the insertion's, over the settings of a probe."""
+    settled = [trip for trip in SETTLED if e.has(trip.name, _fed(trip))]
+    for probe, direction in itertools.product(PROBES, ("radial", "axial")):
+        key = f"{direction}_highest_m"
+        for trips, begin in ((paired, BEGIN), (settled, BEGIN + SETTLING)):
+            chosen = [trip for trip in trips if trip.probe == probe and trip.friction == Trip.friction]
+            shares = [e.mean(trip.name, key) / e.mean(_fed(trip), key) for trip in chosen]
+            if chosen:
+                worst = chosen[int(np.argmax(shares))]
+                hertz = np.median(e.values(worst.name, f"{direction}_highest_hz"))
+                result = (
+                    f"{len(chosen)} setting(s), at most {short(max(shares))} times the insertion's:"
+                    f" {e.mm(worst.name, key)} against {e.mm(_fed(worst), key)} mm, {hertz:.1f} Hz, {described(worst)}"
+                )
+                claim = f"no noticeable {direction} peak in the return from {begin:g} s on: {probe}"
+                yield Finding(claim, FIGURE, result, "yes" if max(shares) < NOTICEABLE else "not clearly")
+
+
+def _fed(trip: Trip) -> str:
+    return replace(trip, settling=0.0).beside().name
+
+
+def _dying(e: Ensemble) -> Iterator[Finding]:
+    """What is left of the return's vibration where its start has died."""
+    for trip in SETTLED:
+        early = replace(trip, settling=0.0).name
+        if e.has(trip.name, early):
+            result = (
+                f"radial rms {e.mm(trip.name)} mm from {BEGIN + SETTLING:g} s on, {e.mm(early)} mm from {BEGIN:g} s on"
+            )
+            claim = f"(ours) what vibrates in the return is its start, which dies: {described(trip)}"
+            yield Finding(claim, FIGURE, result, "yes" if e.mean(trip.name) < NOTICEABLE * e.mean(early) else "no")
+
+
+def _improvement(e: Ensemble, paired: list[Trip]) -> Iterator[Finding]:
+    """Conclusion (e): the improved probe against the original one, both ways."""
+    for trip in paired:
+        other = replace(trip, probe="improved")
+        if trip == Trip("original", "back", 50) and other in paired:
+            for way, old, new in (
+                ("insertion", trip.beside().name, other.beside().name),
+                ("return", trip.name, other.name),
+            ):
+                result = f"radial rms {e.mm(new)} against {e.mm(old)} mm"
+                claim = f"the improved probe vibrates less in the {way}: 50 m, 0.2 m/s"
+                yield Finding(claim, FIGURE, result, "yes" if e.greater(old, new) else "not clearly")
+
+
+def _tensions(e: Ensemble, paired: list[Trip], scenes: Path) -> Iterator[Finding]:
+    """Steady sliding under pressure: the capstan on the outer wall."""
+    for probe in PROBES:
+        trips = [trip for trip in paired if trip.probe == probe]
+        if trips:
+            errors = [float(e.values(trip.name, "tension_error").max()) for trip in trips]
+            shown = [trip for trip in trips if trip == Trip(probe, "back", trip.carrier_length)]
+            roots = "; ".join(
+                f"{trip.carrier_length} m {e.mean(trip.name, 'root_tension_mean_n'):.2f}"
+                f" against {steady_root_tension(trip.scene(scenes)):.2f} N"
+                for trip in shown
+            )
+            result = f"along the probe within {1e2 * max(errors):.2g} % of the root's; root force {roots}"
+            claim = f"(ours) pressure along the probe is that of steady sliding: {probe}, {len(trips)} settings"
+            yield Finding(claim, "-", result, "yes" if max(errors) <= TENSION_TOLERANCE else "no")
+
+
+def _couple(e: Ensemble) -> Iterator[Finding]:
+    for trip in TANGENTS:
+        frame = replace(trip, couple=None).name
+        if e.has(trip.name, frame):
+            apart = e.greater(trip.name, frame) or e.greater(frame, trip.name)
+            result = f"radial rms {e.mm(trip.name)} against {e.mm(frame)} mm"
+            claim = f"(ours) the couple counted from the tangent changes the insertion: {described(trip)}"
+            yield Finding(claim, "-", result, "yes" if apart else "not clearly")
