@@ -79,6 +79,7 @@ def rows(back, fed, peak):
     [
         (1e-6, 1e-7, "yes", "yes"),
         (3e-4, 5e-5, "not clearly", "not clearly"),
+        (6e-4, 1e-7, "no", "yes"),
         (1e-6, 2e-5, "yes", "not clearly"),
         (1.0, 1e-7, "no", "yes"),
     ],
