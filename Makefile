@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-processors test-pythons test-bounds lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme docs clean
+.PHONY: setup demo test test-processors test-pythons test-bounds test-app lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme docs clean
 
 setup: $(STAMP)
 
@@ -97,6 +97,15 @@ test-ray:
 	test -x $(RAY)/bin/python || $(PYTHON) -m venv $(RAY)
 	$(RAY)/bin/pip install --quiet --disable-pip-version-check --constraint constraints-ray.txt --editable '.[agents,dev,ray]'
 	$(RAY)/bin/pytest tests/ray
+
+# the app in a real browser: Debian's Chromium, driven by Playwright, which neither the app nor make test needs
+CHROMIUM ?= /usr/bin/chromium
+PICTURES ?= output/app-pictures
+test-app: setup
+	test -x $(CHROMIUM) || { echo "installing Debian's chromium, which takes root (or name one that you have: make test-app CHROMIUM=PATH)"; \
+		apt-get update && apt-get install --yes --no-install-recommends chromium; }
+	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[browser]'
+	PROBE_ENV_CHROMIUM=$(CHROMIUM) PROBE_ENV_PICTURES=$(PICTURES) $(BIN)/pytest tests/browser
 
 readme: setup
 	$(BIN)/probe-env readme

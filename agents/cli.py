@@ -13,6 +13,7 @@ AGENTS: Final = (
     "cmaes", "moocore", "openpyxl", "optuna", "pint", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"
 )  # fmt: skip
 """Modules of the extra "agents", which commands import when they need them."""
+EXTRAS: Final = {"agents": AGENTS, "app": ("bokeh", "tornado")}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,12 +50,10 @@ def _run(arguments: Sequence[str]) -> int:
 def _run_command(name: str, arguments: Sequence[str]) -> int:
     import warnings
 
-    from pydantic import ValidationError
-
     from agents.publishing.places import in_its_place
     from agents.terminal.notices import said_when_compiling
+    from agents.terminal.refusals import refusal
     from probe_env import SimulationError
-    from probe_env.settings import explain
 
     try:
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
@@ -62,20 +61,16 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         command = _command(name, arguments)
         with said_when_compiling():
             in_its_place(command).run()
-    except ValidationError as error:
-        return _fail(explain(error))
-    except FileNotFoundError as error:
-        hint = getattr(error, "hint", "")
-        return _fail(f"no such file: {error.filename}" + (f" - {hint}" if hint else ""))
     except ImportError as error:
         module = _missing(error)
-        if module not in AGENTS:
+        extra = next((name for name, modules in EXTRAS.items() if module in modules), None)
+        if extra is None:
             raise
-        return _fail(f'this command needs {module}, which is not installed: pip install "probe-env[agents]"')
+        return _fail(f'this command needs {module}, which is not installed: pip install "probe-env[{extra}]"')
     except BrokenPipeError:
         raise
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
-        return _fail(str(error))
+        return _fail(refusal(error))
     return 0
 
 

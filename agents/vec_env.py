@@ -9,17 +9,19 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.envs.env import InsertionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
+from probe_env.envs.env import InsertionEnv, InspectionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.starts import VERSIONS, EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 EnvId = Literal[
-    "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
+    "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0", "probe_env/Insertion-v0",
+    "probe_env/Snapshot-v0",
 ]  # fmt: skip
 ENVIRONMENTS: dict[str, tuple[type[ProbeEnv], EpisodeSettings]] = {
     "probe_env/Insertion-v1": (InsertionEnv, VERSIONS["v1"]),
     "probe_env/Snapshot-v1": (SnapshotEnv, VERSIONS["v1"]),
+    "probe_env/Inspection-v0": (InspectionEnv, {}),
     "probe_env/Insertion-v0": (InsertionEnv, VERSIONS["v0"]),
     "probe_env/Snapshot-v0": (SnapshotEnv, VERSIONS["v0"]),
 }
@@ -33,7 +35,7 @@ class ProbeVecEnv(VecEnv):
     new episode's reset gave is in ``reset_infos``.
 
     Args:
-        env_id: "probe_env/Insertion-v1" or "probe_env/Snapshot-v1", or their version 0.
+        env_id: "probe_env/Insertion-v1", "probe_env/Snapshot-v1", their version 0, or "probe_env/Inspection-v0".
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         threads: at most so many; default: all cores.
         max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the

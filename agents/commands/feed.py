@@ -258,7 +258,11 @@ class Render:
     """helix: a whole episode, the helix with the probe in it, feed, air, vibration, reward; strip: the tube unrolled
     near the tip, 8 times slowed, with walls, floats, contacts and the sensor's motion."""
     env_id: Literal[
-        "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Insertion-v0", "probe_env/Snapshot-v0"
+        "probe_env/Insertion-v1",
+        "probe_env/Snapshot-v1",
+        "probe_env/Inspection-v0",
+        "probe_env/Insertion-v0",
+        "probe_env/Snapshot-v0",
     ] = "probe_env/Insertion-v1"
     """Which environment; version 0 has the coarser mesh of before."""
     policy: str = "constant"

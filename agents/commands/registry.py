@@ -28,6 +28,10 @@ USERS: Final = {
         "feed:Evaluate", "feed policies on the same tubes: figures, a report",
         "probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast",
     ),
+    "signal": Entry(
+        "inspection:Signal", "a run as inspection shows it: X, Y, flaws, calls",
+        "probe-env signal best-schedule --flaws 10:20 30:20 50:40",
+    ),
     "log": Entry(
         "log:ReadLog", "a rig's log, read, shown and made a schedule of",
         "probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png",
@@ -59,6 +63,9 @@ USERS: Final = {
     "design": Entry(
         "design:DesignSearch", "a search for better probes",
         "probe-env design --trials 100 --limit 6 --jobs 2",
+    ),
+    "app": Entry(
+        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
     ),
 }  # fmt: skip
 """What the project is for."""

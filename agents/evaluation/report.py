@@ -15,7 +15,7 @@ from agents.policies.catalogue import domains_of, named_policies
 from agents.policies.domain import check_domains
 from agents.policies.places import Place
 from agents.processes.workers import HERE, Workers
-from agents.records.columns import KPIS
+from agents.records.columns import shown_of
 from agents.records.provenance import write_json
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
 from agents.rollouts.statistics import Interval, endings, grouped, method_and_seed, sentences, summarise
@@ -63,13 +63,7 @@ def evaluate(
             f"check_fidelity = {checks.level!r} replays tube by tube, for which other probes are drawn:"
             " with probes = 'random' it must be no, half-step or acting"
         )
-    methods = [method_and_seed(name)[0] for name in plan.policies]
-    reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
-    if reference not in methods:
-        raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(plan.policies)}")
-    stored_episodes(plan, output)  # refuses a folder before anything is written to it
-    mine = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
-    write_json(output / "report.json", {"against": reference, "own": mine})
+    reference = claim_folder(plan, output, against, own)
     table = run_plan(plan, output, workers=workers)
     write_report(output)
     print_summary(grouped(table), reference)
@@ -78,9 +72,25 @@ def evaluate(
     return table
 
 
+def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[str]) -> str:
+    """Note in a folder what its report is to compare; gives the policy that the others are compared with.
+
+    Raises:
+        ValueError: there is no such policy, or the folder holds another evaluation; nothing was written.
+    """
+    methods = [method_and_seed(name)[0] for name in plan.policies]
+    reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
+    if reference not in methods:
+        raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(plan.policies)}")
+    stored_episodes(plan, output)  # refuses a folder before anything is written to it
+    mine = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
+    write_json(output / "report.json", {"against": reference, "own": mine})
+    return reference
+
+
 def print_summary(table: pd.DataFrame, against: str) -> None:
     """KPIs with intervals and the comparison in words, on the terminal."""
-    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()))
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown_of(table.columns).values()))
     rows = ((policy, *cells) for policy, cells in kpi_cells(table))
     print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
@@ -98,7 +108,7 @@ def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
     for policy in dict.fromkeys(summary["policy"]):
         part = summary[summary["policy"] == policy].set_index("kpi")
         cells = []
-        for kpi, (_, factor, _) in KPIS.items():
+        for kpi, (_, factor, _) in shown_of(table.columns).items():
             row = part.loc[kpi]
             cells.append(Interval(row["mean"], row["low"], row["high"]).text(factor))
         rows.append((str(policy), cells))

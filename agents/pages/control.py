@@ -10,7 +10,7 @@ from agents.evaluation.report import compared_with, kpi_cells
 from agents.learning import results as agent_results
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
-from agents.records.columns import KPIS
+from agents.records.columns import shown_of
 from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
@@ -86,11 +86,12 @@ def any_probe() -> str:
 def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
     table = grouped(read_csv(folder / "episodes.csv", EPISODES))
     against = compared_with(folder, table)
-    shown = [kpi for kpi in KPIS if kpi not in left_out]
-    names = [f"{KPIS[kpi][0]} [{KPIS[kpi][2]}]" if KPIS[kpi][2] else KPIS[kpi][0] for kpi in shown]
+    known = shown_of(table.columns)
+    shown = [kpi for kpi in known if kpi not in left_out]
+    names = [f"{known[kpi][0]} [{known[kpi][2]}]" if known[kpi][2] else known[kpi][0] for kpi in shown]
     lines = [f"| policy | {' | '.join(names)} |", "|---" * (len(shown) + 1) + "|"]
     for policy, cells in kpi_cells(table):
-        by_kpi = dict(zip(KPIS, cells, strict=True))
+        by_kpi = dict(zip(known, cells, strict=True))
         lines.append(f"| `{policy}` | " + " | ".join(by_kpi[kpi] for kpi in shown) + " |")
     ends = endings(table)
     words = "\n".join(f"* {line}" for line in sentences(table, against))

@@ -34,21 +34,31 @@ GRACE: Final = 2.0
 Kind = Literal["item", "done", "error"]
 
 
+def started(place: str, sharing: int = 1) -> tuple[subprocess.Popen[bytes], Connection]:
+    """A process that calls a function with the number of a pipe's end, and the other end.
+
+    Args:
+        place: of the function, "module:function".
+        sharing: how many such processes there are: their libraries share the cores.
+    """
+    ours, theirs = Pipe()
+    number = str(max(available_cores() // sharing, 1))
+    threads = {f"{library}_NUM_THREADS": number for library in ("OMP", "OPENBLAS", "MKL")}
+    module, _, function = place.partition(":")
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {module} import {function}; {function}({theirs.fileno()})"
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
+            env=threads | os.environ, start_new_session=True,
+        )  # fmt: skip
+    return process, ours
+
+
 class _Worker:
-    """A process and the pipe to it; its libraries share the cores with the other workers'."""
+    """A process and the pipe to it."""
 
     def __init__(self, workers: int) -> None:
-        self.pipe, theirs = Pipe()
-        number = str(max(available_cores() // workers, 1))
-        threads = {f"{library}_NUM_THREADS": number for library in ("OMP", "OPENBLAS", "MKL")}
-        code = (
-            f"import sys; sys.path[:] = {sys.path!r}; from agents.processes.pool import serve; serve({theirs.fileno()})"
-        )
-        with theirs:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", code], pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
-                env=threads | os.environ, start_new_session=True,
-            )  # fmt: skip
+        self.process, self.pipe = started("agents.processes.pool:serve", workers)
 
 
 class Pool:

@@ -19,11 +19,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.records.columns import CARRIED, KPIS
+from agents.records.columns import CARRIED, FOUND, HEARD, KPIS
 from agents.records.models import ENDINGS
 from agents.terminal.names import name_problem
 from probe_env.envs.contexts import Context
 from probe_env.files import MEBI, FileError, read_bytes, read_text
+from probe_env.inspection.found import POD_NAMES
 
 Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
 """A name (``agents.terminal.names``); any text; a whole number of 0 or more; a finite number; a number or nothing; a
@@ -38,6 +39,9 @@ EPISODES: Final[Columns] = {
     **PLACE, **dict.fromkeys((*Context.model_fields, *KPIS, *ENDINGS), "number")
 }  # fmt: skip
 """``episodes.csv`` and ``episodes.parquet``."""
+EPISODES_FOUND: Final[Columns] = dict.fromkeys((*FOUND, *POD_NAMES), "number")
+PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
+"""What both have since there is a sensor."""
 PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **PLACE}
 """``profile.parquet``: metres of episodes; NaN where a probe diverged."""
 FRONT: Final[Columns] = {
@@ -84,8 +88,8 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> pd.DataFram
     return check_table(path, pd.DataFrame(converted), columns)
 
 
-def read_parquet(path: Path, columns: Columns) -> pd.DataFrame:
-    """The needed columns of a Parquet table, in the file's order.
+def read_parquet(path: Path, columns: Columns, newer: Columns = MappingProxyType({})) -> pd.DataFrame:
+    """The needed columns of a Parquet table, and those of ``newer`` that it has, in the file's order.
 
     Raises:
         FileNotFoundError: no such file.
@@ -96,6 +100,7 @@ def read_parquet(path: Path, columns: Columns) -> pd.DataFrame:
     try:
         file = pq.ParquetFile(io.BytesIO(content))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
+        columns = {**columns, **{name: kind for name, kind in newer.items() if name in names}}
         _check_header(path, names, columns)
         if not 0 < rows <= MOST_ROWS:
             raise FileError(path, f"{rows} rows: a table has 1 to {MOST_ROWS} - {_HINT}")

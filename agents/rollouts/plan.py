@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,17 +22,16 @@ from tqdm import tqdm
 from agents.processes.workers import HERE, Workers
 from agents.records import reading as stored
 from agents.records.code_hash import class_hash, code_hash
-from agents.records.columns import CARRIED
+from agents.records.columns import CARRIED, HEARD
 from agents.records.models import Setting
 from agents.records.provenance import commit, provenance, write_json
 from agents.rollouts.folder import UNFINISHED, episodes_of, gathered, write_tables
+from agents.rollouts.playing import Ended, Playing
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
-from probe_env.design import RANGES
-from probe_env.envs.episodes import Episodes
 from probe_env.envs.starts import Probes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
-from probe_env.envs.trials import Controller, Players
+from probe_env.envs.trials import Controller
 
 BATCH = 16
 SHARED = ("fidelity", "code", "probes")
@@ -87,6 +86,10 @@ class Plan:
         """Its tubes and episodes, JSON-ready: what a folder is to hold."""
         return {"contexts": [context.model_dump() for context in self.contexts], "episodes": self.planned()}
 
+    def policies_described(self) -> dict[str, Any]:
+        """What its policies say of themselves, JSON-ready; of a hand that drives, at the end."""
+        return {"policies": {name: policy.describe() for name, policy in self.policies.items()}}
+
     def key(self, unit: tuple[str, int, int]) -> str:
         """Identity of an episode: policy as described and written, context and seed."""
         name, k, seed = unit
@@ -96,6 +99,10 @@ class Plan:
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
+Source = Callable[[Plan, "deque[tuple[str, int, int]]"], Iterator[str]]
+"""Plays episodes of a plan, of which it gives a line of JSON each, see ``lines_of``."""
+
+
 def run_plan(
     plan: Plan,
     output: Path | None,
@@ -103,12 +110,14 @@ def run_plan(
     progress: bool = True,
     threads: int | None = None,
     workers: Workers = HERE,
+    source: Source | None = None,
 ) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
     Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
     end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
     written. Until then ``unfinished.json`` says what there is to be. Without an output nothing is read or written.
+    With a ``source`` it plays what is missing, in place of this process or workers.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
@@ -120,21 +129,20 @@ def run_plan(
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
-    described = {name: policy.describe() for name, policy in plan.policies.items()}
-    write_json(output / UNFINISHED, provenance() | {"policies": described} | plan.described())
+    write_json(output / UNFINISHED, provenance() | plan.policies_described() | plan.described())
     if missing:
         write_json(output / "setting.json", plan.setting())
         with (
             journal.appending() as append,
             tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
         ):
-            for line in _lines(plan, missing, batch, threads, workers):
+            for line in source(plan, missing) if source else _lines(plan, missing, batch, threads, workers):
                 append(line)
                 bar.update()
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"policies": described})
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | plan.policies_described())
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
@@ -189,41 +197,15 @@ def _portion(plan: Plan, units: list[tuple[str, int, int]]) -> Iterator[str]:
 
 def _run_units(plan: Plan, missing: deque[tuple[str, int, int]], batch: int, threads: int | None) -> Iterator[str]:
     """Run episodes side by side, the next one starting wherever one ends; yields a line of JSON for each."""
-    count = min(batch, len(missing))
-    episodes = Episodes(count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes)
-    probes: list[dict[str, float] | None] = [None] * count
-    units: list[tuple[str, int, int] | None] = [None] * count
-    players = Players(count)
-    profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
-    observation = episodes.observation.copy()
-    while missing or episodes.running.any():
-        idle = [k for k in range(count) if not episodes.running[k]]
-        fresh = []
-        for k in idle[: len(missing)]:
-            units[k], profile[k] = missing.popleft(), []
-            players.begin(k, plan.policies[_unit(units[k])[0]])
-            fresh.append(k)
-        if fresh:
-            options = {k: {"context": plan.contexts[_unit(units[k])[1]]} for k in fresh}
-            rngs = {k: np.random.default_rng([_unit(units[k])[2], _unit(units[k])[1]]) for k in fresh}
-            observation, started = episodes.reset(fresh, rngs, options)
-            if plan.probes == "random":
-                for k in fresh:
-                    probes[k] = {name: started[k]["probe"][name] for name in RANGES}
-        active = episodes.running.copy()
-        step = episodes.step(players.act(observation, active), active)
-        observation = step.observation
-        for k in np.flatnonzero(active).tolist():
-            info = step.infos[k]
-            if info.get("way", 1.0) > 0.0:  # per metre of the way in
-                profile[k].append(tuple(float(info[name]) for name in CARRIED))
-            if "episode_kpis" in info:
-                yield _line(plan, _unit(units[k]), info["episode_kpis"], profile[k], probes[k])
+    playing = Playing(plan, missing, batch, threads)
+    while not playing.over:
+        yield from lines_of(plan, playing.step())
 
 
-def _unit(unit: tuple[str, int, int] | None) -> tuple[str, int, int]:
-    assert unit is not None
-    return unit
+def lines_of(plan: Plan, ended: Iterable[Ended]) -> Iterator[str]:
+    """A line of JSON for each episode that has ended."""
+    for episode in ended:
+        yield _line(plan, episode.unit, episode.kpis, episode.profile, episode.probe)
 
 
 def _line(
@@ -239,18 +221,19 @@ def _line(
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, np.ndarray]:
-    """Periods (the columns of ``CARRIED``) gathered by metre of inserted length: means, but root mean square of rms.
+    """Periods (of ``CARRIED`` and ``HEARD``) gathered by metre of inserted length: means, but root mean square of rms.
 
     ``inserted_length`` is then the middle of the metre, ``time`` that of its last period.
     """
+    names, squared = (*CARRIED, *HEARD), ["radial_rms_m", *HEARD]
     if not profile:
-        return {name: np.zeros(0) for name in CARRIED}
-    periods = pd.DataFrame(profile, columns=list(CARRIED))
+        return {name: np.zeros(0) for name in names}
+    periods = pd.DataFrame(profile, columns=list(names))
     # the period that ends on a whole metre belongs to the metre before
     metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0
-    groups = periods.assign(radial_rms_m=periods["radial_rms_m"] ** 2).groupby(metre)
+    groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
     gathered = groups.mean()
-    gathered["radial_rms_m"] **= 0.5
+    gathered[squared] **= 0.5
     gathered["time"] = groups["time"].max()
     gathered["inserted_length"] = gathered.index + 0.5
-    return {name: gathered[name].to_numpy() for name in CARRIED}
+    return {name: gathered[name].to_numpy() for name in names}

@@ -11,9 +11,12 @@ import numpy as np
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
 
-from agents.records.columns import KPIS
+from agents.records.columns import OVER_TUBES, kpis_of
+from agents.rollouts.found import a90_95, tells
 
 CONFIDENCE: Final = 0.95
+HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
+"""KPIs of which more is better."""
 
 
 @dataclass(frozen=True)
@@ -159,12 +162,14 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for policy in dict.fromkeys(table["policy"]):
         part = table[table["policy"] == policy]
-        for kpi in KPIS:
+        for kpi in kpis_of(table.columns):
             values = by_context(table, policy, kpi).to_numpy()
             interval = mean_interval(values)
-            good_high = kpi in ("reward", "share_within_limit", "inspected_share")
+            good_high = kpi in HIGH
             worst = part[kpi].min() if good_high else part[kpi].max()
             rows.append((policy, kpi, interval.mean, interval.low, interval.high, interquartile_mean(values), worst))
+        if tells(table):
+            rows.append((policy, *OVER_TUBES, *[a90_95(table, policy)] * 4, part["a90_percent_wall"].max()))
     return pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high", "iqm", "worst"])
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Unpack
 
 import numpy as np
@@ -34,6 +34,8 @@ from probe_env.envs.task import (
     travel,
 )
 from probe_env.fidelity import resolve_fidelity
+from probe_env.inspection.found import Found
+from probe_env.inspection.meter import Meter
 from probe_env.physics.batch import SimulatorBatch, Window
 from probe_env.physics.simulator import Simulator
 from probe_env.scene import Scene
@@ -100,6 +102,7 @@ class Episodes:
         )  # fmt: skip
         self.context = [Context()] * count
         self.tally = [Tally() for _ in range(count)]
+        self.meter = Meter(config.sensor, count, SAMPLE_PERIOD)
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.actions = np.tile(self.start_action, (count, 1))
         self.observation = np.zeros((count, len(config.observations)), dtype=np.float32)
@@ -145,16 +148,18 @@ class Episodes:
             self.start[k] = simulator.inserted_length
             if self.passes is not None:
                 self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.tally[k] = Tally()
+            self.tally[k] = Tally(found=Found(self.config.sensor))
+            self.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
         window = self.batch.advance(None, None, self.config.settle_time, SAMPLE_PERIOD, active, keep_samples=True)
-        assert window.radial is not None
+        window = self._listen(window, active & ~window.diverged)
         infos = {}
         for k in which:
             self.batch.simulators[k].feed_length()
+            assert window.radial is not None
             self.tally[k].last_radial = window.radial[-2:, k].copy()
             self.running[k] = True  # one that diverged while settling ends in its first step
         self.observed[active] = self._observe(window, active)[active, None]
@@ -188,6 +193,7 @@ class Episodes:
             targets[:, 0], targets[:, 1], self._dynamic_period, SAMPLE_PERIOD, chosen, keep_samples=True
         )
         good = chosen & ~window.diverged
+        window = self._listen(window, good)
         after, length = self._inserted(), self._helix_length()
         air = np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0)
         counted = self._counted(good, window, before, after)
@@ -243,8 +249,9 @@ class Episodes:
         if not self.running[k]:
             tally = self.tally[k]
             length = self._helix_length()[k] - self.start[k] if self.config.growing else tally.inspected
+            tube = float(self._helix_length()[k])
             how = (bool(end.diverged[k]), bool(end.lost_drive[k]), bool(end.complete[k]))
-            info["episode_kpis"] = tally.kpis(float(length), *how)
+            info["episode_kpis"] = tally.kpis(float(length), tube, *how)
         return info
 
     def _check_simulable(self, k: int, scene: Scene) -> None:
@@ -294,6 +301,16 @@ class Episodes:
             back = self.passes is not None and self.passes.way[k] < 0.0
             rest = float(window.radial[:, k].mean()) if back else 0.0  # on the outer wall, or on its way there
             tally.add_signals(counted.measures[k].tolist(), window.radial[:, k], SAMPLE_PERIOD, rest)
+            tally.found.add(float(counted.inspected[k]), *self.meter.of(int(k)))
+
+    def _listen(self, window: Window, good: BoolArray) -> Window:
+        """The window with what its motion leaves of the signal-to-noise; 0 for probes that were not advanced."""
+        assert window.radial is not None
+        noise = np.zeros(len(self))
+        which = np.flatnonzero(good)
+        if len(which):
+            noise[which] = 1.0 / self.meter.listen(which, window.radial[:, which], window.feed_speed[which]).snr
+        return replace(window, statistics=window.statistics | {"noise_to_signal": noise})
 
     def _options(self) -> dict[str, Any]:
         return {
@@ -320,8 +337,11 @@ class Episodes:
         inserted = self._inserted()
         fields = {name: np.array([getattr(c, name) for c in self.context]) for name in Context.model_fields}
         probes = [s.scene.probe for s in self.batch.simulators]
+        felt = dict(window.statistics)
+        if self.config.vibration_measure == "snr":  # then the eddy-current noise is that of the flaw's band
+            felt["radial_rms_m"] = self.config.sensor.equivalent_rms(felt["noise_to_signal"])
         return {
-            **window.statistics,
+            **felt,
             **fields,
             **{name: np.array([getattr(probe, name) for probe in probes]) for name in RANGES},
             "inserted_length": inserted,
@@ -337,6 +357,7 @@ class Episodes:
         """Physical values of one probe, SI units."""
         inserted = min(self.batch.simulators[k].inserted_length, self.batch.simulators[k].scene.tube.helix_length)
         names = ("radial_rms_m", "radial_acceleration_rms_m_per_s2", "axial_rms_m", "tension_mean_n", "lift_off_share")
+        noise = float(window.statistics["noise_to_signal"][k])
         return {
             "time": self.tally[k].time,
             "inserted_length": float(inserted),
@@ -345,4 +366,6 @@ class Episodes:
             "air_supply_rate": float(window.air_supply_rate[k]),
             **{name: float(window.statistics[name][k]) for name in names},
             **({} if self.passes is None else {"way": float(self.passes.way[k])}),
+            "snr": 1.0 / noise if noise > 0.0 else 0.0,
+            "noise_rms_m": float(self.config.sensor.equivalent_rms(np.array(noise))),
         }

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
+from probe_env.inspection.found import Found
 
 LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200
 BINS = round(np.log10(HIGHEST / LOWEST) * PER_DECADE)
@@ -51,6 +52,7 @@ class Tally:
     greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
     last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
+    found: Found = field(default_factory=Found)
 
     def add_signals(self, squares: Sequence[float], radial: FloatArray, sample_period: float, rest: float) -> None:
         """Radial displacement samples (k,) [m] of a period, and what it adds to the sums over length of each square.
@@ -64,8 +66,10 @@ class Tally:
             self.greatest[name] = max(self.greatest[name], float(np.abs(values).max()))
             self.samples[name].add(values)
 
-    def kpis(self, length: float, diverged: bool, lost_drive: bool, complete: bool) -> dict[str, float]:
-        """The episode's figures; ``length`` is all that was to be inspected [m]."""
+    def kpis(
+        self, length: float, tube_length: float, diverged: bool, lost_drive: bool, complete: bool
+    ) -> dict[str, float]:
+        """The episode's figures; ``length`` is all that was to be inspected [m], of a tube of ``tube_length`` [m]."""
         values: dict[str, float] = {
             "inspection_time_s": self.time,
             "inspected_m": self.inspected,
@@ -83,4 +87,4 @@ class Tally:
             values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))
             values[f"{name}_p99_{unit}"] = self.samples[name].percentile(99.0)
             values[f"{name}_max_{unit}"] = self.greatest[name]
-        return values
+        return values | self.found.kpis(length, tube_length)

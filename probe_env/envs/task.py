@@ -15,16 +15,18 @@ from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
+from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
-Measure = Literal["displacement", "velocity", "acceleration"]
+Measure = Literal["displacement", "velocity", "acceleration", "snr"]
 MEASURES: Final[dict[Measure, tuple[str, float]]] = {
     "displacement": ("radial_rms_m", 1e-4),
     "velocity": ("radial_velocity_rms_m_per_s", 5e-3),
     "acceleration": ("radial_acceleration_rms_m_per_s2", 20.0),
+    "snr": ("noise_to_signal", 1.0 / 3.0),
 }
-"""Statistic of a window and default limit of each vibration measure."""
+"""Statistic of a window and default limit of each vibration measure; of snr the noise over a 20 % groove's signal."""
 END_TOLERANCE: Final = 1e-6
 """[m] of the helix's end at which an insertion is complete; actions are float32."""
 TERMS: Final = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
@@ -61,6 +63,8 @@ class TaskConfig(Model):
 
     scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
     """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
+    sensor: Sensor = Sensor()
+    """What motion does to the signals, and when a flaw is called."""
     growing: bool = True
     passes: Literal["in", "both"] = "in"
     inspects: Literal["in", "back", "best"] = "best"

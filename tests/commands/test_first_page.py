@@ -19,6 +19,7 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
     assert tuple(USERS) == (
         "simulate",
         "evaluate",
+        "signal",
         "log",
         "calibrate",
         "recommend",
@@ -27,6 +28,7 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
         "tune",
         "compare",
         "design",
+        "app",
     )
     places = [page.index(f"\n  {name} ") for name in (*USERS, *MAKERS)]
     assert places == sorted(places)

@@ -108,7 +108,7 @@ def test_what_cannot_be_is_refused(env_id, arguments, message):
 
 
 BROKEN = {
-    "tubes: there is no such field; accepted: tube, probe, contact, air, feed, task": {"tubes": {}},
+    "tubes: there is no such field; accepted: tube, probe, contact, air, feed, sensor, task": {"tubes": {}},
     "tube.helix_diameter: helix_diameter = 0.1 m is outside the accepted": {"tube": {"helix_diameter": [0.1]}},
     "tube.helix_diameter.*at least 1": {"tube": {"helix_diameter": []}},
     "contact.friction.high: Field required": {"contact": {"friction": {"low": 0.1}}},

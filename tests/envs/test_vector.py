@@ -17,6 +17,11 @@ from agents.vec_env import ProbeVecEnv
 CASES = {
     "probe_env/Insertion-v1": {"config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1}},
     "probe_env/Snapshot-v1": {"config": {"time_limit": 0.5}, "scene": probe_env.Scene(carrier_length=8.0)},
+    "probe_env/Inspection-v0": {
+        "config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1},
+        "scene": {"tube": {"helix_length": 5.1}},  # turned round within the five steps
+        "fidelity": "fast",
+    },
 }
 IDS = pytest.mark.parametrize("env_id", list(CASES))
 
@@ -46,7 +51,7 @@ def test_a_limit_of_steps_is_gymnasium_s(env_id, mode):
 @IDS
 def test_a_scene_may_be_a_mapping(env_id):
     given = {"config": {"period": 0.1, "time_limit": 0.2, "settle_time": 0.1, "feed_speeds": (0.05, 0.3)}}
-    given["scene"] = {"tube": {"inner_diameter": 0.025}, "carrier_length": 8.0}
+    given["scene"], given["fidelity"] = {"tube": {"inner_diameter": 0.025}, "carrier_length": 8.0}, "standard"
     whole = probe_env.Scene(tube=probe_env.Tube(inner_diameter=0.025), carrier_length=8.0)
     for made in (gym.make(env_id, **given), gym.make_vec(env_id, num_envs=2, **given), ProbeVecEnv(env_id, 2, **given)):
         assert made.unwrapped.episodes.starts.scene == whole

@@ -52,12 +52,13 @@ def test_the_table_has_every_episode_and_pairs_share_context_and_seed(tmp_path):
 
 def test_the_profile_is_per_metre():
     """Periods that end at 5.4, 5.8, 6.0 and 6.5 m: three in the sixth metre, one in the seventh."""
-    periods = [(t, length, 0.2, 0.02, rms, 4.0) for t, length, rms in
+    periods = [(t, length, 0.2, 0.02, rms, 4.0, 2.0 * rms) for t, length, rms in
                ((1, 5.4, 3e-4), (2, 5.8, 4e-4), (3, 6.0, 0.0), (4, 6.5, 1e-4))]  # fmt: skip
     profile = per_metre(periods)
     assert profile["inserted_length"].tolist() == [5.5, 6.5]
     assert profile["time"].tolist() == [3.0, 4.0]
     assert profile["radial_rms_m"] == pytest.approx([np.sqrt(25.0 / 3.0) * 1e-4, 1e-4])
+    assert profile["noise_rms_m"] == pytest.approx(2.0 * profile["radial_rms_m"])
     assert profile["feed_speed"] == pytest.approx([0.2, 0.2])
 
 
@@ -95,7 +96,7 @@ def test_a_line_that_was_cut_off_is_run_again(tmp_path):
 
 def test_what_is_done_is_not_done_again_and_another_setting_is_refused(tmp_path, monkeypatch):
     run_plan(plan(), tmp_path, progress=False)
-    monkeypatch.setattr("agents.rollouts.plan.Episodes", None)  # running anything would fail
+    monkeypatch.setattr("agents.rollouts.playing.Episodes", None)  # running anything would fail
     assert len(run_plan(plan(), tmp_path, progress=False)) == 12
     with pytest.raises(ValueError, match="another setting"):
         run_plan(plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), tmp_path, progress=False)

@@ -14,7 +14,7 @@ from agents.evaluation.fidelity_check import (
     report_checks,
 )
 from agents.policies.fixed import Constant
-from agents.records.columns import KPIS
+from agents.records.columns import kpis_of
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
@@ -77,11 +77,11 @@ def test_words_name_what_moved_and_whether_the_ranking_stays(evaluated, tmp_path
     _, table, _ = evaluated
     best = table.groupby("policy")["reward"].mean().idxmax()
     same = differences("same", table, table)
-    assert set(same["kpi"]) == set(KPIS)
+    assert set(same["kpi"]) == set(kpis_of(table.columns))
     moved = table.assign(reward=-table["reward"] - 5.0)
     report_checks([same, differences("moved", moved, table)], tmp_path)
     printed = capsys.readouterr().out
     assert f"same: the ranking of 2 policies by reward stays (Kendall's tau 1.00): {best} " in printed
     assert "moved: the ranking of 2 policies by reward changes (Kendall's tau -1.00)" in printed
     assert "changes by" in printed
-    assert len(pd.read_csv(tmp_path / "fidelity.csv")) == 2 * 2 * len(KPIS)
+    assert len(pd.read_csv(tmp_path / "fidelity.csv")) == 2 * 2 * len(kpis_of(table.columns))

@@ -12,7 +12,7 @@ import pandas as pd
 
 from agents.records.models import Compared, Evaluated, Setting, Unfinished
 from agents.records.reading import FileError, check_table, read_json, read_parquet
-from agents.records.tables import EPISODES, PROFILE
+from agents.records.tables import EPISODES, EPISODES_FOUND, PROFILE
 from agents.rollouts.folder import UNFINISHED, episodes_of, gathered
 from agents.rollouts.statistics import grouped
 from probe_env import Context
@@ -76,7 +76,10 @@ def read_evaluation(folder: Path) -> Evaluation:
     for path in finished:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
-    table, profile = grouped(read_parquet(finished[0], EPISODES)), grouped(read_parquet(finished[1], PROFILE))
+    table, profile = (
+        grouped(read_parquet(finished[0], EPISODES, EPISODES_FOUND)),
+        grouped(read_parquet(finished[1], PROFILE)),
+    )
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(finished[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
     setting, compared = read_json(folder / "setting.json", Setting), _compared(folder)

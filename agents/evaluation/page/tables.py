@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from agents.evaluation.page.verdict import ranking
-from agents.records.columns import KPIS
+from agents.records.columns import FOUND, KPIS, OVER_TUBES, shown_of
 from agents.rollouts.statistics import by_context, endings, paired_difference, short
 
 MOST_DIAMETERS = 12
@@ -36,7 +36,7 @@ class Row:
 
 def header(kpi: str) -> str:
     """Name and unit of a KPI."""
-    name, _, unit = KPIS[kpi]
+    name, _, unit = (KPIS | FOUND | OVER_TUBES)[kpi]
     return f"{name} [{unit}]" if unit else name
 
 
@@ -50,13 +50,13 @@ def ranked(
     best = next((name for name in order if name not in told), order[0])
     for policy in order:
         cells = [_against(table, policy, best)]
-        for kpi, (_, factor, _) in KPIS.items():
+        for kpi, (_, factor, _) in shown_of(table.columns).items():
             row = figures[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
         cells.insert(0, cells.pop(1))  # the reward first
         what = ("yours" if policy in own else "") or ("is told the tube" if policy in told else "")
         rows.append(Row(policy, what, (*cells, _ended(ends[policy]))))
-    names = [header(kpi) for kpi in KPIS]
+    names = [header(kpi) for kpi in shown_of(table.columns)]
     return ["policy", names[0], f"reward against {best}", *names[1:], "how it ended"], rows
 
 
@@ -81,10 +81,16 @@ def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
 
 def _ended(row: Mapping[str, int]) -> Cell:
     """Insertions that came to their end, and why others did not."""
+    complete, _, told = ended(row).partition(", ")
+    return Cell(complete, told)
+
+
+def ended(row: Mapping[str, int]) -> str:
+    """How many insertions came to their end, and why others did not, in words."""
     late = row["episodes"] - row["complete"] - row["lost_drive"] - row["diverged"]
     reasons = (("lost drive", row["lost_drive"]), ("diverged", row["diverged"]), ("out of time", late))
-    told = ", ".join(f"{count} {reason}" for reason, count in reasons if count)
-    return Cell(f"{row['complete']} of {row['episodes']} complete", told)
+    told = [f"{count} {reason}" for reason, count in reasons if count]
+    return ", ".join([f"{row['complete']} of {row['episodes']} complete", *told])
 
 
 def by_diameter(table: pd.DataFrame, told: Collection[str]) -> tuple[list[str], list[Row]]:

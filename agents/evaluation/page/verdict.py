@@ -15,6 +15,7 @@ MEASURES: Final[dict[Measure, tuple[str, float, str]]] = {
     "displacement": ("radial rms", 1e3, "mm"),
     "velocity": ("radial velocity rms", 1e3, "mm/s"),
     "acceleration": ("radial acceleration rms", 1.0, "m/s²"),
+    "snr": ("noise in the band of a flaw", 1.0, "of a 20 % groove's signal"),
 }
 """Vibration measure -> name, factor and unit for people."""
 FEW: Final = 10
@@ -33,7 +34,7 @@ class Verdict:
 def limit_of(task: TaskConfig) -> str:
     """The vibration limit with its unit."""
     _, factor, unit = MEASURES[task.vibration_measure]
-    return f"{task.limit * factor:g} {unit}"
+    return f"{task.limit * factor:.4g} {unit}"
 
 
 def ranking(table: pd.DataFrame) -> list[str]:

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, features_of, feeds
+from agents.policies.maps.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from agents.records.provenance import provenance, write_json
 from agents.records.reading import read_parquet
-from agents.records.tables import PROFILE
+from agents.records.tables import PROFILE, PROFILE_HEARD
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.arrays import FloatArray
@@ -50,13 +50,16 @@ class Wandering(FixedPolicy):
         return feed, least + shares[1] * (most - least)
 
 
-def fit_map(profile: pd.DataFrame, seed: int = 0, scene: Scene | None = None) -> tuple[VibrationMap, dict[str, float]]:
+def fit_map(
+    profile: pd.DataFrame, seed: int = 0, scene: Scene | None = None, measure: str = "displacement"
+) -> tuple[VibrationMap, dict[str, float]]:
     """Fit by the likelihood of the metres on all but the first ``HELD_OUT`` tubes, and say how well it tells those.
 
     Args:
         profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
         seed: of the network's start.
         scene: of a plant of one's own; default: table 2's.
+        measure: of vibration, one of ``PROFILED``.
 
     Returns:
         the map; share of the variance of log10 rms explained and the mean absolute error [decades] on the tubes
@@ -71,7 +74,7 @@ def fit_map(profile: pd.DataFrame, seed: int = 0, scene: Scene | None = None) ->
     if scene is not None:
         scaling = np.array([inputs.mean(axis=0), np.maximum(inputs.std(axis=0), LEAST_SPREAD)])
         inputs = (inputs - scaling[0]) / scaling[1]
-    logarithm = np.log10(np.maximum(profile["radial_rms_m"].to_numpy(float), 1e-7) / 1e-4)
+    logarithm = np.log10(np.maximum(profile[PROFILED[measure]].to_numpy(float), 1e-7) / 1e-4)
     held = profile["context"].to_numpy() < HELD_OUT
     x, y = (torch.tensor(values, dtype=torch.float32) for values in (inputs[~held], logarithm[~held]))
     network = torch.nn.Sequential(
@@ -96,7 +99,7 @@ def fit_map(profile: pd.DataFrame, seed: int = 0, scene: Scene | None = None) ->
     )
     fitted = VibrationMap(layers)
     if scene is not None:
-        fitted = VibrationMap(layers, scene, np.array([tubes.min(axis=0), tubes.max(axis=0)]), scaling)
+        fitted = VibrationMap(layers, scene, np.array([tubes.min(axis=0), tubes.max(axis=0)]), scaling, "", measure)
     error = fitted.distribution(inputs[held])[0] - logarithm[held]
     explained = 1.0 - float((error**2).mean() / logarithm[held].var())
     return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
@@ -118,11 +121,12 @@ def make_map(seeds: int, output: Path, target: Path, plant: Plant | None = None)
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 100")
     goes_on = {"lost_drive_periods": 1000}  # without drive: that is seen in the table
     config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)
+    rms_limit(config)  # refuses a measure that no map tells of, before hours of work
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
     plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
     run_plan(plan, output)
-    profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE), contexts)
-    fitted, quality = fit_map(profile, scene=plant.scene if plant else None)
+    profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
+    fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
     fitted.save(target)
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), provenance() | setting | quality)

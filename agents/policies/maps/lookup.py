@@ -8,7 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, equivalent_air, expected_cost, feeds, stored_map
+from agents.policies.maps.vibration_map import (
+    CONTEXT,
+    VibrationMap,
+    check_measure,
+    equivalent_air,
+    expected_cost,
+    feeds,
+    stored_map,
+)
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
@@ -49,6 +57,7 @@ def expected_costs(
     ``shift`` [decades] is by how much more the probe vibrates than the map says; default: the shipped map.
     """
     count, known = len(knots(config)), vibration or stored_map()
+    check_measure(known, config)
     feed, air = (np.tile(column, count) for column in grid(config))
     costs = []
     for context in contexts:

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.lookup import FIRST, least_air
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, expected_cost, feeds, stored_map
+from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, run_plan
@@ -135,6 +135,7 @@ def run_search(
     Raises:
         ValueError: no such family, or a budget out of range.
     """
+    check_measure(vibration, TaskConfig() if plant is None else plant.configured())
     if family_name not in FAMILIES:
         raise ValueError(f"family = {family_name!r} is not one of {', '.join(FAMILIES)}")
     if trials < 1:

@@ -38,6 +38,8 @@ SHIPPED_RANGES: Final = np.array(
 """Of the tubes that the shipped map is of."""
 SHAPES: Final = {"ranges": (2, len(CONTEXT)), "scaling": (2, len(CONTEXT) + 3)}
 """Of what a plant's own map has besides."""
+PROFILED: Final = {"displacement": "radial_rms_m", "snr": "noise_rms_m"}
+"""Vibration measures that a map can tell of, and their columns of a profile [m]."""
 STORED: Final = Path(__file__).parents[1] / "data" / "vibration-map.npz"
 
 
@@ -58,6 +60,7 @@ class VibrationMap:
         scaling: (2, 7) centre and spread of its inputs; None: they are scaled as table 2's tubes are, see
             ``features_of``.
         digest: of its file.
+        measure: "displacement", radial rms, or "snr", the noise in the band of a flaw as radial rms.
     """
 
     layers: tuple[tuple[FloatArray, FloatArray], ...]
@@ -65,6 +68,7 @@ class VibrationMap:
     ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)
     scaling: FloatArray | None = None
     digest: str = ""
+    measure: str = "displacement"
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, VibrationMap) and self.digest == other.digest != "")
@@ -124,7 +128,10 @@ class VibrationMap:
             scene = Scene.model_validate_json(str(arrays["scene"]))
         except ValidationError as error:
             raise FileError(path, f"scene: {explain(error)}") from error
-        return cls(layers, scene, arrays["ranges"], arrays["scaling"], digest)
+        measure = str(arrays.get("measure", "displacement"))
+        if measure not in PROFILED:
+            raise FileError(path, f"measure = {measure!r} is not one of {', '.join(PROFILED)}")
+        return cls(layers, scene, arrays["ranges"], arrays["scaling"], digest, measure)
 
     def save(self, path: Path) -> None:
         """Write it atomically."""
@@ -133,12 +140,14 @@ class VibrationMap:
         arrays |= {f"biases{k}": b for k, (_, b) in enumerate(self.layers)}
         if self.scaling is not None:
             arrays |= {"ranges": self.ranges, "scaling": self.scaling, "scene": np.array(self.scene.model_dump_json())}
+        if self.measure != "displacement":
+            arrays |= {"measure": np.array(self.measure)}
         np.savez(buffer, **arrays)  # type: ignore[arg-type]
         write_atomically(path, buffer.getvalue())
 
 
 def _expected(name: str) -> str:
-    if name == "scene":
+    if name in ("scene", "measure"):
         return "U"
     return "f" if name in SHAPES or re.fullmatch(r"(weights|biases)[0-2]", name, re.ASCII) else ""
 
@@ -204,14 +213,34 @@ def expected_cost(
         deviation: (n,) of the same.
         feed: (n,) feed speed [m/s].
         air: (n,) air supply [m3/s].
-        config: the task; its vibration measure must be the displacement.
+        config: the task; its vibration measure must be one of ``PROFILED``, that of the map.
     """
-    if config.vibration_measure != "displacement":
-        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: the map knows displacement only")
+    limit = rms_limit(config)
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
     logarithms = mean[:, None] + deviation[:, None] * nodes
-    squares = capped_square(config, 10.0**logarithms * 1e-4 / config.limit) @ (weights / weights.sum())
+    squares = capped_square(config, 10.0**logarithms * 1e-4 / limit) @ (weights / weights.sum())
     return metre_cost(config, squares, feed, air)
+
+
+def rms_limit(config: TaskConfig) -> float:
+    """The limit of the task as what a map tells of, a radial rms [m].
+
+    Raises:
+        ValueError: a vibration measure that maps do not tell of.
+    """
+    if config.vibration_measure not in PROFILED:
+        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: maps know {' and '.join(PROFILED)} only")
+    as_rms = config.sensor.equivalent_rms(np.array(config.limit))
+    return float(as_rms) if config.vibration_measure == "snr" else config.limit
+
+
+def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
+    """Raise ValueError where a map tells of something else than the task's vibration measure."""
+    if config.vibration_measure in PROFILED and vibration.measure != config.vibration_measure:
+        raise ValueError(
+            f"vibration_measure = {config.vibration_measure!r}, but the map is of {vibration.measure}: make one of"
+            " these tubes with `probe-env map --tube`"
+        )
 
 
 def load_quality(path: Path = STORED) -> dict[str, Any]:

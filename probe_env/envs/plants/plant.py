@@ -22,6 +22,7 @@ from probe_env.envs.plants.posterior import Posterior, with_posterior
 from probe_env.envs.plants.tables import DRAG, FRICTION, STIFFNESS, FeedDevice, Supply, Tubes, Walls
 from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.files import FileError, read_toml
+from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Probe, Scene
 from probe_env.settings import Model, explain, tuples, within
 
@@ -42,6 +43,7 @@ class Plant(Model):
     contact: Walls = Walls()
     air: Supply = Supply()
     feed: FeedDevice = FeedDevice()
+    sensor: Sensor = Sensor()
     task: dict[str, Any] = Field(default_factory=dict)
     """Fields of ``TaskConfig``: limits, weights, sensors."""
     posterior: Posterior | None = None
@@ -67,7 +69,12 @@ class Plant(Model):
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
-        misplaced = {**dict.fromkeys(OF_FEED, "feed"), **dict.fromkeys(OF_AIR, "air"), "scene": "tube"}
+        misplaced = {
+            **dict.fromkeys(OF_FEED, "feed"),
+            **dict.fromkeys(OF_AIR, "air"),
+            "scene": "tube",
+            "sensor": "sensor",
+        }
         for name in self.task:
             if name in misplaced or name in SHOWN:
                 place = f"stands in [{misplaced[name]}]" if name in misplaced else "is set by who looks at it"
@@ -152,7 +159,7 @@ class Plant(Model):
         device = {
             name: getattr(part, name) for part, names in ((self.feed, OF_FEED), (self.air, OF_AIR)) for name in names
         }
-        values: dict[str, Any] = {"scene": self._scenes()[0]}
+        values: dict[str, Any] = {"scene": self._scenes()[0], "sensor": self.sensor}
         if self.tube.helix_length > LONGEST:
             values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / LONGEST
         values |= dict(defaults or {}) | {name: value for name, value in device.items() if value is not None}

@@ -42,7 +42,7 @@ class Tubes(Model):
     straight_length: Annotated[float, quantity(0.0, 1e3, "m")] | None = None
     """Of the rising straight part [m]; kept with the results, nothing is computed from it."""
     support_spacing: Annotated[float, quantity(1e-3, 100.0, "m")] | None = None
-    """Between two supports of the tube [m]; kept with the results, nothing is computed from it."""
+    """Between two supports of the tube [m]; ``probe-env signal`` shows them, nothing else is computed from it."""
 
 
 class Walls(Model):

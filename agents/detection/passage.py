@@ -1,0 +1,89 @@
+"""One insertion under a policy with every sample of the sensor kept."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from agents.rollouts.plan import Policy
+from probe_env import Context, Fidelity
+from probe_env.envs.episodes import SAMPLE_PERIOD, Episodes
+from probe_env.envs.task import END_TOLERANCE, TaskConfig
+from probe_env.envs.trials import Players
+from probe_env.inspection.channels import Passage
+from probe_env.settings import within
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """A run, samples and control periods.
+
+    Attributes:
+        passage: what the sensor went through.
+        periods: a mapping of a period each: what ``Episodes`` tells of it, SI units.
+        found: figures by name of what would be found in the length that was inspected, see ``inspection.found``.
+    """
+
+    passage: Passage
+    periods: tuple[dict[str, Any], ...]
+    found: dict[str, float]
+
+
+def insert(
+    policy: Policy, config: TaskConfig, context: Context, fidelity: Fidelity, seed: int, until: float | None = None
+) -> Insertion:
+    """Feed a probe in until the episode ends or a length [m] is inserted; the settling before is not kept.
+
+    Raises:
+        ValueError: a length that is not in the helix, or time-lapse, which leaves three of four metres out.
+        RuntimeError: the simulation diverged.
+    """
+    if fidelity.time_lapse != 1.0:
+        raise ValueError(
+            f"fidelity.time_lapse = {fidelity.time_lapse:g} leaves out metres that a chart shows: take standard,"
+            " reference or other settings with a time-lapse of 1"
+        )
+    length = config.scene.tube.helix_length
+    if until is not None:
+        within("until", until, 5.0, length, "m")
+    episodes = Episodes(1, config, threads=1, may_stand=True, fidelity=fidelity)
+    players = Players(1)
+    players.begin(0, policy)
+    observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
+    guide = episodes.batch.simulators[0].scene.probe.guide_length
+    places, periods, radial, spectra = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), [], []
+    with tqdm(desc="sensor at", initial=places[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
+        while episodes.running[0] and (until is None or places[-1] + guide < until - END_TOLERANCE):
+            step = episodes.step(players.act(observation, episodes.running))
+            observation, info = step.observation, step.infos[0]
+            if info["diverged"]:
+                raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m: nothing is shown")
+            assert episodes.window is not None
+            assert episodes.window.radial is not None
+            radial.append(episodes.window.radial[:, 0])
+            spectra.append(episodes.meter.spectrum[0].copy())
+            bar.update(info["inserted_length"] - guide - places[-1])
+            places.append(info["inserted_length"] - guide)
+            periods.append(info)
+    found = episodes.tally[0].found.kpis(episodes.tally[0].inspected, length)
+    return Insertion(_passage(places, periods, radial, spectra), tuple(periods), found)
+
+
+def _passage(
+    places: list[float], periods: list[dict[str, Any]], radial: list[np.ndarray], spectra: list[np.ndarray]
+) -> Passage:
+    """Samples of all periods; the sensor goes evenly within one."""
+    each = len(radial[0])
+    share = np.arange(1, each + 1) / each
+    return Passage(
+        time=SAMPLE_PERIOD * np.arange(1, each * len(radial) + 1),
+        place=np.concatenate([begin + share * (end - begin) for begin, end in itertools.pairwise(places)]),
+        feed=np.repeat([period["feed_speed"] for period in periods], each),
+        radial=np.concatenate(radial),
+        spectrum=np.array(spectra),
+        period=each,
+    )

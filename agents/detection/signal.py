@@ -1,0 +1,222 @@
+"""What ``probe-env signal`` does: a run, its channels as a file, its charts, and what would have been found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import spearmanr
+
+from agents.detection import pictures
+from agents.detection.passage import Insertion, insert
+from agents.policies.catalogue import make_policy
+from agents.policies.places import Place
+from agents.records.atomic import write_atomically
+from agents.records.provenance import provenance, write_json
+from agents.records.reading import read_parquet
+from agents.records.tables import EPISODES, EPISODES_FOUND
+from agents.rollouts import found
+from agents.rollouts.statistics import grouped
+from agents.terminal.tables import print_table
+from probe_env.arrays import FloatArray
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import resolve_fidelity
+from probe_env.inspection.channels import Flaw, along, calls, channels, filtered, support_places, support_signal
+from probe_env.inspection.detection import snr_at
+from probe_env.inspection.sensor import GROOVE
+from probe_env.settings import within
+
+SPACING: Final = 1.0
+"""Of the supports [m] where a plant's file says nothing; assumption."""
+DRAWN: Final = 6
+"""Flaws that have a figure of their own."""
+ROWS: Final = ("place_m", "depth_percent_wall", "snr", "behind_filter", "called")
+
+
+def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
+    """Flaws written as PLACE:DEPTH, metres and % of the wall; none: 20 % every 5 m.
+
+    Raises:
+        ValueError: not so written, or out of range.
+    """
+    if not texts:
+        return tuple(Flaw(float(place), GROOVE) for place in np.arange(5.0, length, 5.0))
+    flaws = []
+    for text in texts:
+        place, _, depth = text.partition(":")
+        try:
+            flaw = Flaw(float(place), float(depth) / 100.0)
+        except ValueError:
+            raise ValueError(f"flaws: {text!r} is not PLACE:DEPTH, metres and % of the wall, such as 30:20") from None
+        within(f"flaws: place of {text!r}", flaw.place, 0.0, length, "m")
+        within(f"flaws: depth of {text!r}", 100.0 * flaw.depth, 0.1, 100.0, "%")
+        flaws.append(flaw)
+    return tuple(sorted(flaws, key=lambda flaw: flaw.place))
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is looked at.
+
+    Attributes:
+        context: number of the tube in the list.
+        flaws: PLACE:DEPTH each, see ``flaws_of``.
+        support_spacing: of the tube [m]; None: ``SPACING``.
+        until: inserted length at which to stop [m]; None: the helix's end.
+        seed: of sensor noise, start and electronics.
+    """
+
+    context: int = 0
+    flaws: Sequence[str] = ()
+    support_spacing: float | None = None
+    until: float | None = None
+    seed: int = 0
+
+
+def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path) -> pd.DataFrame:
+    """Simulate a run under a policy; writes channels.csv, flaws.csv, signal.json, strip.png and flaws.png.
+
+    Returns:
+        a row a flaw that was passed.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was written.
+        RuntimeError: the simulation diverged; nothing was written.
+    """
+    config = place.config.all_shown
+    spacing = SPACING if look.support_spacing is None else look.support_spacing
+    within("context", look.context, 0, len(place.contexts) - 1, "")
+    within("support_spacing", spacing, 0.05, 100.0, "m")
+    put = flaws_of(look.flaws, config.scene.tube.helix_length)
+    policy, settings = make_policy(spec, config, place.vibration), resolve_fidelity(fidelity)
+    run = insert(policy, config, place.contexts[look.context], settings, look.seed, look.until)
+    chart = chart_of(run, config, put, spacing, np.random.default_rng([look.seed, look.context]))
+    _write(run, chart, f"{spec}, tube {look.context}, {fidelity}", output)
+    write_json(output / "signal.json", _record(run, config, chart) | provenance())
+    return chart.table
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A run's signals.
+
+    Attributes:
+        voltages: (k, 2) X and Y [V].
+        values: (k,) filtered signal along the flaw, over its noise's deviation.
+        flaws: that were passed.
+        supports: places [m].
+        called: places [m].
+        threshold: in deviations.
+        table: a row a flaw: place, depth, its signal-to-noise, what the filter showed, whether it was called.
+        false_calls: calls where there is no flaw.
+    """
+
+    voltages: FloatArray
+    values: FloatArray
+    flaws: tuple[Flaw, ...]
+    supports: FloatArray
+    called: FloatArray
+    threshold: float
+    table: pd.DataFrame
+    false_calls: int
+
+
+def chart_of(
+    run: Insertion, config: TaskConfig, put: Sequence[Flaw], spacing: float, rng: np.random.Generator
+) -> Chart:
+    """Signals of a run with flaws put into its tube; supports, whose places are known, are taken out for the filter."""
+    passage, sensor, tube = run.passage, config.sensor, config.scene.tube
+    first, last = float(passage.place[0]) + sensor.flaw_width, float(passage.place[-1]) - sensor.flaw_width
+    flaws = tuple(flaw for flaw in put if first < flaw.place < last)
+    supports = support_places(spacing, last)
+    voltages = channels(sensor, passage, tube.inner_diameter, flaws, supports, rng)
+    seen = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
+    place, values = passage.place, filtered(sensor, passage, seen)
+    z = run.found["call_threshold"]
+    called = calls(values, place, z, sensor.flaw_width)
+    ends = np.array([period["inserted_length"] for period in run.periods])
+    ends += passage.place[-1] - ends[-1]
+    rows = []
+    for flaw in flaws:
+        near = np.abs(place - flaw.place) < 0.5 * sensor.flaw_width
+        groove = run.periods[int(np.searchsorted(ends, flaw.place).clip(0, len(ends) - 1))]["snr"]
+        shown = float(values[near].max()) if near.any() else 0.0
+        snr = float(snr_at(sensor, np.array([groove]), np.array([flaw.depth]))[0, 0])
+        rows.append((flaw.place, 100.0 * flaw.depth, snr, shown, shown > z))
+    false = sum(all(abs(call - flaw.place) > sensor.flaw_width for flaw in flaws) for call in called)
+    table = pd.DataFrame(rows, columns=list(ROWS))
+    return Chart(voltages, values, flaws, supports, called, z, table, false)
+
+
+def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
+    output.mkdir(parents=True, exist_ok=True)
+    passage = run.passage
+    columns = {
+        "time_s": passage.time, "place_m": passage.place, "feed_speed_m_per_s": passage.feed,
+        "x_v": chart.voltages[:, 0], "y_v": chart.voltages[:, 1],
+    }  # fmt: skip
+    write_atomically(output / "channels.csv", pd.DataFrame(columns).to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / "flaws.csv", chart.table.to_csv(index=False, float_format="%.5g"))
+    marks = pictures.Marks(title, chart.flaws, chart.supports, chart.called, chart.threshold)
+    pictures.strip_chart(run, chart.voltages, chart.values, marks, output / "strip.png")
+    if chart.flaws:
+        kept = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
+        pictures.grooves(run, chart.voltages, [chart.flaws[k] for k in kept], output / "flaws.png")
+
+
+def _record(run: Insertion, config: TaskConfig, chart: Chart) -> dict[str, Any]:
+    return {
+        "sensor": config.sensor.model_dump(),
+        "threshold": chart.threshold,
+        "false_calls": chart.false_calls,
+        "noise_and_vibration_correlation": correlation(run, chart),
+        "found": run.found,
+    }
+
+
+def correlation(run: Insertion, chart: Chart) -> float:
+    """Of the deviation of X with the radial rms, over the control periods (Spearman); NaN where one does not vary."""
+    each = run.passage.period
+    shown = pictures.smoothed(run.passage, chart.voltages[:, 0])
+    noise = shown[: len(run.periods) * each].reshape(-1, each).std(axis=1)
+    vibration = np.array([period["radial_rms_m"] for period in run.periods])
+    if min(np.ptp(noise), np.ptp(vibration)) == 0.0 or len(noise) < 3:
+        return float("nan")
+    return float(spearmanr(noise, vibration).statistic)
+
+
+def print_signal(table: pd.DataFrame, output: Path) -> None:
+    """What was seen of every flaw, on the terminal."""
+    header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
+    rows = [
+        (f"{row['place_m']:g}", f"{row['depth_percent_wall']:g}", f"{row['snr']:.1f}", f"{row['behind_filter']:.1f}",
+         "yes" if row["called"] else "no")
+        for row in table.to_dict("records")
+    ]  # fmt: skip
+    print_table("Flaws that were put into the tube", header, rows, left=0)
+    print(f"{int(table['called'].sum())} of {len(table)} flaws called")
+    print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, signal.json)")
+
+
+def draw_curves(evaluation: Path, output: Path) -> None:
+    """Curves of detection of a stored evaluation's policies: pod.csv and pod.png, depths on the terminal.
+
+    Raises:
+        FileNotFoundError: there is no such evaluation.
+        ValueError: its episodes were stored before there was a sensor.
+    """
+    table = grouped(read_parquet(evaluation / "episodes.parquet", EPISODES, EPISODES_FOUND))
+    if not found.tells(table):
+        raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
+    curves = found.bands(table)
+    output.mkdir(parents=True, exist_ok=True)
+    write_atomically(output / "pod.csv", curves.to_csv(index=False, float_format="%.5g"))
+    pictures.curves(curves, output / "pod.png")
+    header = ("policy", "a50 [% wall]", "a90 [% wall]", "a90/95 [% wall]")
+    rows = [(str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in found.depths_of(table).to_numpy().tolist()]
+    print_table(f"Depths found, over {table['context'].nunique()} tubes", header, rows)
+    print(f"written: {output}/ (pod.png, pod.csv)")

@@ -1,0 +1,143 @@
+"""The two channels of a run: what motion, flaws, supports and noise make of X and Y, and what the filter calls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from probe_env.arrays import FloatArray
+from probe_env.inspection.flaw import shape
+from probe_env.inspection.matched import response_of
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import INVERSE, SPAN
+
+FLAW_REACH: Final = 1.5
+"""Widths from a flaw within which it is seen: g(1.5) is below 1e-17."""
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """A flaw that is put into the tube.
+
+    Attributes:
+        place: of its middle, from the helix's entrance [m].
+        depth: share of the wall.
+    """
+
+    place: float
+    depth: float
+
+
+@dataclass(frozen=True)
+class Passage:
+    """What a sensor went through, k samples.
+
+    Attributes:
+        time: (k,) [s], evenly spaced.
+        place: (k,) of the sensor from the helix's entrance [m].
+        feed: (k,) feed speed [m/s].
+        radial: (k,) displacement [m].
+        spectrum: (p, m) mean density of the motion in each of p control periods, at ``spectrum.FREQUENCY`` [m2/Hz].
+        period: samples in a control period.
+    """
+
+    time: FloatArray
+    place: FloatArray
+    feed: FloatArray
+    radial: FloatArray
+    spectrum: FloatArray
+    period: int
+
+    @property
+    def sample_period(self) -> float:
+        """Time between samples [s]."""
+        return float(self.time[1] - self.time[0])
+
+
+def looks(sensor: Sensor, direction: float) -> FloatArray:
+    """(2,) share that the channels X and Y see of something in a direction from the radial one [rad]."""
+    return np.array([math.cos(direction - sensor.angle), math.sin(direction - sensor.angle)])
+
+
+def along(sensor: Sensor, voltages: FloatArray) -> FloatArray:
+    """(k,) the channels (k, 2) turned into the direction of the flaw, in which calls are made."""
+    return np.asarray(voltages @ looks(sensor, sensor.flaw_angle))
+
+
+def flaw_signal(sensor: Sensor, place: FloatArray, flaws: Sequence[Flaw]) -> FloatArray:
+    """(k,) voltage of flaws in their own direction [V]."""
+    signal = np.zeros(len(place))
+    for flaw in flaws:
+        near = np.abs(place - flaw.place) < FLAW_REACH * sensor.flaw_width
+        signal[near] += sensor.amplitude(flaw.depth) * shape((place[near] - flaw.place) / sensor.flaw_width)
+    return signal
+
+
+def support_places(spacing: float, length: float) -> FloatArray:
+    """Places of the tube's supports [m], half a spacing from its entrance on."""
+    return np.arange(0.5 * spacing, length, spacing)
+
+
+def support_signal(sensor: Sensor, place: FloatArray, supports: FloatArray) -> FloatArray:
+    """(k,) voltage of supports [V], alike in both channels."""
+    signal = np.zeros(len(place))
+    for support in supports:
+        near = np.abs(place - support) < FLAW_REACH * sensor.support_width
+        signal[near] += sensor.support_signal * shape((place[near] - support) / sensor.support_width)
+    return signal
+
+
+def channels(
+    sensor: Sensor,
+    passage: Passage,
+    bore: float,
+    flaws: Sequence[Flaw],
+    supports: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """(k, 2) voltages X and Y of a run [V], balanced: without their means.
+
+    Args:
+        sensor: its constants.
+        passage: how the sensor went and moved.
+        bore: inner diameter of the tube [m].
+        flaws: in it.
+        supports: places of its supports [m].
+        rng: of the electronic noise.
+    """
+    moved = passage.radial - passage.radial.mean()
+    voltages = sensor.gain * np.outer(moved, looks(sensor, 0.0))
+    voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]
+    voltages += np.outer(flaw_signal(sensor, passage.place, flaws), looks(sensor, sensor.flaw_angle))
+    voltages += support_signal(sensor, passage.place, supports)[:, None]
+    deviation = math.sqrt(0.5 * sensor.noise_density / passage.sample_period)
+    voltages += deviation * rng.normal(size=voltages.shape)
+    return np.asarray(voltages - voltages.mean(axis=0))
+
+
+def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray:
+    """(k,) the signal (k,) along the flaw behind the filter of each control period, over its noise's deviation."""
+    around = round(SPAN / passage.sample_period)
+    padded = np.pad(signal, around)
+    values = np.zeros(len(signal))
+    for number, begin in enumerate(range(0, len(signal), passage.period)):
+        part = padded[begin : begin + passage.period + 2 * around]
+        feed, spectrum = float(passage.feed[begin]), INVERSE * passage.spectrum[number]
+        out = response_of(sensor, feed, spectrum, part, passage.sample_period)
+        values[begin : begin + passage.period] = out[around : around + passage.period]
+    return values
+
+
+def calls(values: FloatArray, place: FloatArray, z: float, width: float) -> FloatArray:
+    """Places [m] at which filtered values exceed the threshold, the highest within a flaw's width."""
+    peaks, _ = find_peaks(values, height=z)
+    kept: list[int] = []
+    for peak in sorted(peaks.tolist(), key=lambda k: -values[k]):
+        if all(abs(place[peak] - place[other]) > width for other in kept):
+            kept.append(peak)
+    return np.sort(place[kept]) if kept else np.zeros(0)

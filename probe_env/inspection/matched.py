@@ -1,0 +1,101 @@
+"""Signal-to-noise behind the matched filter, from spectra; all densities are one-sided.
+
+A flaw that is passed at u has the spectrum A (w/u) G(f w/u); in noise of the density S = k1^2 S_y + S_e the filter that
+is matched to both gives SNR^2 = 4 A^2 (w/u)^2 integral over f > 0 of |G(f w/u)|^2 / S(f) df.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+from probe_env.inspection.flaw import energy_above, power
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE, SPAN, STEP
+
+SLOWEST: Final = 0.01
+"""[m/s]: below it a flaw's band has no line of the spectrum, and the figures of this speed are given."""
+LINE: Final = 1.0 / SPAN
+
+
+class Heard(NamedTuple):
+    """What N probes would have shown of a groove of 20 % in a period.
+
+    Attributes:
+        snr: (N,) signal-to-noise of the groove.
+        share: (N,) of the filtered noise's variance that is the sensor's motion.
+        peak_to_peak: (N,) of the motion signal [V].
+        excursions: (N, COUNT) filtered motion over its expected deviation.
+    """
+
+    snr: FloatArray
+    share: FloatArray
+    peak_to_peak: FloatArray
+    excursions: FloatArray
+
+
+def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> FloatArray:
+    """(N,) signal-to-noise of the 20 % groove.
+
+    Args:
+        sensor: its constants.
+        feed: (N,) feed speed [m/s]; its sign does not matter.
+        motion: (N, m) one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
+    """
+    passing = sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST)
+    noise = sensor.seen_gain**2 * motion + sensor.noise_density
+    inner = (power(FREQUENCY * passing[:, None]) / noise).sum(axis=1) * LINE
+    above = energy_above((FREQUENCY[-1] + 0.5 * LINE) * passing) / (passing * sensor.noise_density)
+    return np.asarray(2.0 * sensor.groove_signal * passing * np.sqrt(inner + above))
+
+
+def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray) -> Heard:
+    """What motion leaves of the signal-to-noise.
+
+    A density from few seconds scatters, and the mean of 1/S is above 1/(mean of S): ``INVERSE`` takes that back where
+    motion is all the noise, and does nothing where there is none.
+
+    Args:
+        sensor: its constants.
+        feed: (N,) feed speed [m/s].
+        motion: (N, COUNT) of the last second [m], see ``spectrum.straightened``.
+        spectrum: (N, m) its mean density [m2/Hz].
+    """
+    snr = snr_of_groove(sensor, feed, INVERSE * spectrum)
+    passing = (sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))[:, None]
+    moved = sensor.seen_gain**2 * spectrum
+    noise = INVERSE * moved + sensor.noise_density
+    weights = power(FREQUENCY * passing) / noise
+    variance = (weights * moved / noise).sum(axis=1)
+    all_of_it = np.maximum((weights * (moved + sensor.noise_density) / noise).sum(axis=1), 1e-300)
+    share = np.asarray(variance / all_of_it)
+    response = np.zeros((len(motion), COUNT // 2 + 1), dtype=complex)
+    # the filter's response: conjugate of the flaw's spectrum i v exp(-v^2 / 2), over the noise
+    response[:, 1:-1] = -1j * np.sqrt(power(FREQUENCY * passing)) / noise / np.sinc(FREQUENCY * STEP)
+    filtered = sensor.seen_gain * np.fft.irfft(np.fft.rfft(motion, axis=1) * response, COUNT, axis=1)
+    # variance is a sum of one-sided densities over lines: times their distance it is that of ``filtered``
+    excursions = filtered / np.sqrt(np.maximum(variance * LINE, 1e-300))[:, None]
+    return Heard(snr, share, np.abs(sensor.seen_gain) * np.ptp(motion, axis=1), excursions)
+
+
+def response_of(
+    sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray, sample_period: float
+) -> FloatArray:
+    """(n,) a signal (n,) [V] behind the matched filter, over its noise's deviation.
+
+    Args:
+        sensor: its constants.
+        feed: feed speed [m/s].
+        spectrum: (m,) density of the motion at ``FREQUENCY`` [m2/Hz].
+        signal: (n,) along the direction of the flaw.
+        sample_period: [s].
+    """
+    passing = sensor.flaw_width / max(abs(feed), SLOWEST)
+    frequency = np.fft.rfftfreq(len(signal), sample_period)
+    noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
+    gain = np.sqrt(power(frequency * passing)) / noise
+    deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
+    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain, len(signal))
+    return np.asarray(out / deviation)

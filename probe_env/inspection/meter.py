@@ -1,0 +1,70 @@
+"""The signal-to-noise of N probes, a control period at a time: keeps a second of their motion and a mean spectrum."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import FloatArray
+from probe_env.inspection.matched import Heard, heard
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import FREQUENCY, MEMORY, SPAN, density, straightened
+
+
+class Meter:
+    """Last second of the radial motion of N sensors.
+
+    Args:
+        sensor: its constants.
+        count: N.
+        sample_period: of the motion [s], a divisor of 5 ms.
+
+    ``spectrum`` (N, m) is the mean one-sided density of the motion at ``FREQUENCY`` [m2/Hz].
+    """
+
+    def __init__(self, sensor: Sensor, count: int, sample_period: float) -> None:
+        self.sensor: Final = sensor
+        self.sample_period: Final = sample_period
+        self._kept = np.zeros((count, round(SPAN / sample_period)))
+        self._known = np.zeros(count, dtype=np.int64)
+        self.spectrum = np.zeros((count, len(FREQUENCY)))
+        self._last: dict[int, tuple[float, float, float, FloatArray]] = {}
+
+    def forget(self, k: int) -> None:
+        """Another episode of probe k begins."""
+        self._known[k], self.spectrum[k] = 0, 0.0
+
+    def of(self, k: int) -> tuple[float, float, float, FloatArray]:
+        """What was heard of probe k last, see ``Heard``: one row of each."""
+        return self._last[k]
+
+    def listen(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray, feed: FloatArray) -> Heard:
+        """A period of some probes.
+
+        Args:
+            which: (n,) their indices.
+            radial: (samples, n) their motion [m].
+            feed: (n,) feed speed [m/s].
+        """
+        self._take(which, radial)
+        motion = straightened(self._kept[which], self.sample_period)
+        # until a second has passed the rest stands still: the same power in the part that is known
+        known = self._known[which] * self.sample_period
+        motion *= np.sqrt(np.maximum(SPAN / known, 1.0))[:, None]
+        passed = len(radial) * self.sample_period
+        gain = np.maximum(1.0 - np.exp(-passed / MEMORY), passed / known)[:, None]
+        self.spectrum[which] += np.minimum(gain, 1.0) * (density(motion) - self.spectrum[which])
+        told = heard(self.sensor, feed, motion, self.spectrum[which])
+        for row, k in enumerate(which.tolist()):
+            self._last[k] = (*(float(values[row]) for values in told[:3]), told.excursions[row])
+        return told
+
+    def _take(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray) -> None:
+        size = self._kept.shape[1]
+        new = radial[-size:].T
+        fresh = self._known[which] == 0
+        before = np.where(fresh[:, None], new[:, :1], self._kept[which][:, new.shape[1] :])
+        self._kept[which] = np.concatenate([before, new], axis=1)
+        self._known[which] += len(radial)

@@ -1,0 +1,56 @@
+"""The page without a browser: it is built, its screens take in a run, and it loads nothing from elsewhere."""
+
+import json
+
+import pytest
+from bokeh.document import Document
+
+from agents.app.desk import Office
+from agents.app.page.document import page_of
+from agents.app.server import server_of
+
+
+class Idle:
+    """A line of runs without a worker."""
+
+    runs: tuple[()] = ()
+    changes = 0
+
+
+@pytest.fixture
+def office(tmp_path):
+    return Office(Idle(), tmp_path)
+
+
+def test_every_screen_is_built_and_drawn_for_ones_own_tube(office):
+    page, document = page_of(office, "example"), Document()
+    page.add_to(document)
+    for number in range(len(page.screens)):
+        page.chosen.active = number
+        page.tick()
+        assert [screen.layout.visible for screen in page.screens].count(True) == 1
+    text = json.dumps(document.to_json(), default=str)
+    assert "http" not in text.replace("http://www.w3.org", "")  # nothing to be asked of anybody
+    page.tube.inputs["tube.helix_length"].value = "30"
+    assert page.schedule.along.end == pytest.approx(30.3)
+    page.tube.inputs["tube.helix_length"].value = "never"
+    assert "tube.helix_length: Input should be a valid number" in page.tube.errors["tube.helix_length"].text
+    assert page.desk.tube.plant.tube.helix_length == 30.0
+
+
+def test_text_from_files_is_shown_as_text(office, tmp_path):
+    page = page_of(office)
+    page.compare.open.value = str(tmp_path / "<script>alert(1)</script>")
+    assert "<script>" not in page.compare.wrong.text
+    assert "&lt;script&gt;" in page.compare.wrong.text
+
+
+def test_only_this_machine_is_let_in(office):
+    server = server_of(office, None, 0)
+    try:
+        origins = server._tornado.websocket_origins
+        assert origins == {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
+        assert [sock.getsockname()[0] for sock in server._http._sockets.values()] == ["127.0.0.1"]
+    finally:
+        server.stop()
+        server.io_loop.close()

@@ -1,0 +1,101 @@
+"""The app's server as a process of its own, and Chromium on it: `make test-app`."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+CHROMIUM = os.environ.get("PROBE_ENV_CHROMIUM", "/usr/bin/chromium")
+LONG = 120_000
+"""[ms] that a test waits for what takes seconds: only what hangs takes so long."""
+SHORT_TUBE = """[tube]
+helix_length = 7.0
+[contact]
+friction = { low = 0.1, high = 0.2 }
+"""
+
+
+class App:
+    """A running app: its address and the folder of its runs."""
+
+    def __init__(self, output: Path, tube: Path | None) -> None:
+        self.output, self.tube = output, tube
+        self.start()
+
+    def start(self) -> None:
+        command = [sys.executable, "-m", "agents.cli", "app", "--port", "0", "--no-show", "--output", str(self.output)]
+        command += [] if self.tube is None else ["--tube", str(self.tube)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        line = self.process.stdout.readline()
+        self.address = re.search(r"http://localhost:\d+/", line)[0]
+
+    def kill(self) -> None:
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+        self.process.stdout.close()
+
+
+@contextmanager
+def served(output: Path, tube: Path | None = None):
+    app = App(output, tube)
+    try:
+        yield app
+    finally:
+        app.kill()
+
+
+@pytest.fixture(scope="session")
+def browser():
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def tube(tmp_path):
+    """A tube of 7 m, in which an insertion is over soon."""
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT_TUBE)
+    return path
+
+
+@pytest.fixture(scope="session")
+def app(tmp_path_factory):
+    """An app on a short tube, for tests that leave it as they found it."""
+    folder = tmp_path_factory.mktemp("app")
+    (folder / "short.toml").write_text(SHORT_TUBE)
+    with served(folder / "runs", folder / "short.toml") as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser, app):
+    """A page of that app; what it asked of others, and what went wrong in it, is counted as a failure."""
+    with opened(browser, app) as page:
+        yield page
+
+
+@contextmanager
+def opened(browser, app, width=1280):
+    context = browser.new_context(viewport={"width": width, "height": 900}, locale="en-GB")
+    page = context.new_page()
+    page.set_default_timeout(LONG)
+    asked, wrong = [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("websocket", lambda socket: asked.append(socket.url.replace("ws:", "http:", 1)))
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    page.goto(app.address)
+    page.get_by_text("Expected:").wait_for()
+    page.asked = asked
+    yield page
+    assert [url for url in asked if not url.startswith((app.address, "data:", "blob:"))] == []
+    assert wrong == []
+    context.close()

@@ -1,0 +1,276 @@
+"""The page in a real browser: what is dragged, typed, run and compared, and what is refused."""
+
+import io
+import json
+import os
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from conftest import opened, served
+from PIL import Image
+
+from agents.cli import main
+from agents.records.columns import KPIS
+from agents.rollouts.statistics import short
+
+PLACE = """([chart, k]) => {
+    const document = Bokeh.documents[0];
+    const points = document.get_model_by_name("points").data;
+    const view = Bokeh.index.find_one(document.get_model_by_name(chart));
+    const box = view.canvas_view.el.getBoundingClientRect();
+    return [box.left + view.frame.x_scale.compute(points.inserted_length_m[k]),
+            box.top + view.frame.y_scale.compute(points[chart][k])];
+}"""
+FEED = "feed_speed_m_per_s"
+
+
+def screen(page, number):
+    page.get_by_role("button", name=re.compile(f"^{number} ")).click()
+
+
+def expected(page):
+    """Seconds that the page expects."""
+    return int(re.search(r"Expected: (\d+) s", page.get_by_text("Expected:").inner_text())[1])
+
+
+def points(page):
+    return page.evaluate('Object.fromEntries(Object.entries(Bokeh.documents[0].get_model_by_name("points").data)'
+                         ".map(([name, values]) => [name, Array.from(values)]))")  # fmt: skip
+
+
+def seconds(told):
+    """That an insertion has lasted by now."""
+    found = re.search(r"after (\d+) s", told.inner_text())
+    return int(found[1]) if found else 0
+
+
+def fill(page, label, text):
+    box = page.get_by_label(label, exact=True)
+    box.fill(text)
+    box.press("Enter")
+
+
+def run(page, policies=()):
+    screen(page, 3)
+    page.get_by_role("button", name="Run", exact=True).click()
+    page.locator("[data-state=finished]").wait_for()
+
+
+def test_a_point_that_is_dragged_changes_what_is_expected_while_it_moves(page):
+    before, at = expected(page), points(page)
+    x, y = page.evaluate(PLACE, [FEED, 0])
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y + 30, steps=3)
+    page.get_by_text("Expected:").filter(has_not_text=f"{before} s").wait_for()
+    during = expected(page)
+    assert during > before  # slower takes longer, and the button is still down
+    page.mouse.move(x, y + 45, steps=2)
+    page.mouse.up()
+    moved_by = "(feed) => Bokeh.documents[0].get_model_by_name('points').data.feed_speed_m_per_s[0] < feed"
+    page.wait_for_function(moved_by, arg=at[FEED][0] - 1e-3)
+    moved = points(page)
+    assert moved[FEED][1:] == at[FEED][1:]
+    assert moved["air_supply_m3_per_h"] == at["air_supply_m3_per_h"]
+    assert expected(page) >= during
+
+
+def test_a_tap_adds_a_point_on_the_line_of_the_other_chart(page):
+    before = points(page)
+    x, y = page.evaluate(PLACE, [FEED, 0])
+    page.mouse.click(x + 60, y + 40)
+    page.wait_for_function("(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n",
+                           arg=len(before[FEED]) + 1)  # fmt: skip
+    page.wait_for_function(
+        "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
+    )
+    after = points(page)
+    assert after["inserted_length_m"] == sorted(after["inserted_length_m"])
+
+
+def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp_path):
+    """Bit for bit in the folder, and digit for digit on the page."""
+    screen(page, 3)
+    page.get_by_text("5 ×", exact=True).click()
+    page.get_by_role("button", name="Run", exact=True).click()
+    page.locator("[data-state=running]").wait_for()
+    page.get_by_role("button", name="pause", exact=True).click()
+    told = page.locator("[data-state=running]")
+    told.filter(has_text="paused").wait_for()
+    before = seconds(told)
+    page.get_by_role("button", name="step", exact=True).click()
+    told.filter(has_text="paused").filter(has_text=f"after {before + 1} s").wait_for()
+    page.get_by_role("button", name="slow motion").click()
+    page.get_by_text("What comes next").wait_for()
+    page.get_by_text("as fast as it goes").click()
+    page.get_by_role("button", name="go on", exact=True).click()
+    page.locator("[data-state=finished]").wait_for()
+    folder = max(path for path in app.output.glob("*-my-schedule"))
+    command = json.loads((folder / "provenance.json").read_text())["command"].split()[1:]
+    command[command.index("--output") + 1] = str(tmp_path / "again")
+    assert main(command) == 0
+    for name in ("episodes.parquet", "profile.parquet"):
+        pd.testing.assert_frame_equal(
+            *(pd.read_parquet(place / name) for place in (folder, tmp_path / "again")), check_exact=True
+        )
+    screen(page, 4)
+    page.get_by_text("Ranking").wait_for()
+    table = pd.read_parquet(folder / "episodes.parquet").set_index("policy")
+    row = page.locator("tr", has=page.locator("th", has_text="my-schedule")).first.inner_text()
+    for kpi, (_, factor, _) in KPIS.items():
+        assert short(table.loc["my-schedule", kpi] * factor) in row
+    page.get_by_role("button", name="write its report").last.click()
+    with page.context.expect_page() as report:
+        page.get_by_role("link", name="open the report").click()
+    assert report.value.get_by_role("heading", name="Feed policies compared").is_visible()
+    assert (folder / "report.html").exists()
+
+
+BROKEN = [
+    ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
+    ("helix diameter [m]", "abc", "tube.helix_diameter"),
+    ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
+    ("inner diameter [m]", "nan", "tube.inner_diameter: nan m is outside the accepted range 0.005 to 0.1 m"),
+    ("helix length [m]", "-5", "tube.helix_length: -5.0 m is outside the accepted range 0.1 to 1000 m"),
+    ("line density [kg/m]", "1e9", "probe.line_density: 1000000000.0 kg/m is outside the accepted range 0.01 to 10"),
+    ("float pitch [m]", "0", "probe.float_pitch: 0.0 m is outside the accepted range 0.01 to 1 m"),
+    ("guide length [m]", "2.55", "probe.guide_length = 2.55 m must be a whole multiple of probe.float_pitch"),
+    ("flexural rigidity [N m2]", "five", "probe.flexural_rigidity: Input should be a valid number"),
+    ("friction", "2", "contact.friction: value = 2.0 is outside the accepted range 0 to 1"),
+    ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
+    ("friction", "0.2 ± 0", "contact.friction.std: Input should be greater than 0"),
+    ("stiffness [N/m]", "1", "contact.stiffness: value = 1.0 N/m is outside the accepted range 100 to 1e+08 N/m"),
+    ("air supply rates", "0.03 to 0.01", "air_supply_rates = (0.03, 0.01) must ascend"),
+    ("feed speeds", "0 to 0.4", "feed_speeds = (0.0, 0.4) must ascend within the accepted range 1e-06 to 2"),
+    ("ramp [m/s2]", "0", "ramp: 0.0 m/s2 is outside the accepted range 0.001 to 1000 m/s2"),
+    ("open a tube", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
+    ("save as", "mine.txt", "mine.txt: a plant's file must be named NAME.toml"),
+    ("calibration", "nothing.json", "nothing.json"),
+]
+
+
+def test_broken_input_is_refused_at_its_field_in_the_words_of_the_command(page):
+    screen(page, 1)
+    page.get_by_text("Your own tube").wait_for()
+    for label, text, told in BROKEN:
+        given = page.get_by_label(label, exact=True).first
+        before = given.input_value()
+        given.fill(text)
+        given.press("Enter")
+        page.get_by_role("alert").filter(has_text=told).wait_for()
+        given.fill(before)
+        given.press("Enter")
+        if label not in ("open a tube", "save as", "calibration"):
+            page.get_by_role("alert").filter(has_text=told).wait_for(state="detached")
+
+
+def test_a_schedule_file_that_is_none_is_refused(page, tmp_path):
+    (tmp_path / "bad.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,9,60\n")
+    for text, told in (
+        (str(tmp_path / "bad.csv"), "line 2, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
+        (str(tmp_path / "none.csv"), "no such file"),
+        ("shift", "a schedule over time cannot be dragged"),
+    ):
+        fill(page, "open a schedule file", text)
+        page.get_by_role("alert").filter(has_text=told).wait_for()
+
+
+def test_a_killed_server_keeps_what_was_finished_and_goes_on_with_the_rest(browser, tube, tmp_path):
+    with served(tmp_path / "runs", tube) as app:
+        with opened(browser, app) as page:
+            run(page)
+            page.get_by_text("1 ×", exact=True).first.click()
+            page.get_by_role("button", name="Run", exact=True).click()
+            page.locator("[data-state=running]").filter(has_text="m in after").wait_for()
+        app.kill()
+        app.start()
+        with opened(browser, app) as page:
+            screen(page, 3)
+            runs = page.get_by_role("row")
+            runs.filter(has_text="001-my-schedule").filter(has_text="1 of 1 complete").wait_for()
+            runs.filter(has_text="002-my-schedule").filter(has_text="interrupted: 0 of 2").wait_for()
+            page.get_by_label("a run", exact=True).select_option("002-my-schedule")
+            page.get_by_role("button", name="go on with it").click()
+            page.locator("[data-state=finished]").wait_for()
+            runs.filter(has_text="002-my-schedule").filter(has_text="1 of 1 complete").wait_for()
+
+
+def test_two_browsers_see_the_same_runs_each_at_a_desk_of_its_own(browser, app):
+    with opened(browser, app) as one, opened(browser, app) as other:
+        before = points(other)
+        fill(one, "open a schedule file", "best-schedule")
+        one.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
+        assert points(other) == before
+        run(one)
+        newest = max(path.name for path in app.output.glob("*-my-*"))
+        screen(other, 3)
+        other.get_by_role("row").filter(has_text=newest).filter(has_text="complete").wait_for()
+
+
+def test_by_hand_with_the_keyboard(page, app):
+    page.keyboard.press("5")
+    page.get_by_role("button", name="Start", exact=True).click()
+    page.get_by_text("by hand: score").wait_for()
+    feed = 'Bokeh.documents[0].get_model_by_name("hand-feed").value'
+    before = page.evaluate(feed)
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate(feed) > before
+    page.keyboard.press(" ")
+    page.get_by_role("button", name="go on", exact=True).last.wait_for()
+    page.keyboard.press(" ")
+    page.get_by_text("It is over.").wait_for()
+    folder = max(path for path in app.output.glob("*-by-hand"))
+    table = pd.read_parquet(folder / "episodes.parquet")
+    assert set(table["policy"]) == {"by hand", "tension-scheduled"}
+    described = json.loads((folder / "provenance.json").read_text())["policies"]["by hand"]
+    assert len(set(described["schedule"]["feed_speed"])) == 2  # before and after the key
+
+
+PICTURES = os.environ.get("PROBE_ENV_PICTURES")
+TITLES = ("tube", "schedule", "insertion", "compare", "manual")
+
+
+@pytest.mark.parametrize("width", [1280, 820])
+def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
+    """Of the study's tubes; the pictures of the pages are these, with PROBE_ENV_PICTURES=docs/inspection/app."""
+    folder = Path(PICTURES or tmp_path)
+    folder.mkdir(parents=True, exist_ok=True)
+    with served(tmp_path / "output") as app, opened(browser, app, width) as page:
+        page.get_by_role("button", name="close").click()
+        for number, title in enumerate(TITLES, start=1):
+            screen(page, number)
+            if title == "insertion":
+                page.get_by_role("button", name="Run", exact=True).click()
+                page.get_by_text(re.compile(r"[34]\d\.\d m in after")).first.wait_for()
+                page.get_by_role("button", name="pause", exact=True).click()
+                page.get_by_role("button", name="slow motion").click()
+                page.get_by_text("What comes next").wait_for()
+                page.wait_for_timeout(1500)  # of slow motion, for the picture's sake
+            if title == "compare":
+                page.get_by_text("Ranking").wait_for()
+            if title == "manual":
+                page.get_by_text("8 ×", exact=True).click()
+                page.get_by_role("button", name="Start", exact=True).click()
+                page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m in")).wait_for()
+            page.wait_for_timeout(500)  # what was hidden is laid out
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))
+            taken.convert("RGB").quantize(256).save(
+                folder / f"{title}-{width}.png", optimize=True
+            )  # a third of the bytes
+            if title == "insertion":
+                page.get_by_role("button", name="go on", exact=True).first.click()
+                page.locator("[data-state=finished]").wait_for()
+
+
+@pytest.mark.parametrize("address", ["report/?folder=/etc", "report/?folder=."])
+def test_only_reports_are_given_away(page, app, address, tmp_path):
+    assert page.request.get(app.address + address).status == 404
+
+
+def test_another_name_of_this_machine_is_refused(page, app):
+    """As a site would have it that points its own name here."""
+    answer = page.request.get(app.address, headers={"Host": f"evil.example:{app.address.split(':')[-1].strip('/')}"})
+    assert answer.status == 403

@@ -1,0 +1,76 @@
+"""Depths found over tubes, from tables of episodes."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.detection import pictures
+from agents.detection.signal import draw_curves
+from agents.records.columns import FOUND, KPIS
+from agents.records.models import ENDINGS
+from agents.rollouts import found
+from probe_env import Context
+from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
+from probe_env.inspection.found import POD_NAMES
+from probe_env.inspection.sensor import Sensor
+
+
+def table(**snr):
+    """A policy a keyword: the signal-to-noise of the 20 % groove in each of its tubes."""
+    rows = []
+    for policy, values in snr.items():
+        for context, groove in enumerate(values):
+            curve = pod_gaussian(snr_at(Sensor(), np.array([groove])), 4.6)[0]
+            rows.append({"policy": policy, "context": context, "seed": 0} | dict(zip(POD_NAMES, curve, strict=True)))
+    return pd.DataFrame(rows)
+
+
+def test_equal_tubes_leave_nothing_to_chance():
+    depths = found.depths_of(table(one=[7.5] * 6)).iloc[0]
+    assert depths["a90_95_percent_wall"] == pytest.approx(depths["a90_percent_wall"], rel=1e-12)
+    assert depths["a90_percent_wall"] == pytest.approx(20.0 * (4.6 + 1.2816) / 7.5, rel=2e-3)
+    assert depths["a50_percent_wall"] == pytest.approx(20.0 * 4.6 / 7.5, rel=2e-3)
+
+
+def test_the_bound_is_above_and_narrows_with_tubes():
+    """Drawn with replacement: the bound of 4 n tubes is half as far away, as of any mean; to a quarter of it."""
+    rng = np.random.default_rng(0)
+    some = rng.uniform(4.0, 9.0, 12)
+    few, many = (found.depths_of(table(p=np.tile(some, n))).iloc[0] for n in (1, 4))
+    assert few["a90_percent_wall"] == pytest.approx(many["a90_percent_wall"], rel=1e-12)
+    away = [row["a90_95_percent_wall"] - row["a90_percent_wall"] for row in (few, many)]
+    assert away[0] > away[1] > 0.0
+    assert away[1] / away[0] == pytest.approx(0.5, abs=0.125)
+
+
+def test_the_mean_curve_counts_and_not_the_mean_depth():
+    """One tube in five where nothing is found: no depth is found with 90 % over all of them."""
+    both = table(p=[8.0, 8.0, 8.0, 8.0, 1e-3])
+    assert found.depths_of(both).iloc[0]["a90_percent_wall"] == 100.0
+    curve = 0.8 * pod_gaussian(snr_at(Sensor(), np.array([8.0])), 4.6)[0]
+    assert found.depths_of(both).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
+
+
+def test_bands_and_their_picture(tmp_path):
+    both = table(good=[7.0, 8.0, 9.0], bad=[2.0, 3.0, 4.0])
+    bands = found.bands(both)
+    assert (bands["low"] <= bands["pod"] + 1e-12).all()
+    assert (bands["pod"] <= bands["high"] + 1e-12).all()
+    assert len(bands) == 2 * len(DEPTHS)
+    assert pictures.curves(bands, tmp_path / "pod.png").stat().st_size > 5000
+    assert found.tells(both)
+    assert not found.tells(both.drop(columns=POD_NAMES[0]))
+
+
+def test_curves_of_a_stored_evaluation(tmp_path, capsys):
+    """What older episodes lack is said; what newer ones have is read from their file."""
+    whole = table(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *FOUND, *Context.model_fields), 1.0))
+    whole = whole.assign(**dict.fromkeys(ENDINGS, 0.0))
+    whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
+    with pytest.raises(ValueError, match="its episodes have no curves of detection: run the evaluation again"):
+        draw_curves(tmp_path, tmp_path / "out")
+    whole.to_parquet(tmp_path / "episodes.parquet", index=False)
+    draw_curves(tmp_path, tmp_path / "out")
+    assert "over 3 tubes" in capsys.readouterr().out
+    assert len(pd.read_csv(tmp_path / "out" / "pod.csv")) == len(DEPTHS)
+    assert (tmp_path / "out" / "pod.png").exists()

@@ -1,0 +1,102 @@
+"""The channels of a run: what is put in comes out, and what is asked for wrongly is named."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from probe_env.inspection.channels import Flaw, Passage, along, calls, channels, filtered, support_places
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import FREQUENCY
+
+NONE = np.zeros(0)
+
+
+def quiet(feed, seconds=100):
+    time = np.arange(1, 1000 * seconds + 1) * 1e-3
+    silent = np.zeros((seconds, len(FREQUENCY)))
+    return Passage(time, 2.5 + feed * time, np.full(len(time), feed), np.zeros(len(time)), silent, 1000)
+
+
+@pytest.mark.parametrize("feed", [0.08, 0.2, 0.4])
+def test_a_flaw_stands_behind_the_filter_as_high_as_the_formula_says(feed):
+    """Mean of n flaws: within 4 deviations of 1 / sqrt(n) (a chance of 6e-5), and 0.5 % for the bends of a peak."""
+    sensor, passage = Sensor(), quiet(feed)
+    flaws = [Flaw(place, 0.2) for place in np.arange(3.0, passage.place[-1] - 0.2, 0.2)]
+    voltages = channels(sensor, passage, 0.0242, flaws, NONE, np.random.default_rng(0))
+    values = filtered(sensor, passage, along(sensor, voltages))
+    shown = np.interp([flaw.place for flaw in flaws], passage.place, values)
+    snr = 7.5 * np.sqrt(0.2 / feed)
+    assert shown.mean() == pytest.approx(snr, abs=4.0 / np.sqrt(len(flaws)) + 5e-3 * snr)
+    free_of_flaws = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(1))
+    empty = filtered(sensor, passage, along(sensor, free_of_flaws))
+    free = (
+        1.2 * feed / sensor.flaw_width * 100.0
+    )  # some u/w samples a second are free: a deviation scatters by 1/sqrt(2n)
+    assert empty.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * free))
+
+
+def test_motion_stands_in_both_channels_opposite_and_unequal():
+    sensor, passage = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 2)
+    motion = 1e-4 * np.sin(2 * np.pi * 14.0 * passage.time)
+    moved = Passage(passage.time, passage.place, passage.feed, motion, passage.spectrum, 1000)
+    x, y = channels(sensor, moved, 0.0242, [], NONE, np.random.default_rng(0)).T
+    assert np.polyfit(x, y, 1)[0] == pytest.approx(-np.tan(sensor.angle), rel=0.02)
+    assert np.ptp(x) == pytest.approx(2 * 2900.0 * 1e-4 * np.cos(sensor.angle), rel=0.1)
+
+
+def test_supports_are_where_they_were_put():
+    sensor, passage = Sensor(quiet_snr=1000.0), quiet(0.2, 20)
+    supports = support_places(0.8, passage.place[-1])
+    assert supports[0] == 0.4
+    x, y = channels(sensor, passage, 0.0242, [], supports, np.random.default_rng(0)).T
+    inside = supports[(supports > 2.6) & (supports < 6.3)]
+    loud = passage.place[np.abs(x) > 0.5 * sensor.support_signal]
+    assert (np.abs(loud[:, None] - inside).min(axis=1) < sensor.support_width).all()
+    assert len({int(np.abs(place - inside).argmin()) for place in loud}) == len(inside)
+    assert np.abs(x - y).max() < 0.05 * sensor.support_signal
+
+
+def test_one_call_a_flaw():
+    place = np.linspace(0.0, 1.0, 1001)
+    values = 6.0 * np.exp(-(((place - 0.3) / 0.01) ** 2)) + 5.0 * np.exp(-(((place - 0.309) / 0.002) ** 2))
+    values += 7.0 * np.exp(-(((place - 0.8) / 0.01) ** 2))
+    assert calls(values, place, 4.5, 0.02) == pytest.approx([0.309, 0.8], abs=0.011)
+    assert len(calls(values, place, 20.0, 0.02)) == 0
+
+
+def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
+    output = tmp_path / "signal"
+    asked = ["signal", "constant", "--until", "7", "--flaws", "3:80", "4:80", "4.2:2", "--output", str(output)]
+    assert main(asked) == 0
+    table = pd.read_csv(output / "channels.csv")
+    assert list(table.columns) == ["time_s", "place_m", "feed_speed_m_per_s", "x_v", "y_v"]
+    assert np.diff(table["time_s"]) == pytest.approx(1e-3, abs=1e-6)
+    assert table["place_m"].iloc[-1] == pytest.approx(4.5, abs=0.01)  # the sensor follows 2.5 m behind the tip
+    flaws = pd.read_csv(output / "flaws.csv")
+    assert flaws["place_m"].tolist() == [3.0, 4.0, 4.2]
+    assert flaws["called"].tolist() == [True, True, False]  # 30 deviations, and less than one
+    record = json.loads((output / "signal.json").read_text())
+    assert record["found"]["length_with_snr_over_3_m"] == pytest.approx(2.0, abs=0.01)
+    assert record["found"]["a50_percent_wall"] == pytest.approx(20.0 * record["threshold"] / 7.5, rel=0.02)
+    assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}
+    assert "2 of 3 flaws called" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (["--flaws", "30"], "flaws: '30' is not PLACE:DEPTH"),
+        (["--flaws", "70:20"], "flaws: place of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
+        (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
+        (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
+        (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
+        (["--fidelity", "fast"], "fidelity.time_lapse = 4 leaves out metres"),
+    ],
+)
+def test_what_is_wrong_is_named_before_anything_is_done(asked, told, tmp_path, capsys):
+    assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,167 @@
+"""In and back: what a metre counts for, when the probe turns and ends, and policies of both passes."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from agents.policies.catalogue import make_policy
+from probe_env import Context, TaskConfig
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.observations import in_si_units
+from probe_env.envs.passes import Passes
+from probe_env.fidelity import resolve_fidelity
+from probe_env.files import FileError
+from probe_env.schedule import Schedule
+
+SHORT = {"tube": {"helix_length": 8.0}}
+BOTH = TaskConfig(passes="both", time_limit=1800.0)
+HARD = Context(friction=0.2, helix_diameter=1.0)
+
+
+def shown(inspects, way_in, way_back):
+    """Sums of an inspection of 4 m from 5 m on, in half metres, with squares given for each metre of both ways."""
+    passes = Passes(1, TaskConfig(passes="both", inspects=inspects), 1)
+    passes.begin(0, 5.0, 9.0)
+    good, total = np.ones(1, dtype=bool), np.zeros(4)
+    for end in np.arange(5.5, 9.01, 0.5):
+        squares = np.array([way_in[int(end - 5.25)]])
+        counted = passes.count(good, np.array([end]), squares, squares <= 1.0, squares[:, None])
+        total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
+    passes.turn(good)
+    for end in np.arange(8.5, 4.99, -0.5):
+        squares = np.array([way_back[int(end - 4.75)]])
+        counted = passes.count(good, np.array([end]), squares, squares <= 1.0, squares[:, None])
+        total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
+    assert passes.is_back(np.array([5.0]), np.array([5.0])).all()
+    return total.tolist()
+
+
+@pytest.mark.parametrize(
+    ("inspects", "expected"),
+    [
+        ("in", [4.0, 0.5 + 2.0 + 4.0 + 9.0, 1.0, 15.5]),
+        ("back", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
+        ("best", [4.0, 0.2 + 2.0 + 0.6 + 9.0, 2.0, 11.8]),
+    ],
+)
+def test_a_metre_counts_for_what_the_task_says(inspects, expected):
+    assert shown(inspects, (0.5, 2.0, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected)
+
+
+def test_a_metre_may_be_cut_anywhere():
+    """The better of both, metre by metre, does not depend on the periods' lengths."""
+    totals = []
+    for steps in (8, 37):
+        passes = Passes(1, BOTH, 0)
+        passes.begin(0, 5.0, 9.0)
+        places, good, total = np.linspace(5.0, 9.0, steps + 1)[1:], np.ones(1, dtype=bool), 0.0
+        none = np.zeros((1, 0))
+        for end in places:
+            total += passes.count(good, np.array([end]), np.array([2.0]), good, none).squares[0]
+        passes.turn(good)
+        for end in (*places[-2::-1], 5.0):
+            total += passes.count(good, np.array([end]), np.array([0.5]), good, none).squares[0]
+        totals.append(total)
+    assert totals == pytest.approx([2.0, 2.0])
+
+
+@pytest.fixture(scope="module")
+def played():
+    """An inspection of 8 m of helix at full feed, with everything observed."""
+    env = gym.make("probe_env/Inspection-v0", fidelity="fast", scene=SHORT).unwrapped
+    observation, info = env.reset(seed=3, options=HARD.model_dump())
+    seen, infos, rewards = [observation], [info], []
+    action = env.config.action(0.4, 63.0 / 3600.0)
+    while True:
+        observation, reward, terminated, truncated, info = env.step(action)
+        seen.append(observation)
+        infos.append(info)
+        rewards.append(reward)
+        assert env.observation_space.contains(observation)
+        if terminated or truncated:
+            return env, np.array(seen), infos, rewards
+
+
+def test_the_probe_turns_at_the_end_and_ends_where_it_began(played):
+    env, seen, infos, rewards = played
+    values = in_si_units(env.config, seen)
+    lengths, way = values["inserted_length"], values["way"]
+    assert way[0] == 1.0
+    assert way[-1] == -1.0
+    assert lengths.max() == pytest.approx(8.0)
+    assert lengths[np.argmax(way < 0.0)] == pytest.approx(8.0)
+    assert lengths[-1] <= 5.0 + 1e-5
+    assert values["feed_speed"].max() == pytest.approx(0.4)
+    assert values["feed_speed"].min() == pytest.approx(-0.4)
+    assert values["air_supply_rate"].min() < -55.0 / 3600.0  # it lags
+    kpis = infos[-1]["episode_kpis"]
+    assert kpis["complete"] == 1.0
+    assert kpis["inspected_m"] == pytest.approx(3.0)
+    assert kpis["air_m3"] > 0.5 * 63.0 / 3600.0 * kpis["inspection_time_s"]  # blown both ways
+    assert kpis["reward"] == pytest.approx(sum(rewards))
+    assert kpis["radial_max_m"] < 5.5e-3  # where it rests does not count as vibration
+
+
+def test_it_is_pulled_in_and_pressed_out(played):
+    env, seen, _, _ = played
+    values = in_si_units(env.config, seen)
+    steady = np.abs(np.diff(values["feed_speed"], prepend=0.0)) < 1e-6
+    assert (values["root_tension"][(values["way"] > 0.0) & steady] > 1.0).all()
+    assert (values["root_tension"][(values["way"] < 0.0) & steady][2:] < -1.0).all()
+
+
+def test_policies_of_the_way_in_come_back_as_fast_as_they_can(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text(
+        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s,return_air_supply_m3_per_h\n"
+        "5,0.4,63,0.1,40\n60,0.2,100,0.3,90\n"
+    )
+    config = BOTH.all_shown
+    episodes = Episodes(1, config, fidelity="fast")
+    observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": HARD}})
+    back = observation.copy()
+    names = list(config.observations)
+    back[:, names.index("way")] = -1.0
+    for name in ("feed_speed", "air_supply_rate", "root_tension"):
+        back[:, names.index(name)] *= -1.0
+    for spec, speed, air in (("pi", 0.4, 63.0), (str(path), 0.1, 40.0), ("tension-scheduled", 0.4, 63.0)):
+        policy = make_policy(spec, config)
+        both, _ = policy.predict(np.concatenate([observation, back]))
+        alone, _ = policy.forth.predict(np.delete(observation, names.index("way"), axis=1))
+        assert both[0] == pytest.approx(alone[0])
+        feed, supply = config.targets(both)[1]
+        assert feed == pytest.approx(speed, rel=1e-5)
+        assert 3600.0 * supply == pytest.approx(air, rel=1e-5)
+        assert policy.describe()["back"]["feed_speed"][0] == pytest.approx(speed)
+
+
+def test_columns_of_the_way_back_go_together(tmp_path):
+    path = tmp_path / "half.csv"
+    path.write_text(
+        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s\n5,0.4,63,0.1\n60,0.2,100,0.3\n"
+    )
+    with pytest.raises(
+        FileError, match=r"half\.csv: return_feed_speed_m_per_s and return_air_supply_m3_per_h go together"
+    ):
+        Schedule.read_back(path)
+    assert Schedule.read_back("configs/schedules/example.csv") is None
+
+
+@pytest.mark.parametrize(
+    ("fidelity", "message"),
+    [
+        ("reference", "superelement does not simulate the way back; give one of standard, fast, study"),
+        ("auto", "nothing was measured on the way back"),
+        ({"method": "imex32"}, "imex32 does not simulate the way back"),
+    ],
+)
+def test_what_does_not_simulate_the_way_back_is_refused(fidelity, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make("probe_env/Inspection-v0", fidelity=fidelity)
+    assert resolve_fidelity("study", both_ways=True).method == "newmark"
+
+
+def test_both_passes_need_a_length_that_changes():
+    with pytest.raises(ValidationError, match="needs growing = true"):
+        TaskConfig(passes="both", growing=False)

@@ -1,0 +1,170 @@
+"""Threshold, curves and depths, against closed forms, against counts, and against 10,000 flaws in simulated traces."""
+
+import math
+
+import numpy as np
+import pytest
+from oracles.scatter import hits_within
+from scipy.special import logit
+from scipy.stats import norm, poisson
+from statsmodels.discrete.discrete_model import Logit
+
+from probe_env import Scene, SimulatorBatch
+from probe_env.inspection import flaw
+from probe_env.inspection.detection import (
+    DEPTHS,
+    EDGES,
+    MIDDLES,
+    depth_found,
+    pod_as_seen,
+    pod_gaussian,
+    snr_at,
+    threshold,
+)
+from probe_env.inspection.found import Found
+from probe_env.inspection.meter import Meter
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE
+
+SENSOR = Sensor()
+CHANCE = 1e-4
+SILENT = np.zeros(COUNT)
+
+
+def test_false_calls_are_as_many_as_were_allowed():
+    """White noise behind the filter over 2,000 m at a threshold for 0.1 calls in 2 m: a Poisson number around 100."""
+    length, per_metre = 2000.0, 2000
+    noise = np.random.default_rng(0).normal(size=round(length * per_metre))
+    x = np.arange(-0.04, 0.04, 1.0 / per_metre) / SENSOR.flaw_width
+    out = np.convolve(noise, flaw.shape(x), "same") / np.sqrt((flaw.shape(x) ** 2).sum())
+    z = threshold(SENSOR, 2.0)
+    calls = int(((out[1:] > z) & (out[:-1] <= z)).sum())
+    assert poisson.ppf(0.5 * CHANCE, 100.0) <= calls <= poisson.isf(0.5 * CHANCE, 100.0)
+
+
+def test_one_place_in_closed_form():
+    """One signal-to-noise everywhere: a50 at z, a90 at z + 1.2816, over the groove's; between depths to 1e-3."""
+    z = threshold(SENSOR, 60.0)
+    for groove, exponent in ((7.5, 1.0), (20.0, 1.0), (7.5, 1.6)):
+        sensor = Sensor(depth_exponent=exponent)
+        curve = pod_gaussian(snr_at(sensor, np.array([groove])), z)[0]
+        for level in (0.5, 0.9):
+            wanted = 0.2 * ((z + norm.ppf(level)) / groove) ** (1.0 / exponent)
+            assert depth_found(curve, level) == pytest.approx(wanted, rel=2e-3)
+
+
+def test_what_is_never_found_and_what_always_is():
+    assert depth_found(np.full(len(DEPTHS), 0.85), 0.9) == 1.0
+    assert depth_found(np.ones(len(DEPTHS)), 0.9) == DEPTHS[0]
+
+
+def test_gaussian_excursions_give_the_gaussian_curve():
+    """Counts of the normal distribution; what remains is their bins of 0.25: a variance too large by 0.25^2 / 12."""
+    counts = np.diff(norm.cdf(EDGES)) * 1e9
+    z = threshold(SENSOR, 60.0)
+    snr = snr_at(SENSOR, np.array([2.0, 4.0, 12.0]))
+    share = np.array([0.0, 0.5, 0.9])
+    steepest = norm.pdf(1.0) * 0.5 * 0.25**2 / 12.0  # of a change of variance: phi'(x) / 2, the most at x = 1
+    assert pod_as_seen(snr, z, share, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
+
+
+def test_spiky_excursions_hide_flaws():
+    """Noise that is a spike of five deviations in one place of 25: drawn and counted."""
+    counts = np.zeros(len(MIDDLES))
+    counts[np.abs(MIDDLES - 0.125) < 0.01] = 48.0
+    counts[np.abs(np.abs(MIDDLES) - 4.875) < 0.01] = 1.0  # one of each sign
+    share, snr, z, draws = 0.8, 6.0, 4.585, 200_000
+    told = float(pod_as_seen(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
+    rng = np.random.default_rng(0)
+    spikes = rng.choice(MIDDLES, size=draws, p=counts / counts.sum())
+    found = int((snr + np.sqrt(share) * spikes + np.sqrt(1.0 - share) * rng.normal(size=draws) > z).sum())
+    least, most = hits_within(draws, told, told)
+    assert least <= found <= most
+    assert told < float(pod_gaussian(np.array(snr), z)) + 0.06
+
+
+def found_of(snr, lengths, excursions=SILENT):
+    found = Found(SENSOR)
+    for value, length in zip(snr, lengths, strict=True):
+        found.add(length, value, 0.0, 0.5, excursions)
+    return found
+
+
+def test_an_episode_is_averaged_over_its_length():
+    """Half at one signal-to-noise, half at another, and a tenth of the tube not inspected."""
+    z = threshold(SENSOR, 60.0)
+    kpis = found_of([2.0, 8.0], [27.0, 27.0]).kpis(60.0, 60.0)
+    curve = 0.45 * sum(pod_gaussian(snr_at(SENSOR, np.array([snr])), z)[0] for snr in (2.0, 8.0))
+    assert [value for name, value in kpis.items() if name.startswith("pod_at")] == pytest.approx(curve, rel=1e-12)
+    assert kpis["length_with_snr_over_3_m"] == 27.0
+    assert kpis["noise_peak_to_peak_v"] == 0.5
+    assert kpis["a90_percent_wall"] == pytest.approx(100.0, abs=0.2)  # of what was inspected all: a hole
+    assert kpis["a50_percent_wall"] == pytest.approx(100.0 * depth_found(curve, 0.5), rel=1e-12)
+    assert Found(SENSOR).kpis(60.0, 60.0)["a90_percent_wall"] == 100.0  # nothing was inspected
+
+
+def test_spikes_are_told_from_noise():
+    rng = np.random.default_rng(0)
+    for draw, gaussian in ((rng.normal, True), (lambda size: rng.standard_t(3, size), False)):
+        found = Found(SENSOR)
+        for _ in range(300):
+            found.add(0.2, 5.0, 0.5, 0.1, draw(size=COUNT))
+        assert found.gaussian is gaussian
+
+
+@pytest.mark.processor
+def test_the_formula_says_what_10000_flaws_say(seeds):
+    """Flaws of random depth in simulated traces with electronic noise, called by the filter, fitted by a logit.
+
+    The regressor is the logit of the formula's curve (calibration after Cox): the shape of a logit costs nothing.
+    Noise of one second is shared by many flaws: the fit's intervals are those of clusters, one a probe and second.
+    """
+    members, seconds, feed, flaws = 8, 9, 0.2, 10_000
+    batch = SimulatorBatch(
+        [Scene(carrier_length=35.0, feed_speed=feed)] * members,
+        "superelement32",
+        seeds=seeds(members),
+        threads=1,
+        perturbation=1e-6,
+    )
+    batch.advance(None, None, 3.0)
+    meter, found, traces, spectra = Meter(SENSOR, members, 1e-3), Found(SENSOR), [], []
+    for second in range(seconds):
+        trace = batch.advance(None, None, 1.0, keep_samples=True).radial
+        meter.listen(np.arange(members), trace, np.full(members, feed))
+        if second:  # the first fills the meter
+            traces.append(trace.T)
+            spectra.append(meter.spectrum.copy())
+            for k in range(members):
+                found.add(1.0, *meter.of(k))
+    curve = found.curve(float(sum(found.lengths)), 60.0)
+    motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
+    rng = np.random.default_rng(seeds(1)[0])
+    place, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))
+    called = np.array([_called(motion[k], spectrum[k], a, feed, rng) for k, a in zip(place, depth, strict=True)])
+    told = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(curve, 1e-6, 1.0 - 1e-6)))
+    fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), told])).fit(
+        disp=0, cov_type="cluster", cov_kwds={"groups": place}
+    )
+    draws = rng.multivariate_normal(fit.params, fit.cov_params(), size=40_000)
+    logits = (math.log(9.0) - draws[:, 0]) / draws[:, 1]  # of the formula's curve where the fit says 90 %
+    low, high = np.quantile(logits, [0.5 * CHANCE, 1.0 - 0.5 * CHANCE])
+    assert low <= math.log(9.0) <= high
+    a90 = [depth_found(curve, 1.0 / (1.0 + math.exp(-end))) for end in np.quantile(logits, [0.025, 0.975])]
+    assert a90[1] / a90[0] < 1.25  # so the interval says something
+
+
+def _called(motion, spectrum, depth, feed, rng):
+    """Whether a flaw somewhere in a second of motion is called, by a filter at the full sampling rate."""
+    time = np.arange(len(motion)) * 1e-3
+    seen = flaw.shape(feed * (time - rng.uniform(0.35, 0.65)) / SENSOR.flaw_width)
+    level = motion - np.polyval(np.polyfit(time, motion, 1), time)
+    noise = rng.normal(size=len(time)) * math.sqrt(SENSOR.noise_density * 500.0)
+    lines = slice(1, len(FREQUENCY) + 1)
+    signal, seen = (np.fft.rfft(values)[lines] for values in (
+        SENSOR.seen_gain * level + float(SENSOR.amplitude(depth)) * seen + noise, seen
+    ))  # fmt: skip
+    density = SENSOR.seen_gain**2 * INVERSE * spectrum + SENSOR.noise_density
+    # a line holds S * 500 Hz * samples, half of it in phase with the flaw
+    deviation = math.sqrt((np.abs(seen) ** 2 / density).sum() * 250.0 * len(time))
+    return (signal * seen.conj() / density).real.sum() / deviation > threshold(SENSOR, 60.0)

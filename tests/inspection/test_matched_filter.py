@@ -1,0 +1,158 @@
+"""The matched filter against closed forms and against noise whose spectrum is known."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from probe_env.inspection import flaw
+from probe_env.inspection.matched import heard, snr_of_groove
+from probe_env.inspection.meter import Meter
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import COUNT, FREQUENCY, STEP, density, straightened
+
+FEEDS = np.array([0.02, 0.05, 0.08, 0.2, 0.4, 1.0])
+NONE = np.zeros((len(FEEDS), len(FREQUENCY)))
+
+
+def test_the_flaw_in_closed_form():
+    """Quadrature is good to 1e-8; the spectrum is that of the shape (Parseval), and highest at f = u/w."""
+    assert quad(lambda x: float(flaw.shape(x)) ** 2, -3, 3)[0] == pytest.approx(flaw.ENERGY, rel=1e-8)
+    assert 2.0 * quad(lambda v: float(flaw.power(v)), 0, 8)[0] == pytest.approx(flaw.ENERGY, rel=1e-8)
+    assert quad(lambda v: float(flaw.power(v) / flaw.power(1.0)), 0, 8)[0] == pytest.approx(flaw.BAND, rel=1e-8)
+    assert quad(lambda v: float(flaw.power(v)), 1.3, 8)[0] == pytest.approx(float(flaw.energy_above(1.3)), rel=1e-8)
+    mean_square = quad(lambda v: float(v**2 * flaw.power(v)), 0, 8)[0] / (0.5 * flaw.ENERGY)
+    assert np.sqrt(mean_square) == pytest.approx(flaw.UPCROSSINGS, rel=1e-8)
+    x = np.linspace(-1, 1, 2001)
+    assert flaw.shape(x).max() == pytest.approx(1.0, abs=1e-5)
+    v = np.linspace(0.1, 3, 2901)
+    assert v[flaw.power(v).argmax()] == pytest.approx(1.0, abs=1e-3)
+    spectrum = quad(lambda s: float(flaw.shape(s)) * np.sin(2 * np.pi * 0.7 * s), -3, 3)[0]
+    assert spectrum**2 == pytest.approx(float(flaw.power(0.7)), rel=1e-8)
+
+
+@pytest.mark.parametrize("width", [0.01, 0.02, 0.04])
+def test_a_flat_spectrum_has_the_closed_form(width):
+    """SNR^2 = 2 A^2 (w/u) integral g^2 dx / S, one-sided.
+
+    The sum over lines 1 Hz apart is exact but for what is below the first line: the integrand is analytic. The worst is
+    u/w = 0.5 Hz, where the terms at 0.5, 1.5, ... are missed: Poisson's sum says by 2 (2 pi^2 - 1) exp(-pi^2) times.
+    """
+    sensor = Sensor(flaw_width=width)
+    feeds = FEEDS[width <= FEEDS]
+    closed = sensor.groove_signal * np.sqrt(2.0 * flaw.ENERGY * width / feeds / sensor.noise_density)
+    assert snr_of_groove(sensor, feeds, NONE[: len(feeds)]) == pytest.approx(closed, rel=1.1e-3)
+    assert snr_of_groove(sensor, -feeds, NONE[: len(feeds)]) == pytest.approx(closed, rel=1.1e-3)  # pulled out
+    white = np.full((len(feeds), len(FREQUENCY)), 3.0 * sensor.noise_density / sensor.gain**2)
+    low = feeds / width < 25.0  # the motion's band is the flaw's
+    assert snr_of_groove(sensor, feeds, white)[low] == pytest.approx(0.5 * closed[low], rel=1.1e-3)
+
+
+def test_the_two_anchors():
+    sensor, feed = Sensor(), np.array([0.2])
+    assert snr_of_groove(sensor, feed, NONE[:1]) == pytest.approx(7.5, rel=1e-5)
+    white = np.full((1, len(FREQUENCY)), 1e-4**2 / (flaw.BAND * 0.2 / 0.02))  # 0.1 mm rms in the flaw's band
+    assert snr_of_groove(sensor, feed, white) == pytest.approx(3.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("depth", [1.0, 2.5])
+def test_twice_the_gain_and_twice_the_signal_change_nothing(depth):
+    one = Sensor(motion_gain=2500.0, groove_signal=1.0, depth_exponent=depth)
+    two = Sensor(motion_gain=5000.0, groove_signal=2.0, depth_exponent=depth)
+    motion = np.abs(np.random.default_rng(0).normal(size=NONE.shape)) * 1e-9
+    assert snr_of_groove(one, FEEDS, motion) == pytest.approx(snr_of_groove(two, FEEDS, motion), rel=1e-12)
+    assert two.amplitude(0.37) / one.amplitude(0.37) == pytest.approx(2.0, rel=1e-12)
+
+
+def ringing(rng, count, seconds, level=1.0):
+    """(samples, count) of an oscillator at 14 Hz, 5 % damped, in white noise, and its density at ``FREQUENCY``."""
+    samples, warm = seconds * 1000, 1000
+    pole = np.exp((-0.05 + 1j * np.sqrt(1 - 0.05**2)) * 2 * np.pi * 14.0 * 1e-3)
+    drive = level * rng.normal(size=(samples + warm, count))
+    y = np.zeros_like(drive)
+    for k in range(2, len(y)):
+        y[k] = 2 * pole.real * y[k - 1] - abs(pole) ** 2 * y[k - 2] + drive[k]
+    turn = np.exp(-2j * np.pi * FREQUENCY * 1e-3)
+    truth = 2e-3 * level**2 / np.abs(1 - 2 * pole.real * turn + abs(pole) ** 2 * turn**2) ** 2
+    return y[warm:], truth
+
+
+@pytest.mark.parametrize("frequency", [9.0, 14.3, 30.0])
+def test_a_tone_keeps_its_power_and_its_place(frequency):
+    """By Parseval the lines hold all of its power but what the straight line took, 1 % at 9 Hz and more than 5 cycles.
+
+    Sine tapers fall off with the square of the distance: six lines beside the tone, past their band of 2.5, the sum of
+    the four has fallen by 100 and more.
+    """
+    time = np.arange(1000) * 1e-3
+    phases = np.linspace(0.0, np.pi, 8, endpoint=False)[:, None]
+    seen = density(straightened(np.sin(2 * np.pi * frequency * time + phases), 1e-3)).mean(axis=0)
+    assert seen.sum() == pytest.approx(0.5, rel=0.02)
+    assert abs(FREQUENCY[seen.argmax()] - frequency) <= 2.5
+    assert seen[np.abs(FREQUENCY - frequency) > 6.0].max() < 0.01 * seen.max()
+
+
+def test_white_noise_is_flat():
+    """Means of 400 estimates, 8 degrees of freedom each: 2.5 % at a line. Of steps, so that nothing folds down."""
+    rng = np.random.default_rng(1)
+    means = rng.normal(size=(400, COUNT)).repeat(5, axis=1)  # steps of 5 ms: white to 100 Hz but for their means
+    seen = density(straightened(means, 1e-3)).mean(axis=0) * np.sinc(FREQUENCY * STEP) ** 2
+    inner = FREQUENCY >= 4  # below, the straight line has been taken away
+    assert seen[inner] == pytest.approx(np.full(inner.sum(), 2.0 * STEP), rel=5.5 * 0.025)
+    assert seen[inner].mean() == pytest.approx(2.0 * STEP, rel=5 * 0.025 / np.sqrt(inner.sum() / 5))
+
+
+def test_the_mean_of_estimates_is_that_of_the_true_spectrum():
+    """SNR^2 of ringing noise by the meter, against that of its true spectrum at the meter's resolution.
+
+    400 probes are heard for 6 s each. What is left of the bias of 1/S is of the second order in 1/FREEDOM, 0.4 %; SNR^2
+    scatters by some 15 % an estimate, so 5 sigma of the mean are 4 %.
+    """
+    sensor, feed = Sensor(), np.full(400, 0.2)
+    y, _ = ringing(np.random.default_rng(2), 400, 8, 2e-6)
+    long = density(straightened(y.reshape(8, 1000, 400).transpose(2, 0, 1).reshape(3200, 1000), 1e-3)).mean(axis=0)
+    meter = Meter(sensor, 400, 1e-3)
+    for second in y.reshape(8, 1000, 400):
+        told = meter.listen(np.arange(400), second, feed)
+    truth = float(snr_of_groove(sensor, feed[:1], long[None])[0])
+    assert 1.0 < truth < 4.0  # motion is most of the noise
+    assert (told.snr**2).mean() == pytest.approx(truth**2, rel=0.045)
+    assert told.snr.std() / told.snr.mean() < 0.12
+    middle = told.excursions[:, 75:125]  # 5 sigma of a variance by 400 probes with some three free samples each: 0.2
+    assert (middle**2).mean() == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_batch_hears_what_one_hears():
+    y, _ = ringing(np.random.default_rng(3), 5, 2)
+    y, feeds = 1e-6 * y, np.array([0.05, 0.1, 0.2, 0.3, 0.0])
+    together = Meter(Sensor(), 5, 1e-3)
+    alone = [Meter(Sensor(), 1, 1e-3) for _ in range(5)]
+    for begin in range(0, 2000, 250):
+        part = y[begin : begin + 250]
+        told = together.listen(np.arange(5), part, feeds)
+        for k, meter in enumerate(alone):
+            own = meter.listen(np.arange(1), part[:, [k]], feeds[[k]])
+            assert [values[0] for values in own[:3]] == [values[k] for values in told[:3]]  # to the last digit
+            assert (own.excursions[0] == told.excursions[k]).all()
+            assert together.of(k)[:3] == meter.of(0)[:3]
+    before = told.snr[2]
+    together.forget(2)
+    quiet = together.listen(np.array([2]), np.zeros((2000, 1)), feeds[[2]])
+    assert quiet.snr[0] == pytest.approx(7.5, rel=1e-5)
+    assert quiet.snr[0] > before
+
+
+def test_silence_is_the_electronics_alone():
+    told = heard(Sensor(), FEEDS, np.zeros((len(FEEDS), COUNT)), NONE)
+    assert (told.share == 0.0).all()
+    assert (told.excursions == 0.0).all()
+    assert told.snr == pytest.approx(7.5 * np.sqrt(0.2 / FEEDS), rel=1.1e-3)
+
+
+def test_slow_feed_helps_twice():
+    """Half the feed gives sqrt(2) in white noise; of ringing at 14 Hz the flaw's band moves away as well."""
+    _, truth = ringing(np.random.default_rng(4), 1, 1, 2e-6)
+    fast, slow = snr_of_groove(Sensor(), np.array([0.2, 0.1]), np.tile(truth, (2, 1)))
+    white = np.full_like(truth, truth.mean())
+    fast_white, slow_white = snr_of_groove(Sensor(), np.array([0.2, 0.1]), np.tile(white, (2, 1)))
+    assert slow_white / fast_white == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    assert slow / fast > 1.2 * np.sqrt(2.0)
