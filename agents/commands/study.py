@@ -76,31 +76,39 @@ class Study:
 
     scenes: Path | None = None
     """Folder of the scene files; default: those that ship."""
+    way: Literal["in", "back"] = "in"
+    """The probe fed in, or drawn back with reversed air beside the probe fed in: the study's experiment (e)."""
     output: Path = Path("output/study")
-    """Folder of ensemble.csv; runs that are stored there are not repeated, and none is dropped."""
+    """Folder of ensemble.csv, or back.csv; runs that are stored there are not repeated, and none is dropped."""
     members: int = 1
     """Perturbed runs a case."""
     duration: float = 8.0
     """Simulated time of a run [s]."""
     subset: bool = False
-    """Five cases instead of all."""
+    """Five cases instead of all, or the shortest probe's."""
     jobs: int = 2
     """Runs at the same time."""
 
     def run(self) -> None:
         """Run what is missing, print the table."""
-        from agents.study import cases as study
-        from agents.study.claims import print_findings
+        from agents.study import back, cases
+        from agents.study.back_claims import back_findings
+        from agents.study.claims import findings, print_findings
 
         for name, low, high in (("members", 1, 1000), ("jobs", 1, 256), ("duration", 0.5, 1e4)):
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ValueError(f"{name} = {value!r} is outside the accepted range {low} to {high:g}")
-        names = study.SUBSET if self.subset else ()
         scenes = self.scenes or shipped_folder("scenes")
-        table = study.run_study(scenes, self.output, self.members, self.duration, names, self.jobs)
-        print_findings(table, scenes)
-        print(f"written: {self.output}/ensemble.csv")
+        wanted = scenes, self.output, self.members, self.duration
+        if self.way == "back":
+            table = back.run_back(*wanted, back.SUBSET if self.subset else (), self.jobs)
+            found, file = back_findings(table, scenes), "back.csv"
+        else:
+            table = cases.run_study(*wanted, cases.SUBSET if self.subset else (), self.jobs)
+            found, file = findings(table, scenes), "ensemble.csv"
+        print_findings(found, table)
+        print(f"written: {self.output}/{file}")
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff,
         plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search,
-        simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
+        simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
         simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,
     )

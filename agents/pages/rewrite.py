@@ -12,8 +12,10 @@ from pathlib import Path
 from agents.learning import results as agent_results
 from agents.pages.blocks import MAKERS, RESULTS
 from agents.records.provenance import write_atomically
+from agents.study.back import load_rows as load_trips
 from agents.study.cases import load_rows
 from agents.study.claims import Ensemble
+from agents.study.ways import ways_spectra
 
 README, DOCS = Path("README.md"), Path("docs")
 
@@ -23,6 +25,7 @@ def rewrite_readme() -> None:
     for page, names in _pages().items():
         write_atomically(page, _rewritten(page, names))
     _growth_figure(RESULTS / "study" / "growth.png")
+    ways_spectra(load_trips(RESULTS / "study"), RESULTS / "study" / "back.png")
     _learning_figure(RESULTS / "agents" / "learning.png")
     print("README.md and docs/ rewritten from results/")
 
@@ -72,7 +75,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         results / "agents.md": ("agents",),
         results / "designs.md": ("search", "designs", "codesign"),
         results / "fronts.md": ("tradeoff", "fidelity"),
-        results / "study.md": ("study",),
+        results / "study.md": ("study", "back"),
         results / "speed.md": ("bench", "environments", "presets"),
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
         DOCS / "superelement.md": ("superelement",),

@@ -14,8 +14,11 @@ from agents.pages.sources import RESULTS, source
 from agents.records.models import Record
 from agents.records.reading import read_csv, read_json
 from agents.records.store import stored_rows
+from agents.study.back import SETTLING
+from agents.study.back import load_rows as load_trips
+from agents.study.back_claims import back_findings
 from agents.study.cases import load_rows
-from agents.study.claims import markdown
+from agents.study.claims import findings, markdown
 
 FIGURES = ("ns_per_node_step", "node_step_ratio", "simulated_second_ratio")
 """Of a method in the bench: cost, and ratios of the study's scheme to it."""
@@ -28,7 +31,19 @@ def study() -> str:
     members = int(table.groupby("case").size().max())
     origin = source(folder / "ensemble-provenance.json")
     note = f"Mean and range of {members} runs a case, 8 s each, statistics from 2 s on. {origin}"
-    return f"{markdown(table)}\n\n{note}"
+    return f"{markdown(findings(table))}\n\n{note}"
+
+
+def back() -> str:
+    """The return beside the insertion."""
+    folder = RESULTS / "study"
+    table = load_trips(folder)
+    members = int(table.groupby("case").size().max())
+    note = (
+        f"Mean and range of {members} runs a case; statistics over 6 s, from 2 s on, or from {2.0 + SETTLING:g} s"
+        f" on where the start has died. {source(folder / 'back-provenance.json')}"
+    )
+    return f"{markdown(back_findings(table))}\n\n{note}"
 
 
 def bench() -> str:

@@ -11,18 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from agents.records.code_hash import code_hash
-from agents.records.store import Store, stored_rows
-from agents.terminal.work import Work, announce
+from agents.records.store import Store
+from agents.study.members import KEYS, load_members, run_members
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.physics.signals import point_statistics
 
 PERTURBATION = 1e-7  # [m]; a float rests a few micrometres deep in its contact spring
 DURATION = 8.0  # [s] of the published runs
-KEYS = ("case", "member", "duration_s")
 CODE = ("agents.study.cases:run_case",)
 
 
@@ -106,22 +103,11 @@ def run_study(
     """
     chosen = [case for case in CASES if not names or case.name in names]
     store = open_store(output)
-    wanted = [(case, member) for member in range(members) for case in chosen]
-
-    def stored() -> int:
-        return sum(store.has(case.name, member, duration) for case, member in wanted)
-
-    missing = [(case, member) for case, member in wanted if not store.has(case.name, member, duration)]
-    announce(Work("run", len(wanted), stored, store.path))
     for case in chosen:
         code_hash(CODE, case.method)  # here, and not in the threads
-    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
-    work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
-    for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
-        store.add(row)
-    table = store.table
-    asked = table["case"].isin([case.name for case in chosen]) & (table["member"] < members)
-    return _in_order(table[asked & (table["duration_s"] == duration)])
+    return run_members(
+        chosen, lambda case, member: run_case(case, scenes, member, duration), store, members, duration, jobs
+    )
 
 
 def open_store(output: Path) -> Store:
@@ -132,12 +118,4 @@ def open_store(output: Path) -> Store:
 
 def load_rows(output: Path, duration: float = DURATION) -> pd.DataFrame:
     """Stored rows of a duration [s]; none if there is no file."""
-    path = output / "ensemble.csv"
-    if not path.exists():
-        return pd.DataFrame()
-    table = stored_rows(path)
-    return _in_order(table[table["duration_s"] == duration])
-
-
-def _in_order(table: pd.DataFrame) -> pd.DataFrame:
-    return table.sort_values(["case", "member"]).reset_index(drop=True)
+    return load_members(output / "ensemble.csv", duration)

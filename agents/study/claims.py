@@ -58,11 +58,12 @@ class Ensemble:
         """Mean with the range of the members, in millimetres."""
         values = self.values(case, statistic) * 1e3
         if len(values) == 1:
-            return _short(values[0])
-        return f"{_short(values.mean())} ({_short(values.min())}-{_short(values.max())})"
+            return short(values[0])
+        return f"{short(values.mean())} ({short(values.min())}-{short(values.max())})"
 
 
-def _short(value: float) -> str:
+def short(value: float) -> str:
+    """Two digits, or all before the point."""
     return f"{value:.2g}" if abs(value) < 10.0 else f"{value:.0f}"
 
 
@@ -193,18 +194,18 @@ def findings(table: pd.DataFrame, scenes: Path = Path("configs/scenes")) -> list
     ]
 
 
-def print_findings(table: pd.DataFrame, scenes: Path) -> None:
-    """The claims as a table on the terminal."""
+def print_findings(found: list[Finding], table: pd.DataFrame) -> None:
+    """Findings as a table on the terminal; ``table`` has the runs that they are from."""
     members = int(table.groupby("case").size().max())
     duration = float(table["duration_s"].iloc[0])
     title = f"The study's claims: {members} run(s) a case, {duration:g} s each"
     header = ("claim", "figure", "found: mean (range)", "holds")
-    rows = ((finding.claim, finding.figure, finding.result, finding.verdict) for finding in findings(table, scenes))
+    rows = ((finding.claim, finding.figure, finding.result, finding.verdict) for finding in found)
     print_table(title, header, rows, left=4, lines=True)
 
 
-def markdown(table: pd.DataFrame) -> str:
-    """The claims as a Markdown table."""
+def markdown(found: list[Finding]) -> str:
+    """Findings as a Markdown table."""
     lines = ["| the study's claim | figure | found: mean (range) | holds |", "|---|---|---|---|"]
-    lines += [f"| {f.claim} | {f.figure} | {f.result} | {f.verdict} |" for f in findings(table)]
+    lines += [f"| {f.claim} | {f.figure} | {f.result} | {f.verdict} |" for f in found]
     return "\n".join(lines)
