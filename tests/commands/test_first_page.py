@@ -81,7 +81,7 @@ def test_the_agents_are_told_with_what_they_know(capsys):
     assert "not the root tension" in told
     assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in told
     assert "tension-scheduled first" in told
-    assert "schedules example, shift" in told
+    assert "schedules example, fast-in, shift" in told
 
 
 @pytest.mark.parametrize(

@@ -774,7 +774,7 @@ SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
     ("options", "told"),
     [
         (["--scene.contact.friction", "7"], "--scene.contact.friction: 7.0 is outside the accepted range 0 to 1"),
-        (["--scene.feed-speed", "-1"], "--scene.feed_speed: -1.0 m/s is negative"),
+        (["--scene.feed-speed", "-3"], "--scene.feed_speed: -3.0 m/s is outside the accepted range -2 to 2 m/s"),
         (["--scene.carrier-length", "7.03"], "--scene: carrier_length = 7.03 m must be a whole multiple"),
         (["--scene.tube.helix-diameter", "nan"], "--scene.tube.helix_diameter: nan m is outside"),
     ],
