@@ -30,6 +30,9 @@ class Simulate:
     """Nodes in one float pitch."""
     solver: Literal["ticm", "banded", "transfer-matrix"] = "ticm"
     """Linear solver of a step of newmark and wilson."""
+    start: Literal["inner", "outer"] = "inner"
+    """Wall that the probe lies on at rest; outer is for the return: --scene.feed-speed -0.2 --scene.air-supply-rate -0.0175
+    --scene.couple tangent."""
     duration: float = 8.0
     """Simulated time [s]."""
     statistics_from: float | None = None
@@ -59,7 +62,7 @@ class Simulate:
         name = self.scene_file.stem
         output = self.output or Path("output") / name
         step = method_named(self.method).usual_step if self.time_step is None else self.time_step
-        simulator = Simulator(self.scene, self.method, step, self.nodes_per_pitch, solver=self.solver)
+        simulator = Simulator(self.scene, self.method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
         print(
             f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s"
             f" (known to hold up to {simulator.stable_time_step:.2g} s)"
