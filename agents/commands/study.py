@@ -31,8 +31,8 @@ class Simulate:
     solver: Literal["ticm", "banded", "transfer-matrix"] = "ticm"
     """Linear solver of a step of newmark and wilson."""
     start: Literal["inner", "outer"] = "inner"
-    """Wall that the probe lies on at rest; outer is for the return: --scene.feed-speed -0.2 --scene.air-supply-rate -0.0175
-    --scene.couple tangent."""
+    """Wall that the probe lies on at rest; outer is for the return: --scene.feed-speed -0.2 --scene.air-supply-rate
+    -0.0175 --scene.couple tangent."""
     duration: float = 8.0
     """Simulated time [s]."""
     statistics_from: float | None = None
