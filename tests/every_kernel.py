@@ -38,6 +38,18 @@ def run_all():
         simulator.advance(0.25, 0.03, 90 * step, 9 * step, ("sensor", "tip", "root", 0.2))
         assert simulator.root == simulator.chain.node_count - 1  # to the helix's end
         runs += 1
+    for (method, step), cable in itertools.product(STEPS.items(), (False, True)):
+        if not METHODS[method].draws_back:
+            continue
+        back = {"feed_speed": -1.5, "air_supply_rate": -0.03, "couple": "tangent", "contact": {"cable": cable}}
+        simulator = Simulator(
+            scene("both").model_copy(update=back), method, step, growing=True, time_lapse=1000.0, start="outer"
+        )
+        thrown(simulator)
+        simulator.advance(None, None, 90 * step, 9 * step, ("sensor", "tip", "root"))
+        assert simulator.root == simulator.sensor + simulator.nodes_per_pitch  # as far as it goes
+        simulator.advance(0.25, 0.03, 90 * step, 9 * step)  # and in again
+        runs += 1
     for solver in list(SOLVERS)[1:]:
         simulator = Simulator(scene("both", 0.0, 0.2), solver=solver)
         thrown(simulator)
