@@ -40,8 +40,8 @@ def back() -> str:
     table = load_trips(folder)
     members = int(table.groupby("case").size().max())
     note = (
-        f"Mean and range of {members} runs a case ({SLOW_MEMBERS} of newmark); statistics over 6 s, from 2 s on, or from {2.0 + SETTLING:g} s"
-        f" on where the start has died. {source(folder / 'back-provenance.json')}"
+        f"Mean and range of {members} runs a case ({SLOW_MEMBERS} of newmark); statistics over 6 s, from 2 s on, or"
+        f" from {2.0 + SETTLING:g} s on where the start has died. {source(folder / 'back-provenance.json')}"
     )
     return f"{markdown(back_findings(table))}\n\n{note}"
 

@@ -171,7 +171,8 @@ def run_back(
 ) -> pd.DataFrame:
     """All members of the named trips (default: all), stored in ``output``/back.csv as they finish.
 
-    Of Newmark there are two at most: it checks the fast scheme, and takes most of the time. Rows that are stored already, for the same duration and code, are not run again.
+    Of Newmark there are two at most: it checks the fast scheme, and takes most of the time. Rows that are stored
+    already, for the same duration and code, are not run again.
     """
     chosen = [trip for trip in TRIPS if not names or trip.name in names]
     store = open_store(output)
