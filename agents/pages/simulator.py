@@ -14,7 +14,7 @@ from agents.pages.sources import RESULTS, source
 from agents.records.models import Record
 from agents.records.reading import read_csv, read_json
 from agents.records.store import stored_rows
-from agents.study.back import SETTLING
+from agents.study.back import SETTLING, SLOW_MEMBERS
 from agents.study.back import load_rows as load_trips
 from agents.study.back_claims import back_findings
 from agents.study.cases import load_rows
@@ -40,8 +40,8 @@ def back() -> str:
     table = load_trips(folder)
     members = int(table.groupby("case").size().max())
     note = (
-        f"Mean and range of {members} runs a case; statistics over 6 s, from 2 s on, or from {2.0 + SETTLING:g} s"
-        f" on where the start has died. {source(folder / 'back-provenance.json')}"
+        f"Mean and range of {members} runs a case ({SLOW_MEMBERS} of newmark); statistics over 6 s, from 2 s on, or"
+        f" from {2.0 + SETTLING:g} s on where the start has died. {source(folder / 'back-provenance.json')}"
     )
     return f"{markdown(back_findings(table))}\n\n{note}"
 

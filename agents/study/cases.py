@@ -105,9 +105,8 @@ def run_study(
     store = open_store(output)
     for case in chosen:
         code_hash(CODE, case.method)  # here, and not in the threads
-    return run_members(
-        chosen, lambda case, member: run_case(case, scenes, member, duration), store, members, duration, jobs
-    )
+    wanted = [(case, member) for member in range(members) for case in chosen]
+    return run_members(wanted, lambda case, member: run_case(case, scenes, member, duration), store, duration, jobs)
 
 
 def open_store(output: Path) -> Store:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
@@ -28,24 +29,21 @@ C = TypeVar("C", bound=Named)
 
 
 def run_members(
-    cases: Sequence[C],
+    wanted: Sequence[tuple[C, int]],
     run: Callable[[C, int], dict[str, Any]],
     store: Store,
-    members: int,
     duration: float,
     jobs: int,
 ) -> pd.DataFrame:
-    """All members of all cases, of this duration [s]; those that the store has are not run again.
+    """The wanted members of cases, of this duration [s]; those that the store has are not run again.
 
     Args:
-        cases: what is run, in this order.
+        wanted: cases and numbers of their members, in the order in which they are run.
         run: one member of a case, as a row with the ``KEYS``.
         store: where rows go as they finish.
-        members: of every case, numbered from 0.
         duration: of a run [s].
         jobs: runs at the same time, as threads.
     """
-    wanted = [(case, member) for member in range(members) for case in cases]
 
     def stored() -> int:
         return sum(store.has(case.name, member, duration) for case, member in wanted)
@@ -57,8 +55,9 @@ def run_members(
     for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
         store.add(row)
     table = store.table
-    asked = table["case"].isin([case.name for case in cases]) & (table["member"] < members)
-    return _in_order(table[asked & (table["duration_s"] == duration)])
+    keys = {(case.name, member) for case, member in wanted}
+    asked = [key in keys for key in zip(table["case"], table["member"], strict=True)]
+    return _in_order(table[np.array(asked, dtype=bool) & (table["duration_s"] == duration)])
 
 
 def load_members(path: Path, duration: float) -> pd.DataFrame:
