@@ -67,7 +67,7 @@ def _answer(stage: Stage) -> str:
         return "up to date"
     if not changed <= {"code", "command"}:
         return f"{' and '.join(sorted(changed))} changed: make it again"
-    return "" if stage.sample else "no sample is known: make it again"
+    return "" if stage.sample or stage.script else "no sample is known: make it again"
 
 
 def confirm(stage: Stage) -> None:
@@ -80,10 +80,11 @@ def confirm(stage: Stage) -> None:
     place = WORK / f"{stage.name}-sample"
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
-    with checked_out(record["commit"]) as tree:
+    confirmed = record.get("confirmed") or [{"confirmed_at": record["commit"]}]  # whose hashes the rows carry now
+    with checked_out(confirmed[-1]["confirmed_at"]) as tree:
         put_inputs(stage, tree)  # what the results were made from may have been published after the commit
-        _run(sampled(record["command"], stage.sample), tree, folders["before"], stage.name)
-    _run(sampled(stage.command, stage.sample), CHECKOUT, folders["now"], stage.name)
+        _run(stage, record["command"], tree, folders["before"])
+    _run(stage, stage.command, CHECKOUT, folders["now"])
     difference = first_difference(folders["before"], folders["now"])
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
@@ -130,14 +131,17 @@ def put_inputs(stage: Stage, tree: Path) -> None:
         shutil.copyfile(path, places[0])
 
 
-def _run(command: str, tree: Path, folder: Path, stage: str) -> None:
-    print(f"{stage}: sample with the code in {tree}", flush=True)
-    words = [word.replace("{work}", str(folder)) for word in shlex.split(command)]
-    done = subprocess.run(
-        [sys.executable, "-m", "agents.cli", *words], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, check=False
-    )
+def _run(stage: Stage, command: str, tree: Path, folder: Path) -> None:
+    print(f"{stage.name}: sample with the code in {tree}", flush=True)
+    words = ["-m", "agents.cli", *shlex.split(sampled(command, stage.sample))]
+    if stage.script:
+        words = [str(CHECKOUT / stage.script), "{work}"]
+    words = [word.replace("{work}", str(folder)) for word in words]
+    done = subprocess.run([sys.executable, *words], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, check=False)
     if done.returncode:
-        raise RuntimeError(f"stage {stage}: the sample failed (exit status {done.returncode}) with the code in {tree}")
+        raise RuntimeError(
+            f"stage {stage.name}: the sample failed (exit status {done.returncode}) with the code in {tree}"
+        )
 
 
 def first_difference(before: Path, now: Path) -> str:

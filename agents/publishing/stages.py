@@ -56,6 +56,7 @@ class Stage(Model):
         method: of the simulation; "all": all methods count.
         reads: patterns of files that the results depend on.
         after: stages whose results it reads.
+        script: makes a sample where no option of the command does; called with a folder, by both codes.
         sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``.
         minutes: that it takes on two cores, before it has been measured here.
     """
@@ -67,6 +68,7 @@ class Stage(Model):
     method: str = ALL
     reads: tuple[str, ...] = ()
     after: tuple[str, ...] = ()
+    script: str = ""
     sample: dict[str, str] = Field(default_factory=dict)
     minutes: Annotated[float, Field(gt=0.0)]
 

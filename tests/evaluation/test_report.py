@@ -232,7 +232,7 @@ def test_the_page_needs_no_network_and_a_name_cannot_leave_its_place(page):
     elements = Elements()
     elements.feed(page)
     addresses = [value for _, given in elements.found for name, value in given if name in ("src", "href", "action")]
-    assert len(addresses) == 5  # two pictures, three schedules
+    assert len(addresses) == 6  # three pictures, three schedules
     assert all(address.startswith("data:") for address in addresses)
     assert [name for name, _ in elements.found].count("script") == page.count("</script>") == 3
     assert "</script><img src=x>" in [policy["name"] for policy in data_of(page)["policies"]]

@@ -96,8 +96,8 @@ class _Tree:
 def outputs(monkeypatch, before, now):
     ran = []
 
-    def run(command, tree, place, name):
-        ran.append((command, tree.name))
+    def run(one, command, tree, place):
+        ran.append((sampled(command, one.sample), tree.name))
         folder(Path(place), value=before if tree.name == "abc" else now)
 
     monkeypatch.setattr(confirm, "_run", run)
@@ -145,7 +145,7 @@ def test_rows_that_carry_a_hash_get_the_new_one_and_stay_otherwise(stage, monkey
     old, new = ("a" * 16, "b" * 16), ("b" * 16, "c" * 16)
     samples = {"abc": [f"1,{old[0]},x", f"2,{old[1]},x"], "now": [f"2,{new[1]},y", f"1,{new[0]},y"]}
 
-    def run(command, tree, place, name):
+    def run(one, command, tree, place):
         rows = samples["abc" if tree.name == "abc" else "now"]
         folder(Path(place), table="\n".join(["a,code,commit", *rows]) + "\n")
 

@@ -22,7 +22,9 @@ from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.settings import Model, explain
 
 Kind = Literal["number", "figure", "pair", "list", "choice"]
-ELSEWHERE: Final = frozenset({*OF_FEED, *OF_AIR, *SHOWN, "scene", "growing", "vibration_measure"})
+ELSEWHERE: Final = frozenset(
+    {*OF_FEED, *OF_AIR, *SHOWN, "scene", "sensor", "passes", "inspects", "growing", "vibration_measure"}
+)
 """Fields of the task that stand in other tables, are nobody's to set, or change what is rewarded as a whole."""
 SIGNS: Final = ("±", "+-")
 HINTS: Final[dict[Kind, str]] = {
