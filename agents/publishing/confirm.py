@@ -22,7 +22,15 @@ import numpy as np
 import pandas as pd
 
 from agents.publishing.stages import APART, RECORDS, WORK, Stage, load_stages
-from agents.records.provenance import CHECKOUT, changed_code, commit, in_history, write_atomically, write_json
+from agents.records.provenance import (
+    CHECKOUT,
+    changed_code,
+    commit,
+    committed_at,
+    in_history,
+    write_atomically,
+    write_json,
+)
 from agents.terminal.tables import print_table
 
 COMPARED: Final = (".csv", ".npz", ".toml")
@@ -80,8 +88,7 @@ def confirm(stage: Stage) -> None:
     place = WORK / f"{stage.name}-sample"
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
-    confirmed = record.get("confirmed") or [{"confirmed_at": record["commit"]}]  # whose hashes the rows carry now
-    with checked_out(confirmed[-1]["confirmed_at"]) as tree:
+    with checked_out(_last(record)) as tree:
         put_inputs(stage, tree)  # what the results were made from may have been published after the commit
         _run(stage, record["command"], tree, folders["before"])
     _run(stage, stage.command, CHECKOUT, folders["now"])
@@ -89,6 +96,16 @@ def confirm(stage: Stage) -> None:
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
     _keep(stage, record, new_hashes(*folders.values()))
+
+
+def _last(record: dict[str, Any]) -> str:
+    """The newest commit that has made or confirmed some of the results: rows carry the hashes of its code."""
+    names = {record["commit"], *(entry["confirmed_at"] for entry in record.get("confirmed", ()))}
+    for path in (CHECKOUT / name for name in record["files"] if name.endswith(".csv")):
+        columns = pd.read_csv(path, nrows=0).columns
+        if {"code", "commit"} <= set(columns):
+            names |= set(pd.read_csv(path, usecols=["commit"], dtype=str)["commit"])
+    return max(sorted(names), key=lambda name: len(names) > 1 and committed_at(name))
 
 
 def sampled(command: str, sample: dict[str, str]) -> str:

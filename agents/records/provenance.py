@@ -65,6 +65,12 @@ def changed_code() -> tuple[str, ...]:
     return tuple(line[3:] for line in (listed or "").splitlines())
 
 
+def committed_at(name: str) -> int:
+    """When a commit of this history was made [s since 1970]."""
+    git = ["git", "-C", str(CHECKOUT), "show", "--no-patch", "--format=%ct", name]
+    return int(subprocess.run(git, check=True, capture_output=True, text=True).stdout.split()[-1])
+
+
 def in_history(name: str) -> bool:
     """Whether a stored commit is a clean one of this checkout's history."""
     return _git("merge-base", "--is-ancestor", name, "HEAD") is not None
