@@ -100,12 +100,12 @@ def confirm(stage: Stage) -> None:
 
 def _last(record: dict[str, Any]) -> str:
     """The newest commit that has made or confirmed some of the results: rows carry the hashes of its code."""
-    names = {record["commit"], *(entry["confirmed_at"] for entry in record.get("confirmed", ()))}
+    names: set[str] = {record["commit"], *(entry["confirmed_at"] for entry in record.get("confirmed", ()))}
     for path in (CHECKOUT / name for name in record["files"] if name.endswith(".csv")):
         columns = pd.read_csv(path, nrows=0).columns
         if {"code", "commit"} <= set(columns):
             names |= set(pd.read_csv(path, usecols=["commit"], dtype=str)["commit"])
-    return max(sorted(names), key=lambda name: len(names) > 1 and committed_at(name))
+    return max(sorted(names), key=committed_at) if len(names) > 1 else names.pop()
 
 
 def sampled(command: str, sample: dict[str, str]) -> str:

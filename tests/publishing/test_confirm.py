@@ -72,6 +72,7 @@ def stage(tmp_path, monkeypatch):
     monkeypatch.setattr(confirm, "load_stages", lambda: (one,))
     monkeypatch.setattr(confirm, "in_history", lambda _: True)
     monkeypatch.setattr(confirm, "commit", lambda: "def")
+    monkeypatch.setattr(confirm, "committed_at", lambda name: {"abc": 2, "def": 3}.get(name, 1))
     monkeypatch.setattr(confirm, "checked_out", lambda name: _Tree(tmp_path / name))
     state = one.state()
     (tmp_path / "results" / "records").mkdir(parents=True)
