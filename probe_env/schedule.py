@@ -26,6 +26,8 @@ POSITIONS: Final[dict[str, tuple[Over, float, str]]] = {
 }
 FEED, AIR = "feed_speed_m_per_s", "air_supply_m3_per_h"
 RANGES: Final = {FEED: (0.0, 2.0, "m/s"), AIR: (0.0, 720.0, "m3/h")}
+FORTH: Final = {FEED: FEED, AIR: AIR}
+"""Columns of the way in."""
 BACK: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per_h"}
 """Columns of the way back, beside those of the way in."""
 COLUMNS: Final = (*POSITIONS, *RANGES, *BACK.values())
@@ -124,11 +126,7 @@ class Schedule:
             return None
         if len(given) < len(BACK) or forth.over == "time":
             raise FileError(path, f"{' and '.join(BACK.values())} go together, beside inserted_length_m")
-        named = {back: name for name, back in BACK.items()}
-        swapped = [
-            (place, {named.get(name, name): row[name] for name in row if name not in BACK}) for place, row in rows
-        ]
-        return _validated(path, forth.interpolation, swapped)
+        return _validated(path, forth.interpolation, rows, BACK)
 
     def to_csv(self) -> str:
         """The schedule as CSV text that ``read`` takes."""
@@ -205,17 +203,23 @@ def _check_columns(path: Path, columns: Iterable[str]) -> None:
             raise FileError(path, f"the column {name} is missing; found: {listed}")
 
 
-def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[str, Mapping[str, Any]]]) -> Schedule:
+def _validated(
+    path: Path,
+    interpolation: Interpolation,
+    rows: Iterable[tuple[str, Mapping[str, Any]]],
+    columns: Mapping[str, str] = FORTH,
+) -> Schedule:
     rows = list(rows)
     if rows[0][0] == "header":
         raise FileError(path, "no rows: at least one is needed")
     column = next(name for name in POSITIONS if name in rows[0][1])
     over, most, unit = POSITIONS[column]
-    values: dict[str, list[float]] = {column: [], FEED: [], AIR: []}
+    ranges = {columns[name]: range_ for name, range_ in RANGES.items()}
+    values: dict[str, list[float]] = {column: [], columns[FEED]: [], columns[AIR]: []}
     start = _start_length(path, *rows[0]) if over == "time" else None
     for place, row in rows:
         for name in values:
-            low, high, its_unit = RANGES.get(name, (0.0, most, unit))
+            low, high, its_unit = ranges.get(name, (0.0, most, unit))
             value = _number(path, place, name, row.get(name))
             if not low <= value <= high:
                 raise FileError(
@@ -225,8 +229,8 @@ def _validated(path: Path, interpolation: Interpolation, rows: Iterable[tuple[st
         if len(values[column]) > 1 and values[column][-1] <= values[column][-2]:
             before, now = values[column][-2:]
             raise FileError(path, f"{place}, {column} = {now!r} must be greater than {before!r} before it")
-    air = tuple(value / 3600.0 for value in values[AIR])
-    return Schedule(over, interpolation, tuple(values[column]), tuple(values[FEED]), air, start)
+    air = tuple(value / 3600.0 for value in values[columns[AIR]])
+    return Schedule(over, interpolation, tuple(values[column]), tuple(values[columns[FEED]]), air, start)
 
 
 def _start_length(path: Path, place: str, row: Mapping[str, Any]) -> float | None:

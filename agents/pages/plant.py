@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -25,7 +26,6 @@ def calibrations() -> str:
         for what in ("covered", "ranks uniform, p")
         for name in SETS
     ]
-    lines = [f"| {' | '.join(header)} |", "|---" * len(header) + "|", *(f"| {' | '.join(row)} |" for row in rows)]
     errors = ", ".join(f"{told[f'{name}: friction, median error']:.3f} {name}" for name in SETS)
     wrong = ", ".join(
         f"{100.0 * told[f'{name}: wrongly misspecified']:.0f} % and {100.0 * told[f'{name}: wrongly doubtful']:.0f} %"
@@ -41,7 +41,7 @@ def calibrations() -> str:
     covered = f"{100.0 * told['tension alone: friction covered']:.0f} %"
     return (
         f"{told['logs']} simulated logs at `standard` with friction, stiffness, drag, damping, bore, length, helix"
-        f" diameter and schedule drawn at random:\n\n" + "\n".join(lines) + "\n\n"
+        f" diameter and schedule drawn at random:\n\n{_table(header, rows)}\n\n"
         f"The median error of the friction is {errors}; by the tension alone {alone}; its intervals cover {covered}."
         f" Called misspecified and doubtful although the model made them: {wrong}."
         f" Of {told[f'{WORLDS[0]}: logs']} logs of each other world: {caught} (the tension times 1.5; what was felt"
@@ -66,7 +66,6 @@ def plants() -> str:
     """Policies in plants of other bores and lengths."""
     folder = RESULTS / "plants"
     summary, figures = pd.read_csv(folder / "gains.csv"), read_json(folder / "provenance.json", Record)
-    rows = [f"| {' | '.join(map(str, row))} |" for row in plants_study.cells(summary)]
     told = summary[summary["policy"] == "tension-scheduled"]
     worse = told[told["high"] < 0.0]["plant"].tolist()
     verdict = (
@@ -76,7 +75,7 @@ def plants() -> str:
     )
     record = figures.model_dump()
     return (
-        f"| {' | '.join(plants_study.HEADER)} |\n{'|---' * len(plants_study.HEADER)}|\n" + "\n".join(rows) + "\n\n"
+        f"{_table(plants_study.HEADER, plants_study.cells(summary))}\n\n"
         f"Reward less that of the best fixed schedule for the plant, {record['limit']} tubes each, paired 95 %"
         f" intervals: {verdict}. Made by `{command(record)}` at commit {record['commit']}."
     )
@@ -86,7 +85,6 @@ def passes() -> str:
     """Where it is worth to look."""
     folder = RESULTS / "passes"
     summary, figures = pd.read_csv(folder / "passes.csv"), read_json(folder / "provenance.json", Record)
-    rows = [f"| {' | '.join(row)} |" for row in passes_study.cells(summary)]
     entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
     found = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
     fast, slow = found["original", "fast-in", "back"], found["original", "best-schedule", "in"]
@@ -101,7 +99,7 @@ def passes() -> str:
         f" schedule takes {slow['inspection_time_s']:.0f} s with {100.0 * slow['share_within_limit']:.0f} %. The most"
         f" reward has {_best(best['original'])} with the study's probe, and {_best(best['improved'])} with the improved"
         f" one.**\n\n"
-        f"| {' | '.join(passes_study.HEADER)} |\n{'|---' * len(passes_study.HEADER)}|\n" + "\n".join(rows) + "\n\n"
+        f"{_table(passes_study.HEADER, passes_study.cells(summary))}\n\n"
         f"Means over {record['limit']} tubes, both ways; the last column is the reward less that of looking on the way"
         f" in by `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
         f" {record['commit']}."
@@ -110,6 +108,11 @@ def passes() -> str:
 
 def _best(entry: dict[str, Any]) -> str:
     return f"`{entry['policy']}` looking at {passes_study.LOOKS[entry['inspects']]}"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
 
 def _cell(what: str, value: float) -> str:

@@ -58,8 +58,8 @@ def confirm_results(names: Sequence[str]) -> None:
     for stage in chosen:
         answer = _answer(stage)
         if not answer:
-            confirm(stage)
-            answer = "the same: kept"
+            others = confirm(stage)
+            answer = f"the same: kept, but for {others} rows of other code" if others else "the same: kept"
         rows.append((stage.name, answer))
         print(f"{stage.name}: {answer}", flush=True)
     print_table("Confirmed results", ("stage", "outcome"), rows, left=2)
@@ -78,8 +78,11 @@ def _answer(stage: Stage) -> str:
     return "" if stage.sample or stage.script else "no sample is known: make it again"
 
 
-def confirm(stage: Stage) -> None:
+def confirm(stage: Stage) -> int:
     """Run a stage's sample with the commit that made it and with this code; keep the results if they agree.
+
+    Returns:
+        how many rows of stores stay as they are, with a hash that the sample does not know: they do not count as done.
 
     Raises:
         RuntimeError: a run failed, or the first file in which they differ.
@@ -95,7 +98,7 @@ def confirm(stage: Stage) -> None:
     difference = first_difference(folders["before"], folders["now"])
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
-    _keep(stage, record, new_hashes(*folders.values()))
+    return _keep(stage, record, new_hashes(*folders.values()))
 
 
 def _last(record: dict[str, Any]) -> str:
@@ -199,12 +202,17 @@ def new_hashes(before: Path, now: Path) -> dict[str, str]:
     return names
 
 
-def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str]) -> None:
+def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str]) -> int:
     """Write the new code's hash into the record, and into rows that carry theirs; the numbers stay as they were made.
 
     A row of a store counts as done while its hash is that of the present code.
     """
+    others = 0
     for path in (CHECKOUT / name for name in record["files"] if hashes and name.endswith(".csv")):
+        table = _rows(path)
+        if "code" in table:
+            counting = table.get("superseded", pd.Series("False", table.index)) != "True"
+            others += int((counting & ~table["code"].isin([*hashes, *hashes.values()])).sum())
         text = path.read_text()
         renewed = re.sub(r"\b[0-9a-f]{16}\b", lambda match: hashes.get(match[0], match[0]), text)
         if renewed != text:
@@ -212,3 +220,4 @@ def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str]) -> None:
     state = stage.state()
     shown = {"from": record["code"], "made_by": record["commit"], "confirmed_at": commit(), "sample": stage.sample}
     write_json(RECORDS / f"{stage.name}.json", record | state | {"confirmed": [*record.get("confirmed", ()), shown]})
+    return others

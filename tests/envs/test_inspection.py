@@ -146,6 +146,14 @@ def test_columns_of_the_way_back_go_together(tmp_path):
     ):
         Schedule.read_back(path)
     assert Schedule.read_back("configs/schedules/example.csv") is None
+    path.write_text(
+        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s,return_air_supply_m3_per_h\n"
+        "5,0.4,63,9,63\n"
+    )
+    with pytest.raises(
+        FileError, match=r"line 2, return_feed_speed_m_per_s = 9\.0 is outside the accepted range 0 to 2"
+    ):
+        Schedule.read_back(path)
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ def test_both_samples_have_the_inputs_of_today(stage, tmp_path):
         confirm.put_inputs(one, tree)
 
 
-def test_rows_that_carry_a_hash_get_the_new_one_and_stay_otherwise(stage, monkeypatch, tmp_path):
+def test_rows_that_carry_a_hash_get_the_new_one_and_stay_otherwise(stage, monkeypatch, tmp_path, capsys):
     """The sample knows which hash took the place of which, a method at a time; its rows may end in another order."""
     _, path, _ = stage
     old, new = ("a" * 16, "b" * 16), ("b" * 16, "c" * 16)
@@ -157,6 +157,7 @@ def test_rows_that_carry_a_hash_get_the_new_one_and_stay_otherwise(stage, monkey
     confirm_results(("numbers",))
     assert table.read_text().splitlines() == [lines[0], f"1,{new[0]},x", f"2,{new[1]},x", lines[3]]
     assert json.loads(path.read_text())["confirmed"]
+    assert "the same: kept, but for 1 rows of other code" in capsys.readouterr().out
     before = stages.content(table)
     table.write_text(table.read_text().replace(new[0], old[0]))
     assert stages.content(table) == before  # what reads the table is not made again for that
