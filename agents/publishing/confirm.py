@@ -2,7 +2,8 @@
 
 Code that is moved keeps its hash; code that is rewritten does not, though it may compute the same. Then a stage's
 ``sample``, its command with fewer tubes or trials, is run with the commit that made the results and with the present
-one, on this machine. Where all numbers agree the results are kept under the new hash, and their record says so.
+one, on this machine. Where all numbers agree the results are kept under the new hash, and their record says so. What
+the present code writes besides, columns of a table or rows of other figures, is told and does not count.
 """
 
 from __future__ import annotations
@@ -98,6 +99,8 @@ def confirm(stage: Stage) -> int:
     difference = first_difference(folders["before"], folders["now"])
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
+    for line in additions(*folders.values()):
+        print(f"{stage.name}: {line}, which the stored results have not: make them again to have them", flush=True)
     return _keep(stage, record, new_hashes(*folders.values()))
 
 
@@ -177,11 +180,33 @@ def first_difference(before: Path, now: Path) -> str:
 def _equal(one: Path, other: Path) -> bool:
     if one.suffix == ".csv":
         left, right = (_rows(path).drop(columns=list(APART), errors="ignore") for path in (one, other))
-        return left.equals(right)
+        return _holds(right, left)
     if one.suffix == ".npz":
         with np.load(one) as left, np.load(other) as right:
             return left.files == right.files and all(np.array_equal(left[name], right[name]) for name in left.files)
     return one.read_bytes() == other.read_bytes()
+
+
+def _holds(table: pd.DataFrame, part: pd.DataFrame) -> bool:
+    """Whether a table has all columns of another and all its rows, in their order; between them there may be others."""
+    if not set(part.columns) <= set(table.columns) or part.empty != table.empty:
+        return False
+    rows = iter(table[list(part.columns)].fillna("").itertuples(index=False, name=None))
+    return all(row in rows for row in part.fillna("").itertuples(index=False, name=None))
+
+
+def additions(before: Path, now: Path) -> list[str]:
+    """What the tables of ``now`` have besides, a line a table."""
+    told = []
+    for path in sorted(before.rglob("*.csv")):
+        old, new = _rows(path), _rows(now / path.relative_to(before))
+        columns, rows = [name for name in new.columns if name not in old.columns], len(new) - len(old)
+        if columns or rows:
+            parts = [f"{len(columns)} new columns ({columns[0]}, ...)"] * bool(columns) + [f"{rows} new rows"] * bool(
+                rows
+            )
+            told.append(f"{path.relative_to(before)}: {', '.join(parts)}")
+    return told
 
 
 def _rows(path: Path) -> pd.DataFrame:

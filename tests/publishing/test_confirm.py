@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agents.publishing import confirm, stages
-from agents.publishing.confirm import confirm_results, first_difference, sampled
+from agents.publishing.confirm import additions, confirm_results, first_difference, sampled
 from agents.publishing.stages import Stage
 
 OLD = "0123456789abcdef"
@@ -33,12 +33,22 @@ def folder(place, table="a,commit\n1,x\n", value=1.0):
         ({}, ""),
         ({"table": "a,commit\n1,y\n"}, ""),  # another commit says nothing of the numbers
         ({"table": "a,commit\n1.0000000001,x\n"}, "table.csv differs"),
-        ({"table": "a,b,commit\n1,2,x\n"}, "table.csv differs"),
+        ({"table": "a,b,commit\n1,2,x\n"}, ""),  # what is written besides changes nothing that was there
+        ({"table": "a,commit\n0,x\n1,x\n2,x\n"}, ""),
+        ({"table": "b,commit\n1,x\n"}, "table.csv differs"),
+        ({"table": "a,commit\n2,x\n"}, "table.csv differs"),
         ({"value": 1.0 + 2.0**-52}, "map.npz differs"),
     ],
 )
 def test_every_digit_counts_and_only_numbers_do(tmp_path, change, told):
     assert first_difference(folder(tmp_path / "before"), folder(tmp_path / "now", **change)) == told
+
+
+def test_what_is_written_besides_is_told(tmp_path):
+    one, other = folder(tmp_path / "before"), folder(tmp_path / "now", "a,b,c,commit\n0,2,,x\n1,2,,x\n")
+    assert additions(one, other) == ["table.csv: 2 new columns (b, ...), 1 new rows"]
+    assert additions(one, one) == []
+    assert first_difference(other, one) == "table.csv differs"  # what is lost is a difference
 
 
 def test_a_file_that_is_not_there_is_a_difference(tmp_path):
