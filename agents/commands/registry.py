@@ -89,6 +89,10 @@ MAKERS: Final = {
         "plant:Recommendations", "recommendations for tubes whose truth is known", "probe-env recommendations --tubes 8"
     ),
     "plants": Entry("plant:Plants", "policies in other bores and lengths", "probe-env plants --limit 2"),
+    "headroom": Entry(
+        "control:Headroom", "what feedback can still win: planners beside policies",
+        "probe-env headroom tension-scheduled ppo --limit 6",
+    ),
     "passes": Entry("plant:Passes", "where to look: on the way in, back, or both", "probe-env passes --limit 6"),
     "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),

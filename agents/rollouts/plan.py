@@ -31,7 +31,7 @@ from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.envs.starts import Probes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
-from probe_env.envs.trials import Controller
+from probe_env.envs.trials import Controller, Foresighted
 
 BATCH = 16
 SHARED = ("fidelity", "code", "probes")
@@ -94,7 +94,7 @@ class Plan:
         """Identity of an episode: policy as described and written, context and seed."""
         name, k, seed = unit
         policy = self.policies[name]
-        written = class_hash(type(policy), "predict")
+        written = class_hash(type(policy), "decide" if isinstance(policy, Foresighted) else "predict")
         parts = [policy.describe(), written, self.contexts[k].model_dump(), k, seed]  # the place is in the seed
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 

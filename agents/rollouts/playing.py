@@ -99,7 +99,7 @@ class Playing:
         if fresh:
             self._begin(fresh)
         self._active = self.episodes.running.copy()
-        self.actions = self._players.act(self._observation, self._active)
+        self.actions = self._players.act(self._observation, self._active, self.episodes)
         self.decided = True
 
     def advance(self) -> Iterator[Ended]:

@@ -157,6 +157,32 @@ def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) ->
     return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
 
 
+def share_of_lead(table: pd.DataFrame, policy: str, best: str, bar: str) -> Interval:
+    """How much of the lead of one policy over another a third one has, in reward, with its interval over contexts.
+
+    Args:
+        table: episodes, all policies on the same contexts.
+        policy: whose share it is.
+        best: 1 by definition.
+        bar: 0 by definition.
+
+    Raises:
+        ValueError: the policies were not run on the same contexts.
+    """
+    columns = [by_context(table, name, "reward") for name in (policy, best, bar)]
+    if not len(columns[0]) or any(not column.index.equals(columns[0].index) for column in columns):
+        raise ValueError(f"{policy}, {best} and {bar} were not run on the same contexts: nothing to pair")
+    values, most, least = (column.to_numpy() for column in columns)
+
+    def share(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
+
+    found = float(share(values - least, most - least))
+    if len(values) < 2 or np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
+        return Interval(found, found, found)
+    return Interval(found, *map(float, bootstrap_ends(share, values - least, most - least, paired=True)))
+
+
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
     """For every policy and KPI: mean, interval, interquartile mean, worst; and how episodes ended."""
     rows = []

@@ -136,6 +136,25 @@ class SimulatorBatch:
         del given["format"]
         self.__dict__.update(given)
 
+    def branch(self, which: Sequence[int], scenes: Mapping[int, Scene] | None = None) -> SimulatorBatch:
+        """A batch of copies of some of its probes, in their present state: what a controller tries out.
+
+        Args:
+            which: probes, each as often as copies of it are wanted.
+            scenes: of probes that go on in another scene with the same mesh.
+
+        Raises:
+            ValueError: ``which`` is empty, or a state does not fit its scene.
+        """
+        if not len(which):
+            raise ValueError("which is empty: name at least one probe")
+        new = copy.copy(self)
+        first = {k: self.simulators[k].branch((scenes or {}).get(k)) for k in set(which)}
+        object.__setattr__(new, "simulators", [first[k].branch() for k in which])
+        new._before = [self._before[k].copy() for k in which]
+        new.kernel_seconds = 0.0
+        return new
+
     def replace(self, index: int, simulator: Simulator) -> None:
         """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
         for name in ("method", "time_step", "nodes_per_pitch"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -140,6 +141,37 @@ class Simulator(Saved):
             self.state = method_named(self.method).at_rest(
                 self.chain, self.nodes_per_pitch, self.time_step, self.root, self.state.d
             )
+
+    def branch(self, scene: Scene | None = None) -> Simulator:
+        """Another one in the same state, which goes on by itself: what a controller tries out, see ``SimulatorBatch``.
+
+        What nothing changes is shared with this one.
+
+        Args:
+            scene: another one to go on in, with the same mesh; default: this one's.
+
+        Raises:
+            ValueError: the state does not fit the scene: another mesh or length.
+        """
+        if scene is None:
+            new = object.__new__(type(self))
+            new.__dict__.update(self.__dict__)
+            new._advance = self._build()  # it has arrays of its own
+        else:
+            new = Simulator(
+                scene, self.method, self.time_step, self.nodes_per_pitch, solver=self.solver, growing=self.growing,
+                time_lapse=self.time_lapse, ramp=self.ramp, air_lag=self.air_lag, perturbation=self.perturbation,
+                seed=self.seed, start=self.start,
+            )  # fmt: skip
+            if (new.chain.node_count, new.chain.element_length, new.sensor) != (
+                self.chain.node_count, self.chain.element_length, self.sensor,
+            ):  # fmt: skip
+                sizes = [f"{s.chain.node_count} nodes of {s.chain.element_length:g} m" for s in (new, self)]
+                raise ValueError(
+                    f"scene: {sizes[0]}, sensor at node {new.sensor}; the state has {sizes[1]}, at {self.sensor}"
+                )
+        new.__dict__.update(copy.deepcopy(self._changing()))
+        return new
 
     def hold_length(self) -> None:
         """Feed without the length growing, until ``feed_length``: a probe that settles inspects nothing."""

@@ -27,7 +27,13 @@ def feed_of(action):
     return CONFIG.targets(np.atleast_2d(action))[:, 0]
 
 
-@pytest.mark.parametrize("name", [*NAMES, "example", "configs/schedules/example.csv", "configs/schedules/shift.toml"])
+LOOKING = ("planner", "planner-blurred", "planner-estimated")
+OBSERVING = [name for name in NAMES if name not in LOOKING]
+
+
+@pytest.mark.parametrize(
+    "name", [*OBSERVING, "example", "configs/schedules/example.csv", "configs/schedules/shift.toml"]
+)
 def test_predict_follows_sb3_s_protocol(name, monkeypatch):
     monkeypatch.chdir(__file__.rsplit("/", 3)[0])
     policy = make_policy(name, CONFIG)

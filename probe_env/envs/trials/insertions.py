@@ -47,7 +47,7 @@ def try_insertions(
     while episodes.running.any():
         active = episodes.running.copy()
         before = np.array([tally.inspected for tally in episodes.tally])
-        step = episodes.step(players.act(observation, active), active)
+        step = episodes.step(players.act(observation, active, episodes), active)
         observation = step.observation
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]

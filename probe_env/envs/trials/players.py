@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray
+
+if TYPE_CHECKING:
+    from probe_env.envs.episodes import Episodes
 
 
 class Controller(Protocol):
@@ -17,6 +21,19 @@ class Controller(Protocol):
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Action and state."""
+
+
+@runtime_checkable
+class Foresighted(Protocol):
+    """A policy that tries things out on copies of the probes themselves, which no rig can: what is possible at best."""
+
+    def decide(
+        self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
+    ) -> tuple[npt.NDArray[np.float32], list[Any]]:
+        """Actions (n, 2) and states of the n episodes of ``which``, by their observations (n, d) and states.
+
+        The episodes themselves stay as they are; a state of None begins one.
+        """
 
 
 class Players:
@@ -30,14 +47,31 @@ class Players:
         """Give episode ``k``, which begins, to a policy."""
         self.controllers[k], self.states[k] = controller, None
 
-    def act(self, observation: npt.NDArray[np.float32], active: BoolArray) -> npt.NDArray[np.float32]:
-        """Actions (N, 2) for observations (N, d); zero where an episode is not active."""
+    def act(
+        self, observation: npt.NDArray[np.float32], active: BoolArray, episodes: Episodes | None = None
+    ) -> npt.NDArray[np.float32]:
+        """Actions (N, 2) for observations (N, d); zero where an episode is not active.
+
+        ``episodes`` are what they act in, for those that look ahead.
+        """
         actions = np.zeros((len(self.states), 2), dtype=np.float32)
+        looking: dict[int, list[int]] = {}
         for k in np.flatnonzero(active).tolist():
             controller, start = self.controllers[k], np.array([self.states[k] is None])
             assert controller is not None
+            if isinstance(controller, Foresighted) and episodes is not None:
+                looking.setdefault(id(controller), []).append(k)
+                continue
             action, self.states[k] = controller.predict(
                 observation[k : k + 1], self.states[k], start, deterministic=True
             )
             actions[k] = action[0]
+        for which in looking.values():
+            controller = self.controllers[which[0]]
+            assert isinstance(controller, Foresighted)
+            assert episodes is not None
+            states = [self.states[k] for k in which]
+            actions[which], states = controller.decide(episodes, which, observation[which], states)
+            for k, state in zip(which, states, strict=True):
+                self.states[k] = state
         return actions

@@ -1,0 +1,64 @@
+"""Copies of a running simulation: they go on as it does, and leave it alone."""
+
+import numpy as np
+import pytest
+
+from probe_env import Context, Scene, SimulatorBatch
+from probe_env.physics.simulator import Simulator
+
+METHODS = ("superelement32", "imex", "newmark", "explicit")
+
+
+def running(method: str) -> SimulatorBatch:
+    scenes = [Context(friction=mu).apply(Scene(carrier_length=3.0, feed_speed=0.2)) for mu in (0.15, 0.25)]
+    step = 4e-6 if method == "explicit" else 1e-4
+    options = {} if method == "explicit" else {"growing": True, "time_lapse": 4.0, "air_lag": 0.5, "ramp": 0.5}
+    batch = SimulatorBatch(scenes, method, step, threads=1, **options)
+    batch.advance(0.3, 0.02, 0.04 if method == "explicit" else 0.2, 1e-3)
+    return batch
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_copies_go_on_as_the_probes_themselves_and_leave_them_alone(method: str) -> None:
+    batch, alone = running(method), running(method)
+    copies = batch.branch([1, 0, 1])
+    other = copies.advance(np.array([0.3, 0.3, 0.1]), 0.02, 0.1, 1e-3)
+    after, undisturbed = batch.advance(0.3, 0.02, 0.1, 1e-3), alone.advance(0.3, 0.02, 0.1, 1e-3)
+    for name, values in after.statistics.items():
+        np.testing.assert_array_equal(values, undisturbed.statistics[name])
+        np.testing.assert_array_equal(values[[1, 0]], other.statistics[name][:2])
+    for copied, k in zip(copies.simulators[:2], (1, 0), strict=True):
+        for mine, theirs in zip(copied.state, batch.simulators[k].state, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert other.feed_speed[2] < after.feed_speed[1]
+
+
+def test_a_copy_goes_on_in_another_tube() -> None:
+    batch = running("superelement32")
+    rougher = batch.simulators[0].scene.model_copy(update={"contact": {"friction": 0.3}})
+    same, other = batch.branch([0, 0]).simulators[0], batch.branch([0], {0: rougher}).simulators[0]
+    np.testing.assert_array_equal(same.state.d, other.state.d)
+    assert other.scene.contact.friction == 0.3
+    copies = batch.branch([0, 1], {0: rougher})
+    tension = copies.advance(0.3, 0.02, 0.5, 1e-3).statistics["tension_mean_n"]
+    truth = batch.advance(0.3, 0.02, 0.5, 1e-3).statistics["tension_mean_n"]
+    assert tension[0] != truth[0]
+    assert tension[1] == truth[1]
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    batch = running("imex")
+    longer = Scene(carrier_length=3.0, probe={"float_pitch": 0.05})
+    with pytest.raises(ValueError, match=r"scene: \d+ nodes of 0\.0125 m"):
+        batch.branch([0], {0: longer})
+    with pytest.raises(ValueError, match="which is empty"):
+        batch.branch([])
+
+
+def test_a_copy_of_one_that_diverged_has_diverged() -> None:
+    simulator = Simulator(Scene(carrier_length=3.0), "imex", 1e-4)
+    simulator.state.d[0, 1] = np.nan
+    batch = SimulatorBatch([simulator.scene], "imex", 1e-4, threads=1)
+    batch.replace(0, simulator)
+    assert batch.advance(0.2, 0.02, 0.01, 1e-3).diverged[0]
+    assert batch.branch([0]).simulators[0].diverged
