@@ -38,5 +38,6 @@ def drawn(kept: FloatArray, mapped: FloatArray, count: int, config: TaskConfig, 
         centre = mapped if row % 4 == 1 else kept
         tried[:, k, 0] = centre[:, 0] * np.exp(spread[0] * normal[row, 0])
         tried[:, k, 1] = centre[:, 1] + spread[1] * (high - low) * normal[row, 1]
-    flat = config.given(tried[..., 0].ravel(), tried[..., 1].ravel())
-    return np.asarray(flat).reshape(tried.shape)
+    # as an action says it: a chaotic probe would make something else of the digits that float32 has not
+    actions = config.actions(tried[..., 0].ravel(), tried[..., 1].ravel()).astype(np.float32)
+    return np.asarray(config.targets(actions)).reshape(tried.shape)
