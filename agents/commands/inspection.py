@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
+
+from agents.processes.workers import Workers
 
 
 @dataclass(frozen=True)
@@ -48,3 +50,29 @@ class Signal:
             draw_curves(self.evaluation, self.output)
         table = run_signal(self.policy, place_at(self.tube, self.contexts), self.fidelity, look, self.output)
         print_signal(table, self.output)
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Play policies with the sensor's anchors as they are, each halved and doubled: which finds smaller flaws?"""
+
+    policies: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Policies and agents as of `evaluate`; default: those of the published table."""
+    limit: int = 12
+    """Tubes of the test list, the first of it, which are balanced; 0: all."""
+    fidelity: str = "fast"
+    """How closely to simulate; thresholds and depths come out higher at fast than at standard."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): its tubes and its [sensor]."""
+    output: Path = Path("output/anchors")
+    """Folder of the tables; episodes that are there already are not played again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Play, store, print."""
+        from agents.detection.anchors import POLICIES, run_anchors
+        from agents.policies.places import place_at
+
+        place = place_at(self.tube, "test", self.limit)
+        run_anchors(self.policies or POLICIES, place, self.fidelity, self.output, self.workers)
+        print(f"written: {self.output}/ (anchors.csv, a folder of episodes for each)")

@@ -89,6 +89,10 @@ MAKERS: Final = {
         "plant:Recommendations", "recommendations for tubes whose truth is known", "probe-env recommendations --tubes 8"
     ),
     "plants": Entry("plant:Plants", "policies in other bores and lengths", "probe-env plants --limit 2"),
+    "anchors": Entry(
+        "inspection:Anchors", "which policy finds smaller flaws, whatever the sensor's scale",
+        "probe-env anchors constant best-schedule --limit 6",
+    ),
     "headroom": Entry(
         "control:Headroom", "what feedback can still win: planners beside policies",
         "probe-env headroom tension-scheduled ppo --limit 6",

@@ -15,12 +15,10 @@ from agents.policies.planning.planner import PLANNERS, Planner
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, Policy, run_plan
-from agents.rollouts.statistics import by_context, grouped, mean_interval, paired_difference, share_of_lead
+from agents.rollouts.statistics import BAR, by_context, grouped, mean_interval, paired_difference, share_of_lead
 from agents.terminal.tables import print_table
 from probe_env.fidelity import resolve_fidelity
 
-BAR: Final = "best-schedule"
-BEST: Final = "planner"
 ALWAYS: Final = (*PLANNERS, BAR)
 """What shares are counted by is always played."""
 
@@ -69,7 +67,7 @@ def run_headroom(names: Sequence[str], place: Place, fidelity: str, output: Path
     for policy in dict.fromkeys(table["policy"]):
         reward = mean_interval(by_context(table, policy, "reward").to_numpy())
         gain = paired_difference(table, policy, BAR, "reward") if policy != BAR else None
-        share = share_of_lead(table, policy, BEST, BAR)
+        share = share_of_lead(table, policy)
         lost = table[table["policy"] == policy][["lost_drive", "diverged"]].sum()
         rows.append(
             {

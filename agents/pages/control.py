@@ -8,6 +8,7 @@ from typing import Final
 from agents.evaluation.fidelity_check import words
 from agents.evaluation.report import compared_with, kpi_cells
 from agents.learning import results as agent_results
+from agents.pages.headroom import SHARE, lead_of, with_planner
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
 from agents.records.columns import shown_of
@@ -34,7 +35,7 @@ HEADLINE: Final = {
     "adaptive": "the same, corrected by the vibration that is measured",
     "ppo": "trained agents",
     "ppo-any-probe": "trained agents that see which probe was built",
-    "privileged": "is told the tube, which no rig knows: a measure of what is to be had",
+    "privileged": "is told the tube, which no rig knows, and follows the best schedule for it",
 }
 """Policies that a newcomer should know, in words."""
 SHORT: Final = {
@@ -75,7 +76,7 @@ def headline() -> str:
 
 def evaluation() -> str:
     """KPIs of every policy on the held-out tubes, and the differences in words."""
-    return _evaluated(RESULTS / "evaluation", ("inspected_share", "radial_p99_m"))
+    return _evaluated(RESULTS / "evaluation", ("inspected_share", "radial_p99_m"), lead=True)
 
 
 def any_probe() -> str:
@@ -83,16 +84,18 @@ def any_probe() -> str:
     return _evaluated(RESULTS / "any-probe", ("radial_p99_m", "radial_acceleration_rms_m_per_s2", "air_m3"))
 
 
-def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
+def _evaluated(folder: Path, left_out: tuple[str, ...], lead: bool = False) -> str:
     table = grouped(read_csv(folder / "episodes.csv", EPISODES))
     against = compared_with(folder, table)
     known = shown_of(table.columns)
     shown = [kpi for kpi in known if kpi not in left_out]
     names = [f"{known[kpi][0]} [{known[kpi][2]}]" if known[kpi][2] else known[kpi][0] for kpi in shown]
-    lines = [f"| policy | {' | '.join(names)} |", "|---" * (len(shown) + 1) + "|"]
+    names += [SHARE] * lead
+    lines, beside = [f"| policy | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"], with_planner(table)
     for policy, cells in kpi_cells(table):
         by_kpi = dict(zip(known, cells, strict=True))
-        lines.append(f"| `{policy}` | " + " | ".join(by_kpi[kpi] for kpi in shown) + " |")
+        share = [lead_of(beside, policy)] * lead
+        lines.append(f"| `{policy}` | " + " | ".join([*(by_kpi[kpi] for kpi in shown), *share]) + " |")
     ends = endings(table)
     words = "\n".join(f"* {line}" for line in sentences(table, against))
     note = (
@@ -105,7 +108,7 @@ def _evaluated(folder: Path, left_out: tuple[str, ...]) -> str:
 def agents() -> str:
     """The agents against the other policies with the differences in words; what training took."""
     table = grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))
-    lines = [f"* {line}" for line in agent_results.verdicts(table, "ppo", BARS, "privileged")]
+    lines = [f"* {line}" for line in agent_results.verdicts(with_planner(table), "ppo", BARS, "planner")]
     curves = agent_results.load_curves(RESULTS / "agents" / "ppo")
     run = read_json(RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json", Record).model_dump()
     imitation = run["config"]["imitation"]

@@ -81,6 +81,8 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "superelement.md": ("superelement",),
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
+        DOCS / "inspection" / "signal.md": ("anchors",),
         DOCS / "inspection" / "passes.md": ("passes",),
+        DOCS / "learning" / "headroom.md": ("headroom", "planner_settings"),
         DOCS / "inspection" / "tube.md": ("plants",),
     }

@@ -18,6 +18,10 @@ CONFIDENCE: Final = 0.95
 HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
 """KPIs of which more is better."""
 
+BEST: Final = "planner"
+BAR: Final = "best-schedule"
+"""Policies whose difference in reward is the planner's lead, the measure of headroom."""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -157,7 +161,7 @@ def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) ->
     return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
 
 
-def share_of_lead(table: pd.DataFrame, policy: str, best: str, bar: str) -> Interval:
+def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
     """How much of the lead of one policy over another a third one has, in reward, with its interval over contexts.
 
     Args:
@@ -218,9 +222,16 @@ def sentences(table: pd.DataFrame, reference: str) -> list[str]:
         longer = "as long as" if time.low == time.high == 0.0 else f"{_in_words(time, 1.0, ' s')} than"
         lines.append(
             f"{policy} takes {longer} {reference} and keeps"
-            f" {_in_words(share, 100.0, ' % of the length')} within the limit."
+            f" {_in_words(share, 100.0, ' % of the length')} within the limit." + led(table, policy)
         )
     return lines
+
+
+def led(table: pd.DataFrame, policy: str) -> str:
+    """How much of the planner's lead a policy has, where the planner was played, too."""
+    if policy in (BEST, BAR) or not {BEST, BAR} <= set(table["policy"]):
+        return ""
+    return f" It has {share_of_lead(table, policy).text(100.0)} % of the lead of {BEST} over {BAR}."
 
 
 def _in_words(difference: Interval, factor: float, unit: str) -> str:

@@ -12,7 +12,10 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.bare_chains import linear_matrix, masses
 from probe_env.physics.chain import Chain, air_speed, build_chain
 from probe_env.scene import Scene
+from probe_env.settings import within
 
+GRAVITY: Final = 9.80665
+"""[m/s2]; in the helix it is left out: its plane is taken as horizontal."""
 MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
 """What the estimate looks at, SI units."""
 SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter", "float_pitch")
@@ -54,6 +57,29 @@ def drag_per_metre(scene: Scene) -> float:
     """Drag of the carrier's floats a metre over the square of the wind [N s2/m3], after (10)."""
     probe = scene.probe
     return float(_drag_per_metre(scene, np.array(probe.carrier_float_diameter), np.array(probe.float_pitch)))
+
+
+def tension_for_straight(scene: Scene, length: float, incline: float = math.pi / 2.0) -> float:
+    """Root tension [N] with which a straight part between feed device and helix is passed; 0 where it needs none.
+
+    At constant speed the feed device holds back with T - (m g (sin a + mu cos a) - q) L, T being the root tension in
+    the helix, m g the cable's weight and q the air's drag a metre. It can hold and not push, so that must not fall
+    below 0. Bends between the two divide it by exp(mu phi) and leave its sign.
+
+    Args:
+        scene: probe, air, friction, feed speed and air supply; its tube's bore goes on in the straight part.
+        length: of the straight part [m].
+        incline: a of the direction of insertion against the horizontal [rad]: pi / 2 rises, -pi / 2 falls.
+
+    Raises:
+        ValueError: a length below 0, or an incline that is none.
+    """
+    within("length", length, 0.0, 1e4, "m")
+    within("incline", incline, -math.pi / 2.0, math.pi / 2.0, "rad")
+    wind = air_speed(scene, scene.air_supply_rate) - scene.feed_speed
+    weight = scene.probe.line_density * GRAVITY
+    uphill = weight * (math.sin(incline) + scene.contact.friction * math.cos(incline))
+    return max(uphill - drag_per_metre(scene) * wind * abs(wind), 0.0) * length
 
 
 def friction_from_tension(seen: Mapping[str, FloatArray], scene: Scene) -> FloatArray:

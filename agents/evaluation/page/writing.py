@@ -22,6 +22,7 @@ from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import MEASURES, Verdict, limit_of, ranking, verdict
 from agents.policies.fixed import Scheduled
 from agents.policies.on_map import Privileged
+from agents.policies.planning.planner import Planner
 from agents.records.drawing import MM
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_csv
@@ -72,7 +73,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     table, task = done.table, done.setting.task
     described = done.record.policies if done.record else {}
     kinds = {method_and_seed(name)[0]: d.get("policy") for name, d in described.items()}
-    told = {name for name, kind in kinds.items() if kind == Privileged.__name__}
+    told = {name for name, kind in kinds.items() if kind in (Privileged.__name__, Planner.__name__)}
     order = ranking(table)
     verdicts = [verdict(table, policy, told, limit_of(task)) for policy in done.own or (done.against,)]
     offered, without = downloads(described, table, done.profile)

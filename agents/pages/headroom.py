@@ -1,0 +1,66 @@
+"""What feedback can still win, in words: planners beside the policies of every table."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from agents.evaluation import headroom as study
+from agents.pages.sources import RESULTS, source
+from agents.policies.planning.planner import PLANNERS
+from agents.records.reading import read_csv
+from agents.records.tables import EPISODES
+from agents.rollouts.statistics import BEST, grouped, share_of_lead
+
+FOLDER = RESULTS / "headroom"
+SHARE = "of the planner's lead [%]"
+"""Heading of the column that other tables have of it."""
+
+
+def headroom() -> str:
+    """Planners and policies on the same tubes."""
+    summary = pd.read_csv(FOLDER / "headroom.csv")
+    rows = summary.set_index("policy")
+    exact, blurred, estimated = (rows.loc[name] for name in PLANNERS)
+    lost = int(summary[["lost_drive", "diverged"]].to_numpy().sum())
+    return (
+        f"**The planner earns {exact['reward']:.1f}, {exact['gain']:.1f} [{exact['gain_low']:.1f},"
+        f" {exact['gain_high']:.1f}] more than `best-schedule`; with states blurred by 10 µm {blurred['reward']:.1f},"
+        f" in a tube that it only estimates {estimated['reward']:.1f}.**\n\n"
+        f"{_table(study.HEADER, study.cells(summary))}\n\n"
+        f"Means over {exact['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; {lost} insertions lost"
+        f" their drive or diverged. {source(FOLDER / 'provenance.json')}"
+    )
+
+
+def planner_settings() -> str:
+    """What horizon, candidates and terminal value are worth."""
+    summary = pd.read_csv(FOLDER / "settings.csv")
+    return (
+        f"{_table(study.SETTINGS_HEADER, study.setting_cells(summary))}\n\n"
+        f"Means over {int(summary['tubes'].iloc[0])} training tubes, one of each helix diameter, differences paired;"
+        " copies are simulated seconds for each second of the insertion."
+        f" {source(FOLDER / 'settings-provenance.json')}"
+    )
+
+
+def with_planner(table: pd.DataFrame) -> pd.DataFrame:
+    """An evaluation's table with the planner's episodes on the same tubes."""
+    played = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
+    planner = played[(played["policy"] == BEST) & played["context"].isin(set(table["context"]))]
+    return pd.concat([table, planner[[name for name in table.columns if name in planner]]], ignore_index=True)
+
+
+def lead_of(table: pd.DataFrame, policy: str) -> str:
+    """The share of the planner's lead over ``best-schedule`` that a policy has, in % with its interval.
+
+    Args:
+        table: see ``with_planner``.
+        policy: in it.
+    """
+    share = share_of_lead(table, policy)
+    return f"{100.0 * share.mean:.0f} [{100.0 * share.low:.0f}, {100.0 * share.high:.0f}]"
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [header, ("---",) * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
