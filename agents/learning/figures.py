@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from agents.records.drawing import BLUE, GREY, GRID, RED, colours, save
+from agents.records.drawing import BLUE, GREY, GRID, RED, colours, plain, save
 
 
 def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
@@ -18,6 +18,18 @@ def learning_curves(runs: dict[str, pd.DataFrame], path: Path) -> Path:
             label = name if number == 0 else None
             axis.plot(rows["steps"], rows["reward"], "o-", color=colour, linewidth=1.0, markersize=3, label=label)
     axis.set(xlabel="environment steps after the warm start", ylabel="reward on the validation tubes")
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    return save(figure, path)
+
+
+def performance_profiles(table: pd.DataFrame, path: Path) -> Path:
+    """Share of runs that reach a reward, a line a method with its band; see ``comparison.profiles``."""
+    figure, axis = plt.subplots(figsize=(8, 4.5), layout="constrained")
+    for colour, (name, rows) in zip(colours(), table.groupby("policy", sort=False), strict=False):
+        axis.plot(rows["threshold"], 100.0 * rows["share"], color=colour, label=plain(str(name)))
+        axis.fill_between(rows["threshold"], 100.0 * rows["low"], 100.0 * rows["high"], color=colour, alpha=0.15, lw=0)
+    axis.set(xlabel="reward of at least", ylabel="share of tubes and seeds [%]", ylim=(0.0, 100.0))
     axis.grid(**GRID)
     axis.legend(frameon=False)
     return save(figure, path)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import pandas as pd
+
 from agents.evaluation.fidelity_check import words
 from agents.evaluation.report import compared_with, kpi_cells
 from agents.learning import results as agent_results
@@ -15,6 +18,7 @@ from agents.records.columns import shown_of
 from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
+from agents.rollouts.comparison import probability_of_improvement, profiles
 from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
@@ -22,6 +26,7 @@ from probe_env.fidelity import PRESETS
 BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
 METHODS = ("constant", "best-constant", "best-schedule", "best-schedule-by-diameter", "pi", "tension-scheduled",
            "adaptive", "ppo-no-tension", "ppo-any-probe", "ppo", "privileged")  # fmt: skip
+PROFILED: Final = ("best-schedule", "tension-scheduled", "adaptive", "ppo", "ppo-no-tension", "planner")
 
 HEADLINE: Final = {
     "constant": "0.2 m/s and 63 m³/h, as in the study",
@@ -108,7 +113,8 @@ def _evaluated(folder: Path, left_out: tuple[str, ...], lead: bool = False) -> s
 def agents() -> str:
     """The agents against the other policies with the differences in words; what training took."""
     table = grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))
-    lines = [f"* {line}" for line in agent_results.verdicts(with_planner(table), "ppo", BARS, "planner")]
+    lines = [_improvement(table)]
+    lines += [f"* {line}" for line in agent_results.verdicts(with_planner(table), "ppo", BARS, "planner")]
     curves = agent_results.load_curves(RESULTS / "agents" / "ppo")
     run = read_json(RESULTS / "agents" / "ppo" / f"seed-{curves['seed'].max()}" / "run.json", Record).model_dump()
     imitation = run["config"]["imitation"]
@@ -127,6 +133,19 @@ def agents() -> str:
     )
     methods = [name for name in METHODS if name in set(table["policy"])]
     return f"{agent_results.markdown(table, methods)}\n\n" + "\n".join(lines) + f"\n\n{note}"
+
+
+def _improvement(table: pd.DataFrame) -> str:
+    """How often an agent earns more than the policies that set the bar, in the same tube."""
+    parts = [f"`{bar}` {probability_of_improvement(table, 'ppo', bar).text(100.0)} %" for bar in BARS]
+    return f"* A run of `ppo` earns more in the same tube than {', than '.join(parts)} (probability of improvement)."
+
+
+def reward_profiles() -> pd.DataFrame:
+    """Performance profiles of the agents, what sets the bar, and the planner."""
+    table = with_planner(grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES)))
+    shown = [name for name in PROFILED if name in set(table["policy"])]
+    return profiles(table, shown, np.arange(-40.0, 41.0, 1.0))
 
 
 def map_quality() -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from agents.learning import results as agent_results
 from agents.pages.blocks import MAKERS, RESULTS
+from agents.pages.control import reward_profiles
 from agents.records.provenance import write_atomically
 from agents.study.back import load_rows as load_trips
 from agents.study.cases import load_rows
@@ -27,6 +28,7 @@ def rewrite_readme() -> None:
     _growth_figure(RESULTS / "study" / "growth.png")
     ways_spectra(load_trips(RESULTS / "study"), RESULTS / "study" / "back.png")
     _learning_figure(RESULTS / "agents" / "learning.png")
+    _profile_figure(RESULTS / "agents" / "profiles.png")
     print("README.md and docs/ rewritten from results/")
 
 
@@ -64,6 +66,12 @@ def _learning_figure(path: Path) -> None:
 
     runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension")}
     learning_curves(runs, path)
+
+
+def _profile_figure(path: Path) -> None:
+    from agents.learning.figures import performance_profiles
+
+    performance_profiles(reward_profiles(), path)
 
 
 def _pages() -> dict[Path, tuple[str, ...]]:
