@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
@@ -62,7 +63,7 @@ def check_types(what: str, given: Mapping[str, Any], expected: Mapping[str, type
             raise ValueError(f"{what}: {name} {description} is not {wanted.__name__}{least}")
 
 
-class Saved:
+class Saved(ABC):
     """Snapshots and pickles of an object whose attributes change with time, but for those declared as fixed."""
 
     BUILT: tuple[str, ...]
@@ -102,12 +103,13 @@ class Saved:
         """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
         return {name: value for name, value in self.__dict__.items() if name not in self.FIXED}
 
+    @abstractmethod
     def _check_changing(self, what: str, changing: Mapping[str, Any]) -> None:
         """Raise ValueError where what changes is not of its kind."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _build(self) -> Any:
-        raise NotImplementedError
+        """What ``REBUILT`` names."""
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but what is rebuilt."""
