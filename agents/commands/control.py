@@ -43,3 +43,45 @@ class Headroom:
             return
         run_headroom(self.policies, place, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (headroom.csv, headroom.png, episodes.csv)")
+
+
+@dataclass(frozen=True)
+class Plc:
+    """A feedback law of ten constants: as structured text and table for your plant, or found anew."""
+
+    st: Path | None = None
+    """Write the law as IEC 61131-3 structured text here."""
+    csv: Path | None = None
+    """Write it as a table by helix diameter, friction and length here."""
+    tube: Path | None = None
+    """Your own plant (tube.toml), whose bore, air, probe and ranges the law takes."""
+    find: bool = False
+    """Find the constants anew: on the vibration map, then in simulation on training tubes."""
+    trials: int = 600
+    """With --find: laws tried on the map."""
+    generations: int = 6
+    """With --find: generations of ten laws each that are simulated then."""
+    limit: int = 12
+    """With --find: training tubes of these, the first, which are balanced."""
+    output: Path = Path("output/plc")
+    """With --find: folder of plc-law.json, every trial and the episodes."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Find, or write, or print."""
+        from agents.policies.maps.vibration_map import stored_map
+        from agents.policies.places import place_at
+        from agents.policies.plc.law import PlantData, read_constants
+        from agents.policies.plc.writing import print_law, write_law
+
+        constants = read_constants()
+        if self.find:
+            from agents.policies.plc.search import run_law_search
+
+            constants = run_law_search(
+                self.trials, self.generations, self.limit, self.output, self.workers, stored_map()
+            )
+            print(f"written: {self.output}/ (plc-law.json, plc-law-trials.csv)")
+        place = place_at(self.tube, "test")
+        write_law(constants, PlantData.of(place.config), place, self.st, self.csv)
+        print_law(constants)

@@ -93,6 +93,10 @@ MAKERS: Final = {
         "inspection:Anchors", "which policy finds smaller flaws, whatever the sensor's scale",
         "probe-env anchors constant best-schedule --limit 6",
     ),
+    "plc": Entry(
+        "control:Plc", "a feedback law of ten constants, for your plant's PLC",
+        "probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml",
+    ),
     "headroom": Entry(
         "control:Headroom", "what feedback can still win: planners beside policies",
         "probe-env headroom tension-scheduled ppo --limit 6",

@@ -14,6 +14,7 @@ from agents.policies.law import Law, Lawful
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planning.planner import PLANNERS, Planner
+from agents.policies.plc.law import PlcLaw
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
@@ -23,8 +24,9 @@ from probe_env.schedule import Schedule
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env optimise``, in ``agents/policies/data/``."""
+PLC: Final = "plc-law"
 BY_DIAMETER: Final = "best-schedule-by-diameter"
-NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *PLANNERS)
+NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, PLC, *PLANNERS)
 
 
 def named_policies(
@@ -97,6 +99,8 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if spec in MAP_POLICIES:
         on_map, settings = MAP_POLICIES[spec]
         return on_map(config, vibration=vibration or stored_map(), **settings)
+    if spec == PLC:
+        return PlcLaw(config)
     if spec in PLANNERS:
         return Planner(config, vibration=vibration or stored_map(), **PLANNERS[spec])
     if spec in STORED:

@@ -1,0 +1,49 @@
+"""The law told and written: files for a PLC, and its constants in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agents.policies.places import Place
+from agents.policies.plc.export import structured_text, table
+from agents.policies.plc.law import Constants, PlantData
+from agents.records.provenance import write_atomically
+from agents.terminal.tables import print_table
+
+TOLD = {
+    "average": ("s", "time constant of the averages of friction and noise"),
+    "onset_length": ("m", "slow with strong air from here on, at friction 0.175 and 1.5 m"),
+    "onset_friction": ("", "... times friction to the minus this"),
+    "onset_diameter": ("", "... times helix diameter to this"),
+    "slow_feed": ("m/s", "feed at 30 m behind the onset, at friction 0.175 and 1.5 m"),
+    "slow_length": ("", "... times length to the minus this"),
+    "slow_friction": ("", "... times friction to the minus this"),
+    "slow_diameter": ("", "... times helix diameter to this"),
+    "quiet": ("m", "noise at which length counts as it is"),
+    "shift": ("", "... else with (noise / quiet) to this"),
+}
+"""Constant -> unit and what it is."""
+HEADER = ("constant", "value", "unit", "")
+
+
+def rows_of(constants: Constants) -> list[tuple[str, ...]]:
+    """A row a constant."""
+    values = constants.model_dump()
+    return [(name, f"{values[name]:.4g}", unit, what) for name, (unit, what) in TOLD.items()]
+
+
+def print_law(constants: Constants) -> None:
+    """Its constants."""
+    print_table("The law's constants", HEADER, rows_of(constants), left=4)
+
+
+def write_law(constants: Constants, plant: PlantData, place: Place, st: Path | None, csv: Path | None) -> None:
+    """Write it as structured text and as a table, where asked for."""
+    if st:
+        write_atomically(st, structured_text(constants, plant))
+        print(f"written: {st}")
+    if csv:
+        diameters = sorted({context.helix_diameter for context in place.contexts})
+        found = table(constants, plant, diameters, place.config.scene.tube.helix_length)
+        write_atomically(csv, found.to_csv(index=False, float_format="%.6g"))
+        print(f"written: {csv}")

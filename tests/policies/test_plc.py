@@ -1,0 +1,219 @@
+"""The law for a PLC: its friction, its form, its text run by an interpreter, its table, its search."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.policies.catalogue import make_policy
+from agents.policies.maps.search import MapCost
+from agents.policies.maps.vibration_map import stored_map
+from agents.policies.plc import search
+from agents.policies.plc.export import structured_text, table
+from agents.policies.plc.law import CREDIBLE, FRICTION, Constants, PlantData, PlcLaw, friction_of, read_constants
+from agents.policies.plc.quasi_steady import quasi_steady_rewards
+from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
+from agents.processes.workers import HERE
+from probe_env import Context, spread_contexts
+from probe_env.envs.observations import in_si_units, observe
+from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError
+from probe_env.physics.closed_forms import sliding_tension
+from probe_env.schedule import Schedule
+from tests.oracles.structured_text import FunctionBlock
+
+CONFIG = TaskConfig().all_shown
+PLANT = PlantData.of(CONFIG)
+
+
+def seen(count: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """What a rig could measure in tubes of all kinds."""
+    rng = np.random.default_rng(seed)
+    return {
+        "inserted_length": rng.uniform(5.0, 60.0, count), "feed_speed": rng.uniform(0.02, 0.4, count),
+        "air_supply_rate": rng.uniform(45.0, 130.0, count) / 3600.0, "rf_noise": 10.0 ** rng.uniform(-6.0, -3.0, count),
+        "helix_diameter": rng.choice([1.0, 1.4, 2.5], count), "root_tension": rng.uniform(0.5, 20.0, count),
+        "time": np.zeros(count),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.175, 0.25])
+def test_friction_is_that_of_steady_sliding(friction: float) -> None:
+    measured = seen(50)
+    tension = sliding_tension(np.full(50, friction), measured, CONFIG.scene)
+    # the guide's floats are those of the carrier in table 2's probe: the same closed form, solved by Newton
+    np.testing.assert_allclose(friction_of(tension, measured, PLANT), friction, rtol=1e-6)
+
+
+def test_friction_beyond_belief_is_cut_off_and_nothing_divides_by_zero() -> None:
+    measured = seen(3)
+    for tension, wanted in ((1e9, CREDIBLE[0]), (-5.0, CREDIBLE[1])):
+        assert friction_of(np.full(3, tension), measured | {"inserted_length": np.full(3, 50.0)}, PLANT) == (
+            pytest.approx(wanted)
+        )
+    still = measured | {"air_supply_rate": np.zeros(3), "feed_speed": np.zeros(3), "inserted_length": np.zeros(3)}
+    assert np.isfinite(friction_of(np.ones(3), still, PLANT)).all()
+
+
+def test_fast_with_little_air_up_to_the_onset_then_slow_with_all_of_it() -> None:
+    law = PlcLaw(CONFIG, Constants(shift=0.0))
+    lengths = np.linspace(5.0, 60.0, 111)
+    measured = {name: np.full(111, values[0]) for name, values in seen(1).items()} | {"inserted_length": lengths}
+    measured["helix_diameter"] = np.full(111, 1.5)
+    measured["root_tension"] = sliding_tension(np.full(111, FRICTION), measured, CONFIG.scene)
+    memory = np.zeros((111, 2))
+    law.start(memory)
+    feed, air = law.targets(measured, memory)
+    fast = lengths < law.constants.onset_length
+    assert (feed[fast] == CONFIG.feed_speeds[1]).all()
+    assert (air[fast] == PLANT.air_supply_rates[0]).all()
+    assert (air[~fast] == CONFIG.air_supply_rates[1]).all()
+    slow = law.constants.slow_feed * (lengths[~fast] / 30.0) ** -law.constants.slow_length
+    np.testing.assert_allclose(feed[~fast], slow, rtol=1e-6)
+    louder = PlcLaw(CONFIG, Constants(shift=0.3))
+    loud = memory.copy()
+    loud[:, 1] = np.log(1e-3)
+    assert (louder.targets(measured | {"rf_noise": np.full(111, 1e-3)}, loud)[0] <= feed).all()
+    with pytest.raises(ValueError, match="shows the root tension"):
+        PlcLaw(TaskConfig(observe_root_tension=False)).predict(np.zeros(10, dtype=np.float32))
+
+
+def test_structured_text_does_what_the_policy_does() -> None:
+    """Over an insertion's worth of measurements: the interpreter rounds every operation to a REAL's 24 bits."""
+    law, count = PlcLaw(CONFIG), 400
+    assert len(law.constants.model_dump()) == 10
+    block = FunctionBlock(structured_text(law.constants, PLANT))
+    assert block.fixed == {name.upper() for name in Constants.model_fields} | {
+        "AIR_SPEED", "DRAG", "FLOAT_DIAMETER", "LEAST_FEED", "MOST_FEED", "LEAST_AIR", "MOST_AIR"
+    }  # fmt: skip
+    measured = seen(count, 1) | {"inserted_length": np.linspace(5.0, 60.0, count)}
+    measured["helix_diameter"] = np.full(count, 1.4)
+    measured["root_tension"] = sliding_tension(np.full(count, 0.18), measured, CONFIG.scene)
+    memory, switched = np.zeros((1, 2)), 0
+    law.start(memory)
+    for k in range(count):
+        row = {name: values[k : k + 1] for name, values in measured.items()}
+        feed, air = law.targets(row, memory)
+        told = block(
+            Start=k == 0, Period=CONFIG.period, InsertedLength=row["inserted_length"][0],
+            RootTension=row["root_tension"][0], Noise=row["rf_noise"][0], FeedNow=row["feed_speed"][0],
+            AirNow=row["air_supply_rate"][0], HelixDiameter=row["helix_diameter"][0],
+        )  # fmt: skip
+        # some fifty roundings of 6e-8 each, with exponents up to 2 and Newton's division by differences of 0.05
+        np.testing.assert_allclose([told["Friction"], told["LogNoise"]], memory[0], rtol=1e-4)
+        if abs(float(told["Length"]) / float(told["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides
+            np.testing.assert_allclose([told["Feed"], told["Air"]], [feed[0], air[0]], rtol=1e-3)
+            switched += air[0] == CONFIG.air_supply_rates[1]
+    assert 50 < switched < 350  # both branches were run
+
+
+@pytest.mark.parametrize(
+    "broken",
+    ["Feed := MOST_FEED", "Feed := UNKNOWN;", "QUIET := 1.0;", "WHILE TRUE DO END_WHILE;", "Feed := SQRT(2.0);"],
+)
+def test_the_interpreter_refuses_what_it_does_not_know(broken: str) -> None:
+    text = structured_text(Constants(), PLANT)
+    with pytest.raises((SyntaxError, KeyError)):
+        FunctionBlock(text.replace("END_FUNCTION_BLOCK", f"{broken}\nEND_FUNCTION_BLOCK"))
+
+
+def test_structured_text_has_no_exponents_and_stays_within_a_line() -> None:
+    text = structured_text(Constants(quiet=1e-7, slow_feed=2.0), PLANT)
+    assert "e-" not in text.split("*)", 1)[1]
+    assert "QUIET : REAL := 0.0000001;" in text
+    assert max(map(len, text.splitlines())) <= 110
+    assert text.isascii()
+
+
+def test_a_table_says_what_the_law_does() -> None:
+    constants = read_constants()
+    found = table(constants, PLANT, [1.0, 2.5], 60.0)
+    assert list(found.columns) == [
+        "helix_diameter_m", "friction", "inserted_length_m", "feed_speed_m_per_s", "air_supply_m3_per_h",
+    ]  # fmt: skip
+    assert len(found) == 2 * 11 * 23
+    rough = found[(found["helix_diameter_m"] == 1.0) & (found["friction"] == 0.24)]
+    smooth = found[(found["helix_diameter_m"] == 2.5) & (found["friction"] == 0.08)]
+    assert smooth["feed_speed_m_per_s"].mean() > 2.0 * rough["feed_speed_m_per_s"].mean()
+    assert set(found["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
+
+
+def test_a_quasi_steady_world_earns_what_the_map_expects_of_a_schedule() -> None:
+    """A fixed feed: the sum over seconds against that over the middles of metres, which the searches go by."""
+    tubes = (Context(friction=0.1, helix_diameter=2.5), Context(friction=0.25, helix_diameter=1.0))
+    fixed = Schedule("inserted_length", "linear", (5.0, 60.0), (0.1, 0.1), (100.0 / 3600.0, 100.0 / 3600.0))
+    rewards = quasi_steady_rewards(make_policy("slow", CONFIG), tubes, stored_map())
+    for reward, tube in zip(rewards, tubes, strict=True):
+        expected = MapCost((tube,), CONFIG, stored_map()).reward(fixed)
+        assert reward == pytest.approx(expected, abs=0.05)  # a metre is ten of its seconds: order two, 55 metres
+    assert rewards[0] > rewards[1]
+
+
+def test_the_law_keeps_the_reward_of_tension_scheduled_on_training_tubes_by_the_map() -> None:
+    tubes, vibration = spread_contexts("train", 12), stored_map()
+    law = quasi_steady_rewards(PlcLaw(CONFIG), tubes, vibration).mean()
+    schedule = quasi_steady_rewards(make_policy("best-schedule", CONFIG), tubes, vibration).mean()
+    assert law > schedule + 5.0  # no dice in this world
+
+
+def test_points_and_constants_are_inverses() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        x = rng.random(10)
+        np.testing.assert_allclose(point_of(constants_at(x)), x, atol=2e-3)  # four digits are kept
+    assert set(RANGES) == set(Constants.model_fields)
+    assert set(LOGARITHMIC) <= set(RANGES)
+
+
+def test_a_search_goes_from_the_map_to_the_simulation(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """With rewards that are best at a known place."""
+    goal = constants_at(np.full(10, 0.4))
+
+    def by_map(policy, tubes, vibration):  # type: ignore[no-untyped-def]
+        return np.full(len(tubes), -np.abs(point_of(policy.constants) - 0.4).sum())
+
+    def run_plan(plan, folder, progress, workers):  # type: ignore[no-untyped-def]
+        rewards = {name: float(by_map(policy, plan.contexts, None)[0]) for name, policy in plan.policies.items()}
+        return pd.DataFrame({"policy": list(rewards), "reward": list(rewards.values())})
+
+    monkeypatch.setattr(search, "quasi_steady_rewards", by_map)
+    monkeypatch.setattr(search, "run_plan", run_plan)
+    found = run_law_search(300, 5, 6, tmp_path, HERE, stored_map())
+    trials = pd.read_csv(tmp_path / "plc-law-trials.csv")
+    assert trials["where"].value_counts().to_dict() == {"map": 301, "simulated": 51}
+    assert trials["reward"].iloc[-1] > trials["reward"].iloc[0]
+    assert np.abs(point_of(found) - point_of(goal)).max() < 0.2
+    assert read_constants(tmp_path / "plc-law.json") == found
+    with pytest.raises(ValueError, match="limit = 0 is outside the accepted range 1 to 96"):
+        run_law_search(10, 1, 0, tmp_path, HERE, stored_map())
+
+
+def test_a_damaged_file_is_refused_by_name(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "law.json"
+    for text, told in (
+        ("{", "not the constants"), ("{}", "not the constants"), ("[]", "not the constants"),
+        (json.dumps({"constants": {"average": -1.0}}), "average"),
+        (json.dumps({"constants": {"averag": 1.0}}), "averag"),
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(FileError, match=told):
+            read_constants(path)
+
+
+def test_it_goes_by_name_and_follows_what_is_observed() -> None:
+    policy = make_policy("plc-law", CONFIG)
+    assert policy.describe()["policy"] == "PlcLaw"
+    measured = {"tension_mean_n": np.array([4.0]), "radial_rms_m": np.array([2e-5])}
+    felt = {name: np.array([1.0]) for name in ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2")}
+    rest = {
+        "inserted_length": np.array([40.0]), "remaining_length": np.array([20.0]), "feed_speed": np.array([0.1]),
+        "air_supply_rate": np.array([0.02]), "feed_action": np.zeros(1), "air_action": np.zeros(1),
+        "helix_diameter": np.array([1.4]), "friction": np.array([0.2]), "contact_stiffness": np.array([1e5]),
+        "drag_factor": np.ones(1), "float_pitch": np.ones(1),
+    }  # fmt: skip
+    row = observe(TaskConfig(), measured | felt | rest, np.zeros((1, 2)))
+    feed, air = TaskConfig().targets(make_policy("plc-law", TaskConfig()).predict(row)[0])[0]
+    assert in_si_units(TaskConfig(), row)["root_tension"][0] == pytest.approx(4.0)
+    assert 0.02 <= feed <= 0.4
+    assert air in (pytest.approx(45.0 / 3600.0), pytest.approx(130.0 / 3600.0))
