@@ -1,0 +1,65 @@
+"""The law for a plant's PLC in words: its constants, what it reaches, its text."""
+
+from __future__ import annotations
+
+from agents.evaluation.report import kpi_cells
+from agents.pages.headroom import SHARE, lead_of, with_planner
+from agents.pages.sources import RESULTS, command, source
+from agents.policies.places import place_of
+from agents.policies.plc.export import structured_text
+from agents.policies.plc.law import STORED, PlantData, read_constants
+from agents.policies.plc.writing import HEADER, rows_of
+from agents.records.columns import shown_of
+from agents.records.models import Figures
+from agents.records.reading import read_csv, read_json
+from agents.records.tables import EPISODES
+from agents.rollouts.comparison import probability_of_improvement
+from agents.rollouts.statistics import endings, grouped, paired_difference
+
+FOLDER = RESULTS / "control"
+RIVALS = ("best-schedule-by-diameter", "tension-scheduled", "adaptive")
+SHOWN = ("reward", "inspection_time_s", "share_within_limit")
+
+
+def plc_constants() -> str:
+    """The ten constants and how they were found."""
+    told = read_json(STORED, Figures)
+    found = told.model_extra or {}
+    record, tubes, rewards = told.provenance.model_dump(), found["tubes"], found["rewards"]
+    lines = ["| " + " | ".join(row) + " |" for row in (HEADER, ("---",) * 4, *rows_of(read_constants()))]
+    simulated = (
+        f", then {rewards['simulated']:.1f} in simulation on {tubes['simulated']}" if "simulated" in rewards else ""
+    )
+    return (
+        "\n".join(lines) + f"\n\nFound by CMA-ES on training tubes only: mean reward {rewards['map']:.1f} by the map on"
+        f" {tubes['map']}{simulated}. Made by `{command(record)}` at commit {record['commit']}; every trial is in"
+        " `agents/policies/data/plc-law-trials.csv`."
+    )
+
+
+def plc_reached() -> str:
+    """The law beside other policies on the held-out tubes."""
+    table = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
+    known, beside = shown_of(table.columns), with_planner(table)
+    names = [f"{known[kpi][0]} [{known[kpi][2]}]" if known[kpi][2] else known[kpi][0] for kpi in SHOWN]
+    lines = [f"| policy | {' | '.join(names)} | {SHARE} |", "|---" * (len(SHOWN) + 2) + "|"]
+    for policy, cells in kpi_cells(table):
+        by_kpi = dict(zip(known, cells, strict=True))
+        lines.append(f"| `{policy}` | {' | '.join(by_kpi[kpi] for kpi in SHOWN)} | {lead_of(beside, policy)} |")
+    against = "; ".join(
+        f"`{rival}` {paired_difference(table, 'plc-law', rival, 'reward').text()}, and more than it in"
+        f" {probability_of_improvement(table, 'plc-law', rival).text(100.0)} % of the tubes"
+        for rival in RIVALS
+    )
+    ends = endings(table)
+    lost = int(ends.loc["plc-law", ["lost_drive", "diverged"]].to_numpy().sum())
+    return (
+        "\n".join(lines) + f"\n\nThe law's reward less that of {against}. {lost} of its insertions lost their drive or"
+        f" diverged. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 % intervals."
+        f" {source(FOLDER / 'provenance.json')}"
+    )
+
+
+def plc_text() -> str:
+    """Its structured text for table 2's plant."""
+    return f"```text\n{structured_text(read_constants(), PlantData.of(place_of(None, 'test').config))}```"
