@@ -13,7 +13,7 @@ from agents.processes.workers import Workers
 
 @dataclass(frozen=True)
 class Robustness:
-    """Play policies along named axes: late, noisy and missing observations, slow air, other friction, bore and probe."""
+    """Play policies along named axes: late, noisy and lost observations, slow air, other friction, tube and probe."""
 
     policies: tyro.conf.Positional[tuple[str, ...]] = ("best-schedule", "tension-scheduled", "adaptive", "ppo")
     """Policies and agents as `probe-env evaluate` takes them; shielded:POLICY keeps a margin of drive."""

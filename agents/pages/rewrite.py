@@ -82,5 +82,6 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "passes.md": ("passes",),
+        DOCS / "inspection" / "robustness.md": ("robustness",),
         DOCS / "inspection" / "tube.md": ("plants",),
     }

@@ -58,9 +58,7 @@ def disturbed(config: TaskConfig, axes: tuple[str, ...] = tuple(AXES)) -> list[D
         raise ValueError(f"axes = {', '.join(axes)}: accepted, once each, are {', '.join(AXES)}")
     found = [Disturbed(NOMINAL, "", config)]
     for axis in axes:
-        found += [
-            Disturbed(axis, value, config.model_copy(update=changes)) for value, changes in _values(axis, config)
-        ]
+        found += [Disturbed(axis, value, config.model_copy(update=changes)) for value, changes in _values(axis, config)]
     return found
 
 

@@ -24,7 +24,9 @@ def draw_profiles(summary: pd.DataFrame, path: Path) -> Path:
     across, lines = min(len(parts), ACROSS), len(disturbed[0])
     down = math.ceil(len(parts) / across)
     size = (2.2 + 2.7 * across, 1.0 + down * (0.9 + 0.27 * lines))
-    figure, axes = plt.subplots(down, across, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        down, across, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
+    )
     for axis in axes.ravel()[len(parts) :]:
         axis.set_visible(False)
     for axis, (policy, nominal), part in zip(axes.ravel(), parts, disturbed, strict=False):
@@ -35,6 +37,7 @@ def draw_profiles(summary: pd.DataFrame, path: Path) -> Path:
             axis.plot([row.change], [y], "o", color=colour, markersize=4)
         axis.axvline(0.0, color=GREY, linewidth=0.8)
         axis.set_xscale("symlog", linthresh=LINEAR)
+        axis.xaxis.set_major_formatter("{x:g}")
         axis.set_title(f"{plain(policy)}\n{reward:.1f} undisturbed", fontsize="medium")
         axis.set_yticks(range(lines), [f"{row.axis}, {row.value}" for row in part.itertuples()], fontsize="small")
         axis.grid(**GRID)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,7 +49,8 @@ def run_study(
     count = len(policies) * len(place.contexts)
     print(f"{len(plans)} tasks, {count} insertions each: {len(plans) * count} insertions in {output}")
     tables = []
-    for setting, plan in zip(settings, plans, strict=True):
+    for k, (setting, plan) in enumerate(zip(settings, plans, strict=True)):
+        print(f"{k + 1} of {len(plans)}: {setting.name}", flush=True)
         table = run_plan(plan, output / folder_of(setting), workers=workers)
         tables.append(table.assign(axis=setting.axis, value=setting.value))
     episodes = pd.concat(tables, ignore_index=True)
@@ -115,12 +116,12 @@ def worst_of(summary: pd.DataFrame) -> dict[str, tuple[str, Interval]]:
     """By policy the setting in which it loses most, and how much."""
     found = {}
     for policy, part in summary[summary["axis"] != NOMINAL].groupby("policy", sort=False):
-        row = part.loc[part["change"].idxmin()]
+        row = part.sort_values("change").iloc[0]
         found[str(policy)] = (f"{row['axis']} {row['value']}", Interval(row["change"], row["low"], row["high"]))
     return found
 
 
-def _by_setting(summary: pd.DataFrame, cell: Any) -> list[tuple[str, ...]]:
+def _by_setting(summary: pd.DataFrame, cell: Callable[[Any], str]) -> list[tuple[str, ...]]:
     rows: dict[str, list[str]] = {}
     for row in summary.itertuples():
         name = str(row.axis) if row.axis == NOMINAL else f"{row.axis}, {row.value}"
