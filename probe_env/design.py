@@ -38,7 +38,7 @@ def ranges_in(scene: Scene) -> dict[str, tuple[float, float, str]]:
     Raises:
         ValueError: no float of the design space fits.
     """
-    most, least = scene.tube.inner_diameter - CLEARANCE, scene.probe.cable_diameter + CLEARANCE
+    most, least = scene.tube.clear_diameter - CLEARANCE, scene.probe.cable_diameter + CLEARANCE
     cut = dict(RANGES)
     for name in ("guide_float_diameter", "carrier_float_diameter"):
         low, high, unit = RANGES[name]

@@ -30,6 +30,14 @@ class Tube(Model):
     """Of the tube [m]."""
     helix_length: Annotated[float, quantity(0.1, 1e3, "m")] = 60.0
     """Along the tube's axis [m]."""
+    ovality: Annotated[float, quantity(0.0, 0.5, "")] = 0.0
+    """Greatest less least inner diameter over the nominal one: a bent tube is flat in the plane of its bend. The air's
+    cross-section, which is less by ovality squared / 4, stays as it is."""
+
+    @property
+    def clear_diameter(self) -> float:
+        """Inner diameter in the plane of the helix, where the probe swings [m]."""
+        return self.inner_diameter * (1.0 - 0.5 * self.ovality)
 
 
 class Probe(Model):
@@ -107,9 +115,11 @@ class Scene(Model):
         tube, probe = self.tube, self.probe
         for name in ("carrier_float_diameter", "guide_float_diameter"):
             diameter = getattr(probe, name)
-            if diameter >= tube.inner_diameter:
+            if diameter >= tube.clear_diameter:
+                oval = f" less half of tube.ovality = {tube.ovality:g}" if tube.ovality else ""
                 raise _impossible(
                     f"probe.{name} = {diameter:g} m must be less than tube.inner_diameter = {tube.inner_diameter:g} m"
+                    + oval
                 )
             if diameter <= probe.cable_diameter:
                 raise _impossible(

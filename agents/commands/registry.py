@@ -75,6 +75,10 @@ MAKERS: Final = {
         "feed:Tradeoff", "time against vibration, over one parameter of each policy",
         "probe-env tradeoff constant pi --beside ppo --limit 6",
     ),
+    "robustness": Entry(
+        "robustness:Robustness", "what policies lose in tasks that they were not made for",
+        "probe-env robustness best-schedule ppo --limit 6",
+    ),
     "map": Entry("feed:Map", "how loud a probe is where, which policies look up", "probe-env map --seeds 1"),
     "optimise": Entry(
         "feed:Optimise", "the best schedules by that map", "probe-env optimise best-schedule --trials 200"

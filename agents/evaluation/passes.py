@@ -8,15 +8,13 @@ from typing import Any, Final, get_args
 import pandas as pd
 
 from agents.policies.catalogue import named_policies
-from agents.policies.places import both_ways, place_of
+from agents.policies.places import both_ways, place_of, with_probe
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.records.shipped import file_or_shipped
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
-from probe_env import Design
-from probe_env.envs.task import Inspects, TaskConfig
+from probe_env.envs.task import Inspects
 from probe_env.fidelity import resolve_fidelity
 
 POLICIES: Final = ("fast-in", "best-schedule", "tension-scheduled")
@@ -39,7 +37,7 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
     for probe in PROBES:
         for inspects in get_args(Inspects):
             place = both_ways(place_of(None, "test", limit), inspects)
-            config = _with_probe(place.config.all_shown, probe)
+            config = with_probe(place.config.all_shown, probe)
             policies = named_policies(POLICIES, config)
             plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity(fidelity, both_ways=True))
             table = run_plan(plan, output / f"{probe}-{inspects}", workers=workers)
@@ -83,9 +81,3 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
         gain = f"{row['gain']:+.1f} [{row['gain_low']:.1f}, {row['gain_high']:.1f}]"
         rows.append((str(row["probe"]), str(row["policy"]), LOOKS[row["inspects"]], *figures, gain))
     return rows
-
-
-def _with_probe(config: TaskConfig, name: str) -> TaskConfig:
-    """The task with a probe of ``configs/design/``."""
-    design = Design.from_toml(file_or_shipped("design", name))
-    return config.model_copy(update={"scene": {"probe": design.probe(config.scene.probe)}})

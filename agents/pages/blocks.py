@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, headroom, plant, plc, simulator
+from agents.pages import control, designs, headroom, plant, plc, robustness, simulator
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -16,7 +16,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, plc.plc_constants, plc.plc_reached, plc.plc_text,
         plant.anchors, plant.calibrations, plant.passes, plant.plants, plant.recommendations,
-        designs.codesign, designs.designs, designs.search,
+        designs.codesign, designs.designs, designs.search, robustness.robustness,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
         simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,

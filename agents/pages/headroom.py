@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from agents.evaluation import headroom as study
-from agents.pages.sources import RESULTS, source
+from agents.pages.sources import RESULTS, markdown, source
 from agents.policies.planning.planner import PLANNERS
 from agents.records.reading import read_csv
 from agents.records.tables import EPISODES
@@ -26,7 +26,7 @@ def headroom() -> str:
         f"**The planner earns {exact['reward']:.1f}, {exact['gain']:.1f} [{exact['gain_low']:.1f},"
         f" {exact['gain_high']:.1f}] more than `best-schedule`; with states blurred by 10 µm {blurred['reward']:.1f},"
         f" in a tube that it only estimates {estimated['reward']:.1f}.**\n\n"
-        f"{_table(study.HEADER, study.cells(summary))}\n\n"
+        f"{markdown(study.HEADER, study.cells(summary))}\n\n"
         f"Means over {exact['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; {lost} insertions lost"
         f" their drive or diverged. {source(FOLDER / 'provenance.json')}"
     )
@@ -36,7 +36,7 @@ def planner_settings() -> str:
     """What horizon, candidates and terminal value are worth."""
     summary = pd.read_csv(FOLDER / "settings.csv")
     return (
-        f"{_table(study.SETTINGS_HEADER, study.setting_cells(summary))}\n\n"
+        f"{markdown(study.SETTINGS_HEADER, study.setting_cells(summary))}\n\n"
         f"Means over {int(summary['tubes'].iloc[0])} training tubes, one of each helix diameter, differences paired;"
         " copies are simulated seconds for each second of the insertion."
         f" {source(FOLDER / 'settings-provenance.json')}"
@@ -59,8 +59,3 @@ def lead_of(table: pd.DataFrame, policy: str) -> str:
     """
     share = share_of_lead(table, policy)
     return f"{100.0 * share.mean:.0f} [{100.0 * share.low:.0f}, {100.0 * share.high:.0f}]"
-
-
-def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    lines = [header, ("---",) * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -11,7 +10,7 @@ from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
 from agents.calibration.unknowns import UNKNOWNS
 from agents.detection import anchors as detection
 from agents.evaluation import passes as passes_study
-from agents.pages.sources import RESULTS, command
+from agents.pages.sources import RESULTS, command, markdown
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
 from agents.records.reading import read_json
@@ -42,7 +41,7 @@ def calibrations() -> str:
     covered = f"{100.0 * told['tension alone: friction covered']:.0f} %"
     return (
         f"{told['logs']} simulated logs at `standard` with friction, stiffness, drag, damping, bore, length, helix"
-        f" diameter and schedule drawn at random:\n\n{_table(header, rows)}\n\n"
+        f" diameter and schedule drawn at random:\n\n{markdown(header, rows)}\n\n"
         f"The median error of the friction is {errors}; by the tension alone {alone}; its intervals cover {covered}."
         f" Called misspecified and doubtful although the model made them: {wrong}."
         f" Of {told[f'{WORLDS[0]}: logs']} logs of each other world: {caught} (the tension times 1.5; what was felt"
@@ -76,7 +75,7 @@ def plants() -> str:
     )
     record = figures.model_dump()
     return (
-        f"{_table(plants_study.HEADER, plants_study.cells(summary))}\n\n"
+        f"{markdown(plants_study.HEADER, plants_study.cells(summary))}\n\n"
         f"Reward less that of the best fixed schedule for the plant, {record['limit']} tubes each, paired 95 %"
         f" intervals: {verdict}. Made by `{command(record)}` at commit {record['commit']}."
     )
@@ -100,7 +99,7 @@ def passes() -> str:
         f" schedule takes {slow['inspection_time_s']:.0f} s with {100.0 * slow['share_within_limit']:.0f} %. The most"
         f" reward has {_best(best['original'])} with the study's probe, and {_best(best['improved'])} with the improved"
         f" one.**\n\n"
-        f"{_table(passes_study.HEADER, passes_study.cells(summary))}\n\n"
+        f"{markdown(passes_study.HEADER, passes_study.cells(summary))}\n\n"
         f"Means over {record['limit']} tubes, both ways; the last column is the reward less that of looking on the way"
         f" in by `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
         f" {record['commit']}."
@@ -113,7 +112,7 @@ def anchors() -> str:
     summary, record = pd.read_csv(folder / "anchors.csv"), read_json(folder / "provenance.json", Record).model_dump()
     lines = "\n".join(f"* {line}" for line in detection.sentences(summary))
     return (
-        f"{_table(detection.HEADER, detection.cells(summary))}\n\n{lines}\n\n"
+        f"{markdown(detection.HEADER, detection.cells(summary))}\n\n{lines}\n\n"
         f"Over {record['tubes']} held-out tubes at `fast`; a90/95 is the depth found with 90 % over the tubes, with"
         f" 95 % confidence. Made by `{command(record)}` at commit {record['commit']}."
     )
@@ -121,11 +120,6 @@ def anchors() -> str:
 
 def _best(entry: dict[str, Any]) -> str:
     return f"`{entry['policy']}` looking at {passes_study.LOOKS[entry['inspects']]}"
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
 
 def _cell(what: str, value: float) -> str:

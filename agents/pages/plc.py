@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agents.evaluation.report import kpi_cells
 from agents.pages.headroom import SHARE, lead_of, with_planner
-from agents.pages.sources import RESULTS, command, source
+from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.places import place_of
 from agents.policies.plc.export import structured_text
 from agents.policies.plc.law import STORED, PlantData, read_constants
@@ -26,12 +26,11 @@ def plc_constants() -> str:
     told = read_json(STORED, Figures)
     found = told.model_extra or {}
     record, tubes, rewards = told.provenance.model_dump(), found["tubes"], found["rewards"]
-    lines = ["| " + " | ".join(row) + " |" for row in (HEADER, ("---",) * 4, *rows_of(read_constants()))]
     simulated = (
         f", then {rewards['simulated']:.1f} in simulation on {tubes['simulated']}" if "simulated" in rewards else ""
     )
     return (
-        "\n".join(lines) + f"\n\nFound by CMA-ES on training tubes only: mean reward {rewards['map']:.1f} by the map on"
+        f"{markdown(HEADER, rows_of(read_constants()))}\n\nFound by CMA-ES on training tubes only: mean reward {rewards['map']:.1f} by the map on"
         f" {tubes['map']}{simulated}. Made by `{command(record)}` at commit {record['commit']}; every trial is in"
         " `agents/policies/data/plc-law-trials.csv`."
     )

@@ -93,5 +93,6 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "inspection" / "signal.md": ("anchors",),
         DOCS / "inspection" / "passes.md": ("passes",),
         DOCS / "learning" / "headroom.md": ("headroom", "planner_settings"),
+        DOCS / "inspection" / "robustness.md": ("robustness",),
         DOCS / "inspection" / "tube.md": ("plants",),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,3 +25,9 @@ def source(path: Path) -> str:
         f"Made by `{command(record)}` at commit {record['commit']}, {machine['cores']} cores"
         f" ({machine['processor']}), numba {record['packages']['numba']}; stored in `{path.parent}/`."
     )
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table as a page has it."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)

@@ -15,6 +15,7 @@ from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planning.planner import PLANNERS, Planner
 from agents.policies.plc.law import PlcLaw
+from agents.policies.shield import PREFIX, Shielded, unshielded
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
@@ -55,6 +56,9 @@ def named_policies(
 
 def name_and_spec(given: str) -> tuple[str, str]:
     """Name and spec of a policy as it is given. A file that is there wins, whatever its name has in it."""
+    if given.startswith(PREFIX):
+        name, spec = name_and_spec(unshielded(given))
+        return f"shielded-{name}", PREFIX + spec
     places = [place for place, character in enumerate(given) if character == "="]
     if _is_file(given) or not places:
         return name_of(Path(given)) if "." in given else given, given
@@ -63,17 +67,19 @@ def name_and_spec(given: str) -> tuple[str, str]:
 
 
 def _is_named(spec: str) -> bool:
+    spec = unshielded(spec)
     return spec in (*NAMES, *shipped_names("schedules")) or agent_file(spec) is not None
 
 
 def _is_file(spec: str) -> bool:
+    spec = unshielded(spec)
     return Path(spec).suffix in (".csv", ".toml", ".json", ".npz") and Path(spec).exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
     """Names of those that are the user's: schedule files, and agents' bundles but those that ship."""
     shipped = shipped_folder("agents").resolve()
-    given = [(name, Path(spec)) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
+    given = [(name, Path(unshielded(spec))) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
     return [name for name, path in given if path.suffix != ".npz" or not path.resolve().is_relative_to(shipped)]
 
 
@@ -81,17 +87,20 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.npz).
 
     ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
-    NAME, which is training seed 0, or NAME@SEED. Where the probe is drawn back, too, a policy is for the way in, and
-    the way back is in a schedule file's own columns, or as fast as it goes.
+    NAME, which is training seed 0, or NAME@SEED. "shielded:" before any of these keeps a margin of drive. Where the
+    probe is drawn back, too, a policy is for the way in, and the way back is in a schedule file's own columns, or as
+    fast as it goes.
 
     Raises:
         ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
     if config.returns:
-        forth, file = make_policy(spec, way_in(config), vibration), Path(policy_file(spec))
+        forth, file = make_policy(spec, way_in(config), vibration), Path(policy_file(unshielded(spec)))
         back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
         return BothWays(config, forth, back or fastest_back(config))
+    if spec.startswith(PREFIX):
+        return Shielded(config, make_policy(unshielded(spec), config, vibration))
     spec = policy_file(spec)
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]
@@ -129,7 +138,7 @@ def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str
     found: dict[str, Domain | None] = {}
     for name, spec in map(name_and_spec, specs):
         policy = policies[name]
-        shipped = policy_file(spec) in (*STORED, BY_DIAMETER)
+        shipped = policy_file(unshielded(spec)) in (*STORED, BY_DIAMETER)
         found[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
     return found
 

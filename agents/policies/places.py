@@ -10,7 +10,7 @@ from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.records.reading import FileError
 from agents.records.shipped import file_or_shipped
 from agents.terminal.names import name_of
-from probe_env import Context, Plant
+from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -121,6 +121,17 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
                 path, f"made for another [{name}] than {tube.name} has now: make it anew with `probe-env map`"
             )
     return known
+
+
+def with_probe(config: TaskConfig, name: str) -> TaskConfig:
+    """The task with a probe of ``configs/design/``, its floats cut to what fits the bore.
+
+    Raises:
+        FileNotFoundError: no such design.
+        ValueError: no float fits.
+    """
+    design = Design.from_toml(file_or_shipped("design", name)).cut_to(config.scene)
+    return config.model_copy(update={"scene": {"probe": design.probe(config.scene.probe)}})
 
 
 def both_ways(place: Place, inspects: str) -> Place:

@@ -22,6 +22,8 @@ FOUND: Final[dict[str, tuple[str, float, str]]] = {
     "noise_peak_to_peak_v": ("noise peak to peak", 1.0, "V"),
 }
 """What would be found, alike; episodes that were stored before there was a sensor have none of it."""
+COST_KPIS: Final = ("cost", "cost_lost_drive", "cost_tension", "cost_buckling")
+"""Unsafe periods of an episode and their parts; episodes that were stored before there were costs have none."""
 OVER_TUBES: Final[dict[str, tuple[str, float, str]]] = {"a90_95_percent_wall": ("a90/95", 1.0, "% wall")}
 """Figures of all tubes of a policy, no means."""
 

@@ -137,6 +137,10 @@ class InsertionEnv(ProbeEnv):
     uninspected (per metre that was not inspected when the episode ends, the most that inspecting one can cost),
     diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
 
+    Beside it, and in no reward, `info["cost"]` counts what is unsafe in the period, the sum of `info["cost_terms"]`,
+    each 0 or 1: lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, 110 N unless
+    changed), buckling (the root is pressed with more than the cable bears between two floats).
+
     ## Starting State
     A context is drawn (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
     diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` fix any of these. A context that

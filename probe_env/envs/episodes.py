@@ -20,6 +20,7 @@ from probe_env.envs.kpis import SIGNALS, Tally
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.observations import observe
 from probe_env.envs.passes import Counted, Passes
+from probe_env.envs.safety import cost_terms
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
     MEASURES,
@@ -37,12 +38,14 @@ from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.found import Found
 from probe_env.inspection.meter import Meter
 from probe_env.physics.batch import SimulatorBatch, Window
+from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulator import Simulator
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps
 
 SAMPLE_PERIOD: Final = 1e-3  # [s]
 START_PERTURBATION: Final = 1e-7  # [m]
+Terms = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,7 @@ class Episodes:
             self.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
+        self._set_friction(which)
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
         window = self.batch.advance(None, None, self.config.settle_time, SAMPLE_PERIOD, active, keep_samples=True)
@@ -189,6 +193,7 @@ class Episodes:
         change = np.where(chosen[:, None], actions.astype(float) - self.actions, 0.0)
         self.actions = actions
         before, air_before = self._inserted(), self._air_supply()
+        self._set_friction(np.flatnonzero(chosen).tolist())
         window = self.batch.advance(
             targets[:, 0], targets[:, 1], self._dynamic_period, SAMPLE_PERIOD, chosen, keep_samples=True
         )
@@ -197,7 +202,8 @@ class Episodes:
         after, length = self._inserted(), self._helix_length()
         air = np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0)
         counted = self._counted(good, window, before, after)
-        self._count(chosen, good, window, counted, air)
+        hanging = self._hanging(window)
+        self._count(chosen, good, window, counted, air, hanging)
         slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
         end = ending(self.config, after, length, slack_periods, time, chosen, window.diverged)
         if self.passes is not None:
@@ -209,7 +215,9 @@ class Episodes:
         outcome = Outcome(counted.inspected, counted.squares, seconds, air, left, end.diverged)
         terms = reward_terms(self.config, outcome, change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
+        costs = self._costs(good, window, hanging)
         observation = self._observe(window, good)[:, None]
+        self._drop_out(observation[:, 0], good)
         late = np.concatenate([self.observed[:, 1:], observation], axis=1)
         self.observed[good] = late[good]  # a diverged probe keeps its last one
         self.observation[good] = late[good, 0]
@@ -217,7 +225,9 @@ class Episodes:
         self.window = window
         for k in np.flatnonzero(chosen):
             self.tally[k].reward += float(reward[k])
-        infos = [self._step_info(k, window, terms, targets, end) if chosen[k] else {} for k in range(len(self))]
+        infos = [
+            self._step_info(k, window, (terms, costs), targets, end) if chosen[k] else {} for k in range(len(self))
+        ]
         return Step(self.observation.copy(), reward, end.terminated, end.truncated, infos)
 
     def _decided(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
@@ -237,10 +247,13 @@ class Episodes:
         return observe(self.config, self._measured(window), noise)
 
     def _step_info(
-        self, k: int, window: Window, terms: Mapping[str, FloatArray], targets: FloatArray, end: Ending
+        self, k: int, window: Window, parts: tuple[Terms, Terms], targets: FloatArray, end: Ending
     ) -> dict[str, Any]:
+        terms, costs = ({name: float(values[k]) for name, values in part.items()} for part in parts)
         info = self._info(k, window) | {
-            "reward_terms": {name: float(values[k]) for name, values in terms.items()},
+            "reward_terms": terms,
+            "cost": sum(costs.values()),
+            "cost_terms": costs,
             "target_feed_speed": float(targets[k, 0]),
             "target_air_supply_rate": float(targets[k, 1]),
             "diverged": bool(end.diverged[k]),
@@ -282,12 +295,47 @@ class Episodes:
             return np.asarray(length - self.passes.reached)
         return length - np.where(good, after, before)  # what passed in a period that diverged was not inspected
 
-    def _count(self, chosen: BoolArray, good: BoolArray, window: Window, counted: Counted, air: FloatArray) -> None:
-        """Add a period to the tallies."""
-        assert window.radial is not None
+    def _hanging(self, window: Window) -> BoolArray:
+        """(N,) whether too little tension drives a probe."""
         hanging = slack(self.config, window.statistics["tension_mean_n"], self._inserted())
         if self.passes is not None:
             hanging &= self.passes.way > 0.0  # the air drives it out as well, but it is drawn
+        return hanging
+
+    def _costs(self, good: BoolArray, window: Window, hanging: BoolArray) -> dict[str, FloatArray]:
+        """Parts (N,) of the period's cost, which are tallied as well; 0 for probes that were not advanced."""
+        assert window.tension is not None
+        load = np.array([buckling_load(s.scene.probe) for s in self.batch.simulators])
+        mean, greatest = window.statistics["tension_mean_n"], window.tension.max(axis=0)
+        costs = {n: np.where(good, c, 0.0) for n, c in cost_terms(self.config, hanging, mean, greatest, load).items()}
+        for k in np.flatnonzero(good):
+            for name, values in costs.items():
+                self.tally[k].costs[name] += float(values[k])
+        return costs
+
+    def _drop_out(self, observation: npt.NDArray[np.float32], which: BoolArray) -> None:
+        """Hold what drops out in observations (N, d) of some probes at what was measured before."""
+        if self.config.sensor_dropout == 0.0:
+            return
+        columns = [k for k, name in enumerate(self.config.observations) if name in ("rf_noise", "root_tension")]
+        for k in np.flatnonzero(which):
+            if self.rng[k].random() < self.config.sensor_dropout:
+                observation[k, columns] = self.observed[k, -1, columns]
+
+    def _set_friction(self, which: Sequence[int]) -> None:
+        """Give some probes the mean friction of the tube that they are in, where it drifts along it."""
+        if self.config.friction_drift == 0.0:
+            return
+        share = self._inserted() / self._helix_length()
+        for k in which:
+            mean = self.context[k].friction * (1.0 + self.config.friction_drift * (float(share[k]) - 1.0))
+            self.batch.simulators[k].set_friction(min(mean, 1.0))
+
+    def _count(
+        self, chosen: BoolArray, good: BoolArray, window: Window, counted: Counted, air: FloatArray, hanging: BoolArray
+    ) -> None:
+        """Add a period to the tallies."""
+        assert window.radial is not None
         for k in np.flatnonzero(chosen):
             tally = self.tally[k]
             tally.time += self.config.period

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
+from probe_env.envs.safety import COSTS
 from probe_env.inspection.found import Found
 
 LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200
@@ -39,7 +40,7 @@ class Percentiles:
 
 @dataclass
 class Tally:
-    """What one episode has come to; lengths in m, times in s, air in m3."""
+    """What one episode has come to; lengths in m, times in s, air in m3, costs in periods."""
 
     time: float = 0.0
     inspected: float = 0.0
@@ -48,6 +49,7 @@ class Tally:
     reward: float = 0.0
     lost_drive_events: int = 0
     slack_periods: int = 0
+    costs: dict[str, float] = field(default_factory=lambda: dict.fromkeys(COSTS, 0.0))
     squares: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
@@ -81,6 +83,8 @@ class Tally:
             "lost_drive": float(lost_drive),
             "diverged": float(diverged),
             "complete": float(complete),
+            "cost": sum(self.costs.values()),
+            **{f"cost_{name}": value for name, value in self.costs.items()},
         }
         for name, unit in SIGNALS.items():
             mean_square = max(self.squares[name] / self.inspected, 0.0) if self.inspected > 0.0 else 0.0

@@ -63,7 +63,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
             f"contact_stiffness = {stiffness:g} N/m is below {softest:.4g} N/m (pi^4 EI / (4 p^3)): the cable would"
             " buckle through so soft a wall before it buckles between its floats; give a stiffer contact"
         )
-    clearance = scene.tube.inner_diameter - max(probe.guide_float_diameter, probe.carrier_float_diameter)
+    clearance = scene.tube.clear_diameter - max(probe.guide_float_diameter, probe.carrier_float_diameter)
     start = steady_sliding(scene, scene.inserted_length, scene.air_supply_rate, friction=0.0)
     end = steady_sliding(scene, longest, most_air, scene.contact.friction)
     tube = (

@@ -56,7 +56,14 @@ class TaskConfig(Model):
     Feed and air are set in whole ``feed_speed_step`` and ``air_supply_step``, the nearest to what is asked for; 0: any.
 
     Sensors: relative noise of the eddy-current noise and of the root tension (standard deviations), and how many
-    periods an observation is late; the actions in it are late as well.
+    periods an observation is late; the actions in it are late as well. ``sensor_dropout`` is the share of periods in
+    which eddy-current noise and root tension keep the value that they had before.
+
+    ``friction_drift``: friction changes linearly along the tube, by this share less at the entrance and more at the
+    end; the probe slides with its mean over the inserted length.
+
+    ``tension_limit`` is what the cable should bear: more is a cost (see ``safety``), not less reward. The default
+    strains table 2's cable by 0.1 %; the study gives none.
 
     With ``passes = "both"`` the probe is fed in to the helix's end and drawn back to where it began, feed and air being
     how fast and how much on the way that it is on. ``inspects`` says what a metre counts for: the way in, the way back,
@@ -91,9 +98,12 @@ class TaskConfig(Model):
     required_tension: Annotated[float, quantity(0.0, 1e3, "N")] = 0.8
     lost_drive_periods: Annotated[int, Field(ge=1, le=1000)] = 3
     lost_drive_from: Annotated[float, quantity(0.0, 1e3, "m")] = 15.0
+    tension_limit: Annotated[float, quantity(0.0, 1e5, "N")] = 110.0
     rf_noise: Annotated[float, quantity(0.0, 1.0, "")] = 0.05
     tension_noise: Annotated[float, quantity(0.0, 1.0, "")] = 0.02
     delay_periods: Annotated[int, Field(ge=0, le=100)] = 0
+    sensor_dropout: Annotated[float, quantity(0.0, 1.0, "")] = 0.0
+    friction_drift: Annotated[float, quantity(-0.9, 0.9, "")] = 0.0
     observe_root_tension: bool = True
     privileged: bool = False
     observe_probe: bool = False

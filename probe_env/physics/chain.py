@@ -72,7 +72,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
     curvature = 2.0 / tube.helix_diameter
     cable_area = math.pi * probe.cable_diameter**2 / 4.0
     frontal_area = math.pi * diameter**2 / 4.0 - cable_area
-    gap = tube.inner_diameter - diameter if contact.walls == "both" else np.full(nodes, np.inf)
+    gap = tube.clear_diameter - diameter if contact.walls == "both" else np.full(nodes, np.inf)
     return Chain(
         element_length=h,
         cos_phi=math.sqrt(1.0 - sin_phi**2),

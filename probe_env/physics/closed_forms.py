@@ -1,4 +1,4 @@
-"""Closed forms: steady sliding both ways, the linear chain, an impact."""
+"""Closed forms: steady sliding both ways, buckling between floats, the linear chain, an impact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.physics.bare_chains import linear_matrix, masses
 from probe_env.physics.chain import Chain, air_speed, build_chain
-from probe_env.scene import Scene
+from probe_env.scene import Probe, Scene
 from probe_env.settings import within
 
 GRAVITY: Final = 9.80665
@@ -51,6 +51,18 @@ def steady_tensions(scene: Scene) -> FloatArray:
             tension = limit + (tension - limit) * math.exp(-mu * pitch / radius)
         tensions.append(tension)
     return np.array(tensions)
+
+
+def buckling_load(probe: Probe) -> float:
+    """Pressure [N] at which the cable buckles between two floats: Euler's load of a pitch, pi^2 EI / p^2.
+
+    Floats that lie on a wall hold the cable there sideways but let it turn, and of equal spans under the same pressure
+    neighbours bend to opposite sides, none holding the other: each is a bar with hinged ends. Pressure changes little
+    from pitch to pitch, by a float's drag and friction. The helix's bend, p^2 / 8 r of deflection beforehand (2 mm for
+    table 2's), grows as the pressure comes near the load but does not change it. It does not hold for floats that have
+    left the wall, where the cable bends over several pitches: there it buckles earlier.
+    """
+    return math.pi**2 * probe.flexural_rigidity / probe.float_pitch**2
 
 
 def drag_per_metre(scene: Scene) -> float:

@@ -391,6 +391,16 @@ class Simulator(Saved):
         if air_supply_rate is not None:
             self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
 
+    def set_friction(self, friction: float) -> None:
+        """Slide with another coefficient of friction from now on; a snapshot does not keep it.
+
+        Raises:
+            ValueError: it is out of range.
+        """
+        within("friction", friction, 0.0, 1.0, "")
+        self.chain = self.chain._replace(friction=float(friction))
+        self._advance = self._build()
+
     def check_fits(self) -> None:
         """Raise ValueError if the state is not one of this chain any more: its arrays are open to the user."""
         check_state(self.state, self.root, self.chain.node_count, method_named(self.method).memory)

@@ -85,3 +85,41 @@ def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
 def test_what_is_wrong_with_contexts_is_named(contexts, told):
     with pytest.raises(ValueError, match=told):
         gym.make("probe_env/Insertion-v1", contexts=contexts)
+
+
+def test_what_drops_out_keeps_its_value_and_the_rest_goes_on():
+    names = list(TaskConfig().observations)
+    dull = [names.index(name) for name in ("rf_noise", "root_tension")]
+    usual, none, all_held = observations(), observations(sensor_dropout=0.0), observations(sensor_dropout=1.0)
+    assert (usual == none).all()  # nothing is drawn for it
+    assert (all_held[:, dull] == all_held[0, dull]).all()
+    bright = [k for k in range(len(names)) if k not in dull]
+    assert (all_held[:, bright] == usual[:, bright]).all()
+    # eight periods of a half: none or all held has a chance of 2^-7, and with this seed it is neither
+    some = observations(sensor_dropout=0.5)
+    held = (some[1:, dull] == some[:-1, dull]).all(axis=1)
+    assert 0 < held.sum() < len(held)
+
+
+@pytest.mark.parametrize("fidelity", ["fast", "standard-v0"])
+def test_friction_drifts_along_the_tube(fidelity):
+    """The probe slides with the mean over what is in: less near the entrance, the tube's at the end."""
+    env = gym.make("probe_env/Insertion-v1", fidelity=fidelity, config={"friction_drift": 0.3}).unwrapped
+    env.reset(seed=1, options={"friction": 0.2})
+    before = env.episodes.batch.simulators[0].inserted_length
+    env.step(np.ones(2, dtype=np.float32))
+    assert env.episodes.batch.simulators[0].chain.friction == pytest.approx(0.2 * (0.7 + 0.3 * before / 60.0))
+    tensions = []
+    for drift in (0.3, 0.0, -0.3):
+        env = gym.make("probe_env/Insertion-v1", fidelity=fidelity, config={"friction_drift": drift}).unwrapped
+        env.reset(seed=1, options={"friction": 0.2})
+        tensions.append(env.step(np.ones(2, dtype=np.float32))[4]["tension_mean_n"])
+    assert tensions[0] > tensions[1] > tensions[2]
+
+
+def test_an_oval_tube_has_less_room_in_the_plane_of_the_helix():
+    oval = probe_env.Scene.fitted({"tube": {"ovality": 0.1}})
+    gaps = [probe_env.Simulator(scene).chain.outer_gap[0] for scene in (probe_env.Scene(), oval)]
+    assert gaps[0] - gaps[1] == pytest.approx(0.05 * 24.2e-3)
+    with pytest.raises(ValueError, match=r"must be less than tube.inner_diameter = 0.0242 m less half of tube.ovality"):
+        probe_env.Scene.fitted({"tube": {"ovality": 0.45}})
