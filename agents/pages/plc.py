@@ -30,8 +30,9 @@ def plc_constants() -> str:
         f", then {rewards['simulated']:.1f} in simulation on {tubes['simulated']}" if "simulated" in rewards else ""
     )
     return (
-        f"{markdown(HEADER, rows_of(read_constants()))}\n\nFound by CMA-ES on training tubes only: mean reward {rewards['map']:.1f} by the map on"
-        f" {tubes['map']}{simulated}. Made by `{command(record)}` at commit {record['commit']}; every trial is in"
+        f"{markdown(HEADER, rows_of(read_constants()))}\n\n"
+        f"Found by CMA-ES on training tubes only: mean reward {rewards['map']:.1f} by the map on {tubes['map']}"
+        f"{simulated}. Made by `{command(record)}` at commit {record['commit']}; every trial is in"
         " `agents/policies/data/plc-law-trials.csv`."
     )
 

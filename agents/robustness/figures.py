@@ -8,6 +8,7 @@ from typing import Final
 
 import matplotlib.pyplot as plt
 import pandas as pd
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from agents.records.drawing import BLUE, GREY, GRID, RED, plain, save
 from agents.robustness.axes import NOMINAL
@@ -15,6 +16,7 @@ from agents.robustness.axes import NOMINAL
 ACROSS: Final = 4
 LINEAR: Final = 5.0
 """Change of the reward up to which the axis is linear; it is logarithmic beyond."""
+TICKS: Final = (-1000.0, -100.0, -10.0, 0.0, 10.0, 100.0)
 
 
 def draw_profiles(summary: pd.DataFrame, path: Path) -> Path:
@@ -37,6 +39,8 @@ def draw_profiles(summary: pd.DataFrame, path: Path) -> Path:
             axis.plot([row.change], [y], "o", color=colour, markersize=4)
         axis.axvline(0.0, color=GREY, linewidth=0.8)
         axis.set_xscale("symlog", linthresh=LINEAR)
+        axis.xaxis.set_major_locator(FixedLocator(TICKS))
+        axis.xaxis.set_minor_locator(NullLocator())
         axis.xaxis.set_major_formatter("{x:g}")
         axis.set_title(f"{plain(policy)}\n{reward:.1f} undisturbed", fontsize="medium")
         axis.set_yticks(range(lines), [f"{row.axis}, {row.value}" for row in part.itertuples()], fontsize="small")
