@@ -62,12 +62,16 @@ class ProbeVecEnv(VecEnv):
         kind, of_version = ENVIRONMENTS[env_id]
         self.config, settings = placed(kind.defaults, config, settings)
         merged: EpisodeSettings = {**of_version, **settings}
-        self.episodes = Episodes(num_envs, self.config, threads=threads, **merged)
+        self.episodes = self._begun(num_envs, self.config, threads, merged)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))
         self._rngs: dict[int, np.random.Generator] = {}
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
+
+    def _begun(self, num_envs: int, config: TaskConfig, threads: int | None, settings: EpisodeSettings) -> Episodes:
+        """What is stepped."""
+        return Episodes(num_envs, config, threads=threads, **settings)
 
     @property
     def kernel_seconds(self) -> float:

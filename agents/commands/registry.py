@@ -101,6 +101,9 @@ MAKERS: Final = {
         "control:Plc", "a feedback law of ten constants, for your plant's PLC",
         "probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml",
     ),
+    "world": Entry(
+        "control:World", "the map as a world to train in, and its error", "probe-env world --limit 12"
+    ),
     "headroom": Entry(
         "control:Headroom", "what feedback can still win: planners beside policies",
         "probe-env headroom tension-scheduled ppo --limit 6",

@@ -15,6 +15,7 @@ from agents.policies.catalogue import make_policy
 from agents.policies.places import place_of
 from agents.policies.view import View
 from agents.vec_env import ENVIRONMENTS, EnvId
+from agents.worlds.vec_env import MAP
 from probe_env.envs.contexts import Context, Split
 from probe_env.envs.plants import Plant, plant_of
 from probe_env.envs.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
@@ -50,6 +51,7 @@ class Environments(Model):
     probes: Probes = "scene"
     """"random": every episode has a probe of its own."""
     fidelity: str | Fidelity = "fast"
+    """Of the simulation, or "map": the world of the vibration map, see ``agents.worlds``."""
     task: Annotated[dict[str, Any], AfterValidator(tuples)] = Field(default_factory=dict)
     reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
 
@@ -116,7 +118,10 @@ class Training(Model):
             raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be at least one, and none twice")
         if self.phases == 0 and self.imitation is None:
             raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
-        for fidelity in map(resolve_fidelity, (self.environment.fidelity, self.validation.fidelity)):
+        simulated = [given for given in (self.environment.fidelity, self.validation.fidelity) if given != MAP]
+        if self.validation.fidelity == MAP:
+            raise PydanticCustomError("fidelity", "validation.fidelity = 'map': agents are chosen by simulation")
+        for fidelity in map(resolve_fidelity, simulated):
             if fidelity.time_lapse > 1.0 and not self.task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)

@@ -38,6 +38,7 @@ from agents.rollouts.plan import Plan, run_plan
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from agents.vec_env import ProbeVecEnv
+from agents.worlds.vec_env import vec_env
 from probe_env.fidelity import resolve_fidelity
 
 CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
@@ -138,7 +139,7 @@ def _check_checkpoints(training: Training, folders: dict[int, Path]) -> None:
 def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv]:
     """The algorithm with new weights and the environments that it learns in."""
     shown = training.shown_task
-    batch = ProbeVecEnv(
+    batch = vec_env(
         training.environment.env_id, training.environment.num_envs, shown,
         fidelity=training.environment.fidelity, contexts=training.trained_in,
         probes=training.environment.probes, threads=threads,

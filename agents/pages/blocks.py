@@ -14,7 +14,7 @@ MAKERS: dict[str, Callable[[], str]] = {
     for maker in (
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
         control.map_quality, control.tradeoff,
-        headroom.headroom, headroom.planner_settings, plc.plc_constants, plc.plc_reached, plc.plc_text,
+        headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
         plant.anchors, plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,

@@ -1,15 +1,18 @@
-"""What feedback can still win, in words: planners beside the policies of every table."""
+"""What feedback can still win, in words: planners beside the policies of every table; the world to train in."""
 
 from __future__ import annotations
 
 import pandas as pd
 
 from agents.evaluation import headroom as study
-from agents.pages.sources import RESULTS, markdown, source
+from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.planning.planner import PLANNERS
-from agents.records.reading import read_csv
+from agents.records.models import Figures
+from agents.records.reading import read_csv, read_json
 from agents.records.tables import EPISODES
 from agents.rollouts.statistics import BEST, grouped, share_of_lead
+from agents.worlds import measure as worlds
+from agents.worlds.noise import STORED as NOISE
 
 FOLDER = RESULTS / "headroom"
 SHARE = "of the planner's lead [%]"
@@ -59,3 +62,17 @@ def lead_of(table: pd.DataFrame, policy: str) -> str:
     """
     share = share_of_lead(table, policy)
     return f"{100.0 * share.mean:.0f} [{100.0 * share.low:.0f}, {100.0 * share.high:.0f}]"
+
+
+def world() -> str:
+    """Rewards in the world of the map beside simulated ones."""
+    summary = pd.read_csv(RESULTS / "world" / "map-world.csv")
+    told = read_json(NOISE, Figures)
+    record, found = told.provenance.model_dump(), told.model_extra or {}
+    agreement = found["agreement"]
+    return (
+        f"{markdown(worlds.HEADER, worlds.cells(summary))}\n\n"
+        f"Mean rewards on {agreement['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; the order of the"
+        f" policies agrees with a Kendall's tau of {agreement['tau']:.2f}. The noise was measured on {found['periods']}"
+        f" seconds of {found['tubes']} training tubes. Made by `{command(record)}` at commit {record['commit']}."
+    )

@@ -93,6 +93,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "inspection" / "signal.md": ("anchors",),
         DOCS / "inspection" / "passes.md": ("passes",),
         DOCS / "learning" / "headroom.md": ("headroom", "planner_settings"),
+        DOCS / "learning" / "world.md": ("world",),
         DOCS / "inspection" / "robustness.md": ("robustness",),
         DOCS / "inspection" / "tube.md": ("plants",),
     }

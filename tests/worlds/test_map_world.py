@@ -1,0 +1,213 @@
+"""The world of the map: the task's own numbers, equal alone and in company, and as loud as the map says."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.learning.config import Training
+from agents.policies.maps.vibration_map import stored_map
+from agents.vec_env import ProbeVecEnv
+from agents.worlds import measure
+from agents.worlds.map_episodes import MapEpisodes
+from agents.worlds.measure import compared, noise_of, rewards_in_the_map
+from agents.worlds.noise import Noise, Scatter, stored_noise
+from agents.worlds.vec_env import MapVecEnv, vec_env
+from probe_env import Context
+from probe_env.envs.task import TERMS, TaskConfig
+from probe_env.files import FileError
+from probe_env.physics.closed_forms import sliding_tension
+
+CONFIG = TaskConfig().all_shown
+QUIET = Noise()
+TUBE = Context(friction=0.18, helix_diameter=1.4)
+
+
+def begun(count: int, noise: Noise | None = None, config: TaskConfig = CONFIG) -> MapEpisodes:
+    episodes = MapEpisodes(count, config, noise=noise)
+    rngs = {k: np.random.default_rng(k) for k in range(count)}
+    episodes.reset(range(count), rngs, {k: {"context": TUBE} for k in range(count)})
+    return episodes
+
+
+def test_it_has_the_spaces_and_habits_of_the_simulated_one() -> None:
+    simulated = ProbeVecEnv("probe_env/Insertion-v1", 2, contexts="train", fidelity="fast")
+    world = vec_env("probe_env/Insertion-v1", 2, TaskConfig(), fidelity="map", contexts="train")
+    assert isinstance(world, MapVecEnv)
+    assert type(vec_env("probe_env/Insertion-v1", 1, TaskConfig(), fidelity="fast")) is ProbeVecEnv
+    for space in ("observation_space", "action_space"):
+        assert getattr(world, space) == getattr(simulated, space)
+    world.seed(3)
+    observation = world.reset()
+    assert world.observation_space.contains(observation[0])
+    rng, ended = np.random.default_rng(0), 0
+    for _ in range(700):
+        observation, reward, done, infos = world.step(rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32))
+        assert np.isfinite(observation).all()
+        assert np.isfinite(reward).all()
+        for k in np.flatnonzero(done):
+            ended += 1
+            assert infos[k]["terminal_observation"].shape == observation[k].shape
+            assert infos[k]["episode_kpis"]["complete"] in (0.0, 1.0)
+    assert ended >= 2
+    assert gym.spaces.utils.flatdim(world.observation_space) == len(TaskConfig().observations)
+
+
+def test_probes_are_alike_alone_and_in_company() -> None:
+    many, actions = begun(3), np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3, 2))
+    alone = MapEpisodes(1, CONFIG)
+    alone.reset([0], {0: np.random.default_rng(2)}, {0: {"context": TUBE}})
+    for action in actions:
+        together, single = many.step(action), alone.step(action[2:])
+        # a matrix product of three rows rounds otherwise than one of one, and nothing here makes more of that
+        np.testing.assert_allclose(together.observation[2], single.observation[0], rtol=1e-6)
+        assert together.reward[2] == pytest.approx(single.reward[0], rel=1e-9, abs=1e-12)
+
+
+def test_without_noise_it_is_the_map_and_the_closed_form() -> None:
+    episodes = begun(1, QUIET)
+    action = CONFIG.actions(np.array([0.2]), np.array([0.02]))
+    for _ in range(60):
+        step = episodes.step(action)
+    info = step.infos[0]
+    assert info["feed_speed"] == pytest.approx(0.2)
+    tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
+    place = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
+    mean = stored_map().tells(*place, tubes, CONFIG.scene)[0][0]
+    assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
+    seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), place, strict=True))
+    pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
+    assert info["tension_mean_n"] == pytest.approx(pulled[0] * TUBE.drag_factor)
+
+
+def test_feed_follows_its_ramp_and_air_its_lag() -> None:
+    config = TaskConfig(ramp=0.1, air_lag=2.0)
+    episodes = MapEpisodes(1, config, noise=QUIET)
+    episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": TUBE}})
+    air, length = episodes.air[0], episodes.length[0]
+    episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
+    assert episodes.feed[0] == pytest.approx(0.3)
+    assert episodes.length[0] - length == pytest.approx(0.25)
+    assert episodes.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
+    length = episodes.length[0]
+    episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
+    assert episodes.length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1)
+
+
+def test_a_whole_insertion_earns_the_task_s_terms() -> None:
+    episodes, total = begun(1, QUIET), 0.0
+    action = CONFIG.actions(np.array([0.4]), np.array([0.02])).astype(np.float32)
+    while episodes.running.any():
+        step = episodes.step(action)
+        total += float(step.reward[0])
+    kpis = step.infos[0]["episode_kpis"]
+    assert kpis["reward"] == pytest.approx(total)
+    assert kpis["inspected_m"] == pytest.approx(55.0)
+    assert kpis["complete"] == 1.0
+    assert kpis["inspection_time_s"] == pytest.approx(55.0 / 0.4, abs=2.0)
+    assert len(TERMS) == 7
+    with pytest.raises(RuntimeError, match="episode 0 has ended"):
+        episodes.step(action)
+
+
+@pytest.mark.parametrize(
+    ("settings", "options", "told"),
+    [
+        ({"probes": "random"}, {}, "probes = 'random'"),
+        ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
+        ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another one"),
+        ({"config": {"growing": False}}, {}, "growing = False"),
+        ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity'"),
+        ({"config": {"friction_drift": 0.1}}, {}, "friction_drift"),
+    ],
+)
+def test_what_the_map_does_not_tell_is_refused_by_name(settings, options, told) -> None:  # type: ignore[no-untyped-def]
+    given = dict(settings)
+    config = TaskConfig.model_validate(given.pop("config", {}))
+    with pytest.raises(ValueError, match=told):
+        MapEpisodes(1, config, **given).reset([0], {0: np.random.default_rng(0)}, {0: options})
+
+
+def test_scatter_is_found_again() -> None:
+    """200 series of 300 steps: standard errors of some 1 % of the deviation and 0.005 of the correlation."""
+    rng, true, series = np.random.default_rng(0), Scatter(deviation=0.2, correlation=0.9), []
+    for _ in range(200):
+        value, values = true.deviation * rng.normal(size=1), []
+        for _ in range(300):
+            value = true.moved(value, rng.normal(size=1))
+            values.append(value[0])
+        series.append(np.array(values))
+    found = Scatter.of(series)
+    assert found.deviation == pytest.approx(0.2, rel=0.05)
+    assert found.correlation == pytest.approx(0.9, abs=0.02)
+    noisy = [x + 0.1 * rng.normal(size=300) for x in series]
+    lasting = Scatter.of(noisy, 8)
+    assert lasting.deviation == pytest.approx(0.2, rel=0.1)
+    assert lasting.correlation == pytest.approx(0.9, abs=0.03)
+
+
+def test_noise_is_found_in_the_world_that_it_makes(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """24 insertions: what was put in comes out, within a quarter of each deviation."""
+    true = Noise(
+        bias=-0.1, slow=Scatter(deviation=0.2, correlation=0.9), quick=0.15,
+        tension=Scatter(deviation=0.08, correlation=0.9), radial=(1.2, 0.7, -0.1, 0.1, 0.1, 0.1),
+        radial_scatter=Scatter(deviation=0.2, correlation=0.9), axial=(0.8, 0.4, 0.0, 0.2, 0.0, 0.3),
+        axial_scatter=Scatter(deviation=0.2, correlation=0.9),
+    )  # fmt: skip
+    monkeypatch.setattr(measure, "Episodes", lambda count, config, fidelity: _Recorded(count, config, true))
+    found = noise_of(measure.record_insertions(24), stored_map())
+    assert found.bias == pytest.approx(true.bias, abs=0.05)
+    for name in ("slow", "tension", "radial_scatter", "axial_scatter"):
+        assert getattr(found, name).deviation == pytest.approx(getattr(true, name).deviation, rel=0.25)
+        assert getattr(found, name).correlation == pytest.approx(getattr(true, name).correlation, abs=0.06)
+    assert found.quick == pytest.approx(true.quick, rel=0.25)
+    np.testing.assert_allclose(found.radial[1], true.radial[1], atol=0.1)
+
+
+class _Recorded(MapEpisodes):
+    """The world where simulated episodes are expected."""
+
+    def __init__(self, count, config, noise):  # type: ignore[no-untyped-def]
+        super().__init__(count, config, noise=noise)
+        self.window = self
+
+    @property
+    def statistics(self):  # type: ignore[no-untyped-def]
+        return {"axial_acceleration_rms_m_per_s2": self.felt["axial_acceleration_rms_m_per_s2"]}
+
+    def _felt(self, which, normal, move=True):  # type: ignore[no-untyped-def]
+        self.felt = super()._felt(which, normal, move)
+        return self.felt
+
+    def _info(self, k, told):  # type: ignore[no-untyped-def]
+        name = "radial_acceleration_rms_m_per_s2"
+        return super()._info(k, told) | {name: float(told[name][k])}
+
+
+def test_policies_keep_their_order_and_differences_are_paired() -> None:
+    table = rewards_in_the_map(("constant", "best-schedule", "privileged"), limit=6)
+    means = table.groupby("policy")["reward"].mean()
+    assert means["constant"] < means["best-schedule"] - 50.0
+    assert means["best-schedule"] < means["privileged"]
+    simulated = table.assign(reward=table["reward"] - 1.0)
+    found, agreement = compared(table, simulated)
+    assert agreement == {"tau": 1.0, "tubes": 6.0}
+    np.testing.assert_allclose(found[["error", "error_low", "error_high"]], 1.0)
+
+
+def test_the_noise_that_ships_is_read_and_a_damaged_one_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    noise = stored_noise()
+    assert 0.05 < noise.quick < 0.5
+    assert 0.5 < noise.slow.correlation < 1.0
+    path = tmp_path / "map-world.json"
+    record = json.loads(measure.STORED.read_text())
+    path.write_text(json.dumps(record | {"noise": {"slow": {"deviation": -1.0}}}))
+    with pytest.raises(FileError, match=r"slow\.deviation"):
+        stored_noise(path)
+
+
+def test_agents_train_in_it_and_are_validated_by_simulation() -> None:
+    assert Training.model_validate({"environment": {"fidelity": "map"}}).environment.fidelity == "map"
+    with pytest.raises(ValueError, match="agents are chosen by simulation"):
+        Training.model_validate({"validation": {"fidelity": "map"}})
