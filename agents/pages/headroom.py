@@ -6,6 +6,7 @@ import pandas as pd
 
 from agents.evaluation import headroom as study
 from agents.pages.sources import RESULTS, command, markdown, source
+from agents.policies.catalogue import PLC
 from agents.policies.planning.planner import PLANNERS
 from agents.records.models import Figures
 from agents.records.reading import read_csv, read_json
@@ -51,6 +52,13 @@ def with_planner(table: pd.DataFrame) -> pd.DataFrame:
     played = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
     planner = played[(played["policy"] == BEST) & played["context"].isin(set(table["context"]))]
     return pd.concat([table, planner[[name for name in table.columns if name in planner]]], ignore_index=True)
+
+
+def with_law(table: pd.DataFrame) -> pd.DataFrame:
+    """An evaluation's table with the episodes of the PLC's law on the same tubes."""
+    played = grouped(read_csv(RESULTS / "control" / "episodes.csv", EPISODES))
+    law = played[(played["policy"] == PLC) & played["context"].isin(set(table["context"]))]
+    return pd.concat([table, law[[name for name in table.columns if name in law]]], ignore_index=True)
 
 
 def lead_of(table: pd.DataFrame, policy: str) -> str:

@@ -127,6 +127,7 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
     assert len(grid(CONFIG)[0]) > 100  # what the best is picked from
 
 
+@pytest.mark.processor
 def test_an_estimated_tube_is_read_from_the_tension() -> None:
     planner = Planner(CONFIG, tube="estimated", candidates=2, periods=1, average=1e-3)
     episodes = running(periods=30, feed=0.2)
@@ -153,6 +154,7 @@ def test_planners_play_by_name_and_say_what_they_cannot() -> None:
         looked_ahead(running(heard, periods=1), [0], np.array([[[0.3, 0.02]]]), 1, EXACT, [0])
 
 
+@pytest.mark.processor
 def test_a_planner_beats_the_map_that_it_looks_beyond() -> None:
     config = TaskConfig(scene={"tube": {"helix_length": 30.0}})
     policies = {
