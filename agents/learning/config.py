@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 import tomli_w
@@ -12,9 +13,11 @@ from pydantic_core import PydanticCustomError
 from agents.learning.space import axes_of
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
 from agents.policies.catalogue import make_policy
+from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.places import place_of
 from agents.policies.plc.law import Constants
 from agents.policies.view import View, guide_of
+from agents.rollouts.plan import Policy
 from agents.vec_env import ENVIRONMENTS, EnvId
 from agents.worlds.vec_env import MAP
 from probe_env.envs.contexts import Context, Split
@@ -47,6 +50,8 @@ class Environments(Model):
     env_id: EnvId = "probe_env/Insertion-v1"
     tube: Annotated[Plant | None, BeforeValidator(plant_of)] = None
     """A plant of one's own: the path of its ``tube.toml``, or its fields."""
+    vibration_map: Annotated[Path | None, BeforeValidator(lambda given: Path(given) if given else None)] = None
+    """File of the plant's own map (.npz), which the teacher looks things up in; default: the shipped one."""
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
     contexts: NamedContexts = "train"
     probes: Probes = "scene"
@@ -132,7 +137,7 @@ class Training(Model):
         assert self.validated_in
         if self.imitation is not None:
             try:
-                make_policy(self.imitation.teacher, self.shown_task)
+                assert self.teacher
             except (ValueError, FileNotFoundError) as error:
                 raise PydanticCustomError("teacher", "{text}", {"text": f"imitation.teacher: {error}"}) from error
         axes_of(self)
@@ -160,6 +165,13 @@ class Training(Model):
     def validated_in(self) -> tuple[Context, ...]:
         """Tubes in which the best model is chosen."""
         return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+
+    @property
+    def teacher(self) -> Policy | None:
+        """Who is imitated first."""
+        path = self.environment.vibration_map
+        known = None if path is None else VibrationMap.load(path)
+        return None if self.imitation is None else make_policy(self.imitation.teacher, self.shown_task, known)
 
     @property
     def shown_task(self) -> TaskConfig:

@@ -28,7 +28,6 @@ from agents.learning.config import Training
 from agents.learning.imitation import imitate
 from agents.learning.view_env import ViewVecEnv
 from agents.policies.bundle import ALGORITHMS, Agent, Description, save_bundle
-from agents.policies.catalogue import make_policy
 from agents.policies.domain import ranges_of
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
@@ -110,7 +109,7 @@ def _note_run(training: Training, seed: int, folder: Path, origin: dict[str, Any
     if path.exists():
         begun = json.loads(read_json(path, Run).model_dump_json())
         begun["resumed"] = [*begun.get("resumed", []), {"command": origin["command"], "commit": origin["commit"]}]
-    teacher = make_policy(training.imitation.teacher, training.shown_task).describe() if training.imitation else None
+    teacher = training.teacher.describe() if training.teacher else None
     write_json(path, begun | {"config": json.loads(training.model_dump_json()), "teacher": teacher})
 
 
@@ -178,7 +177,6 @@ def train(
             ends the training.
     """
     torch.set_num_threads(1)
-    shown = training.shown_task
     model, env = _new_model(training, seed, threads)
     rows = _restore(model, folder / CHECKPOINT)
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
@@ -200,7 +198,8 @@ def train(
             kernels = batch.kernel_seconds
             if phase == 0:
                 assert training.imitation is not None
-                imitate(model, env, make_policy(training.imitation.teacher, shown), training.imitation, bar.update)  # type: ignore[arg-type]
+                assert training.teacher is not None
+                imitate(model, env, training.teacher, training.imitation, bar.update)  # type: ignore[arg-type]
             else:
                 model.set_logger(_logger(folder, phase))
                 model.learn(training.phase_steps, _Bar(bar.update), reset_num_timesteps=False)

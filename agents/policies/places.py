@@ -99,15 +99,25 @@ def map_beside(tube: Path) -> Path:
     return tube.with_name(f"{tube.stem}{MAP_SUFFIX}")
 
 
+def own_map(tube: Path) -> Path | None:
+    """The map beside a plant's file, or beside the shipped one of a name, where there is one."""
+    try:
+        path = map_beside(file_or_shipped("tubes", tube))
+    except FileNotFoundError:  # a file that is not written yet may have its map already
+        path = map_beside(tube)
+    return path if path.exists() else None
+
+
 def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
     """The map beside a plant's file, where there is one, else the shipped one.
 
     Raises:
         FileError: the map is damaged, or of another bore, length, probe or air than the file now says.
     """
-    if tube is None or plant is None or not map_beside(tube).exists():
+    path = None if tube is None or plant is None else own_map(tube)
+    if tube is None or plant is None or path is None:
         return stored_map()
-    path, here = map_beside(tube), plant.scene
+    here = plant.scene
     known = VibrationMap.load(path)
     for name in ("inner_diameter", "helix_length"):
         before, now = getattr(known.scene.tube, name), getattr(here.tube, name)
