@@ -207,14 +207,14 @@ class Train:
         """Train, print the learning curves."""
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
-        from agents.policies.places import own_map, plant_at
+        from agents.policies.places import plant_at
         from agents.records.shipped import file_or_shipped
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:
-            own = {"tube": plant_at(self.tube), "vibration_map": own_map(self.tube)}
+            own = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
             training = training.model_copy(update={"environment": own})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))

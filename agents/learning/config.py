@@ -13,8 +13,7 @@ from pydantic_core import PydanticCustomError
 from agents.learning.space import axes_of
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.vibration_map import VibrationMap
-from agents.policies.places import place_of
+from agents.policies.places import map_of, place_of
 from agents.policies.plc.law import Constants
 from agents.policies.view import View, guide_of
 from agents.rollouts.plan import Policy
@@ -50,8 +49,9 @@ class Environments(Model):
     env_id: EnvId = "probe_env/Insertion-v1"
     tube: Annotated[Plant | None, BeforeValidator(plant_of)] = None
     """A plant of one's own: the path of its ``tube.toml``, or its fields."""
-    vibration_map: Annotated[Path | None, BeforeValidator(lambda given: Path(given) if given else None)] = None
-    """File of the plant's own map (.npz), which the teacher looks things up in; default: the shipped one."""
+    map_beside: str | None = None
+    """The plant's file, or the name of one that ships, beside which the map is that the teacher looks things up in
+    (``train --tube`` says it); default: the shipped map."""
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
     contexts: NamedContexts = "train"
     probes: Probes = "scene"
@@ -169,8 +169,8 @@ class Training(Model):
     @property
     def teacher(self) -> Policy | None:
         """Who is imitated first."""
-        path = self.environment.vibration_map
-        known = None if path is None else VibrationMap.load(path)
+        beside = self.environment.map_beside
+        known = None if beside is None else map_of(Path(beside), self.environment.tube)
         return None if self.imitation is None else make_policy(self.imitation.teacher, self.shown_task, known)
 
     @property

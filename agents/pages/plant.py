@@ -8,7 +8,6 @@ import pandas as pd
 
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
 from agents.calibration.unknowns import UNKNOWNS
-from agents.detection import anchors as detection
 from agents.evaluation import passes as passes_study
 from agents.pages.sources import RESULTS, command, markdown
 from agents.recommendation import plants as plants_study
@@ -103,18 +102,6 @@ def passes() -> str:
         f"Means over {record['limit']} tubes, both ways; the last column is the reward less that of looking on the way"
         f" in by `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
         f" {record['commit']}."
-    )
-
-
-def anchors() -> str:
-    """Which policy finds smaller flaws in less time."""
-    folder = RESULTS / "detection"
-    summary, record = pd.read_csv(folder / "anchors.csv"), read_json(folder / "provenance.json", Record).model_dump()
-    lines = "\n".join(f"* {line}" for line in detection.sentences(summary))
-    return (
-        f"{markdown(detection.HEADER, detection.cells(summary))}\n\n{lines}\n\n"
-        f"Over {record['tubes']} held-out tubes at `fast`; a90/95 is the depth found with 90 % over the tubes, with"
-        f" 95 % confidence. Made by `{command(record)}` at commit {record['commit']}."
     )
 
 

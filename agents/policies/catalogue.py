@@ -11,7 +11,7 @@ from agents.policies.both_ways import BothWays, fastest_back, way_in
 from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
-from agents.policies.maps.vibration_map import VibrationMap, stored_map
+from agents.policies.maps.vibration_map import VibrationMap, check_measure, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planning.planner import PLANNERS, Planner
 from agents.policies.plc.law import PlcLaw
@@ -105,6 +105,8 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]
         return kind(config, **arguments)
+    if spec in (*MAP_POLICIES, *PLANNERS):
+        check_measure(vibration or stored_map(), config)
     if spec in MAP_POLICIES:
         on_map, settings = MAP_POLICIES[spec]
         return on_map(config, vibration=vibration or stored_map(), **settings)

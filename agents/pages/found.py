@@ -1,0 +1,84 @@
+"""What is found, in words: which policy, searched for millimetres or for S/N, finds smaller flaws in less time."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from agents.detection import anchors as detection
+from agents.pages.sources import RESULTS, command, markdown, source
+from agents.policies.catalogue import DATA
+from agents.records.models import Record
+from agents.records.reading import read_csv, read_json
+from agents.records.tables import EPISODES
+from agents.rollouts.found import depths_of
+from agents.rollouts.statistics import grouped, paired_difference
+from probe_env.schedule import Schedule
+
+FOLDER: Final = RESULTS / "snr"
+REFERENCE: Final = "millimetre-schedule"
+OWN: Final = "snr-schedule"
+HEADER: Final = (
+    "policy", "reward in S/N", "against millimetre-schedule", "time [s]", "a90/95 [%]", "S/N over 3 [m]",
+    "radial rms [mm]", "air [m³]",
+)  # fmt: skip
+PLACES: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)
+"""Lengths [m] at which both schedules are shown: the searches' own."""
+
+
+def snr() -> str:
+    """Policies in the task that is judged by what is found."""
+    table = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
+    depths = depths_of(table).set_index("policy")["a90_95_percent_wall"]
+    means = table.groupby("policy").mean(numeric_only=True).sort_values("reward", ascending=False)
+    rows = []
+    for policy in map(str, means.index):
+        mean, gain = means.loc[policy], paired_difference(table, policy, REFERENCE, "reward")
+        rows.append(
+            (
+                policy, f"{mean['reward']:.1f}", "" if policy == REFERENCE else gain.text(),
+                f"{mean['inspection_time_s']:.0f}", f"{depths.loc[policy]:.1f}",
+                f"{mean['length_with_snr_over_3_m']:.1f}", f"{1e3 * mean['radial_rms_m']:.3f}", f"{mean['air_m3']:.1f}",
+            )
+        )  # fmt: skip
+    own = paired_difference(table, OWN, REFERENCE, "reward")
+    clear = "more" if own.low > 0.0 else "less" if own.high < 0.0 else "not clearly more or less"
+    tubes, lost = table["context"].nunique(), int(table[["lost_drive", "diverged"]].to_numpy().sum())
+    return (
+        f"**Judged by what is found, the schedule searched for S/N earns {clear} than the one searched for"
+        f" millimetres ({own.text()}); the most has `{means.index[0]}`.**\n\n"
+        f"{markdown(HEADER, rows)}\n\n"
+        f"Means over {tubes} held-out tubes of `--tube snr`, differences paired, 95 % intervals; {lost} insertions lost"
+        f" their drive or diverged. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
+    )
+
+
+def anchors() -> str:
+    """Which policy finds smaller flaws in less time."""
+    folder = RESULTS / "detection"
+    summary, record = pd.read_csv(folder / "anchors.csv"), read_json(folder / "provenance.json", Record).model_dump()
+    lines = "\n".join(f"* {line}" for line in detection.sentences(summary))
+    return (
+        f"{markdown(detection.HEADER, detection.cells(summary))}\n\n{lines}\n\n"
+        f"Over {record['tubes']} held-out tubes at `fast`; a90/95 is the depth found with 90 % over the tubes, with"
+        f" 95 % confidence. Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def _schedules() -> str:
+    """Both searched schedules side by side."""
+    read = {
+        "millimetres": Schedule.read(DATA / "best-schedule.csv"),
+        "S/N": Schedule.read(FOLDER / "best-schedule.csv"),
+    }
+    rows = []
+    for length in PLACES:
+        cells = [f"{length:g}"]
+        for schedule in read.values():
+            feed, air = schedule.at(np.array([length]))
+            cells += [f"{feed[0]:.3f}", f"{3600.0 * air[0]:.0f}"]
+        rows.append(cells)
+    header = ["length [m]", *(f"{name}: {what}" for name in read for what in ("feed [m/s]", "air [m³/h]"))]
+    return markdown(header, rows)
