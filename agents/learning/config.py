@@ -13,7 +13,8 @@ from agents.learning.space import axes_of
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
 from agents.policies.catalogue import make_policy
 from agents.policies.places import place_of
-from agents.policies.view import View
+from agents.policies.plc.law import Constants
+from agents.policies.view import View, guide_of
 from agents.vec_env import ENVIRONMENTS, EnvId
 from agents.worlds.vec_env import MAP
 from probe_env.envs.contexts import Context, Split
@@ -93,6 +94,8 @@ class Training(Model):
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
     """The agent never blows less; 0: the task's own least."""
+    guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
+    """A law that the agent corrects, "plc-law" or its ten constants; see ``View``."""
     learning: dict[str, int | float | bool] = Field(default_factory=dict)
     imitation: Imitation | None = None
     validation: Validation = Validation()
@@ -171,6 +174,7 @@ class Training(Model):
             averages=self.averages,
             friction_estimate=self.friction_estimate,
             least_air_supply_rate=self.least_air_supply_rate,
+            guide=self.guide,
         )
 
 

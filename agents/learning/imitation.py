@@ -50,7 +50,7 @@ def _gather(
     seen, taught, rewards, dones = [], [], [], []
     for _ in range(steps):
         action, state = teacher.predict(env.rows, state, start, deterministic=True)
-        wanted = env.view.agent_actions(env.config, action)
+        wanted = env.view.agent_actions(env.config, action, env.guided)
         seen.append(features)
         taught.append(wanted)
         acted = wanted if teacher_acts else model.predict(features, deterministic=True)[0]

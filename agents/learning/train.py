@@ -147,9 +147,11 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
     env = ViewVecEnv(batch, training.view, shown, training.environment.reward_scale)
     set_random_seed(seed)
     algorithm, name = ALGORITHMS[training.algorithm]
+    interval = training.network.noise_interval
+    explored = {"use_sde": True, "sde_sample_freq": interval} if interval else {}
     model: BaseAlgorithm = algorithm(
         name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
-        **training.learning,
+        **explored, **training.learning,
     )  # fmt: skip
     return model, env
 

@@ -55,6 +55,8 @@ class Network(Model):
     net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
     lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
     log_std_init: Annotated[float, quantity(-20.0, 5.0, "")] = -1.0
+    noise_interval: int = Field(default=0, ge=0, le=10_000)
+    """Steps for which exploration is one function of the features (gSDE: Raffin et al. 2022); 0: new noise each."""
 
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Self:
@@ -106,7 +108,11 @@ class Agent:
             trained, here = getattr(description.task, name), getattr(config, name)
             if trained != here:
                 raise ValueError(f"{name} = {here!r} differs from {trained!r}, which the agent was trained with")
-        self._other_ranges = any(getattr(description.task, name) != getattr(config, name) for name in PREVIOUS)
+        others = [name for name in PREVIOUS if getattr(description.task, name) != getattr(config, name)]
+        if others and description.view.guide is not None:
+            trained, here = getattr(description.task, others[0]), getattr(config, others[0])
+            raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, in which the agent's guide acts")
+        self._other_ranges = bool(others)
         self.description, self.policy, self.config, self.hash = description, policy, config, hash
         policy.set_training_mode(False)
 
@@ -128,16 +134,17 @@ class Agent:
         """Actions of the environment for observations (d,) or (N, d), and the state to give back next time."""
         rows = self._as_trained(np.atleast_2d(observation))
         new = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        averages, inner = state if state is not None else (None, None)
-        features, averages = self.description.view.features(self.config, rows, averages, new)
+        memory, inner = state if state is not None else (None, None)
+        view = self.description.view
+        features, memory = view.features(self.config, rows, memory, new)
         start = np.ones(len(rows), dtype=bool) if state is None else new
         actions, inner = self.policy.predict(features, inner, start, deterministic)
-        acted = self.description.view.env_actions(self.description.task, actions)
+        acted = view.env_actions(self.description.task, actions, view.guided(features))
         if not np.isfinite(acted).all():
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
         if self._other_ranges:
             acted = self.config.actions(*self.description.task.targets(acted).T).astype(np.float32)
-        return (acted[0] if np.ndim(observation) == 1 else acted), (averages, inner)
+        return (acted[0] if np.ndim(observation) == 1 else acted), (memory, inner)
 
     def _as_trained(self, rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
         """Observations whose previous actions are those of the task that it was trained in: its feed and air alike."""
@@ -225,6 +232,8 @@ def build_policy(description: Description, initialised: bool = True) -> BasePoli
     arguments = description.network.arguments(description.algorithm)
     if not initialised and description.algorithm != "sac":
         arguments["ortho_init"] = False  # which takes long for large networks
+    if description.network.noise_interval:
+        arguments["use_sde"] = True
     policy: BasePolicy = algorithm.policy_aliases[name](*description.view.spaces, lambda _: 0.0, **arguments)
     return policy
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from functools import lru_cache
+from typing import Annotated, Any, Final, Self
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from agents.policies.plc.law import Constants, PlcLaw, read_constants
 from probe_env.envs.observations import OBSERVATIONS, in_si_units
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
@@ -20,6 +22,12 @@ TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 
 
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
+PLC: Final = "plc-law"
+
+
+def guide_of(given: Any) -> Any:
+    """The constants of a law that is named: kept with the agent, whatever becomes of the shipped ones."""
+    return read_constants() if given == PLC else given
 
 
 class View(Model):
@@ -30,6 +38,9 @@ class View(Model):
     steps of an action are equal ratios of speed. The agent's air action spans what the task allows, but nothing below
     ``least_air_supply_rate`` [m3/s]: too little air loses the drive, which is rare enough for training to miss.
     Without ``logarithmic_feed`` a feed action is the task's own.
+
+    With a ``guide``, the ten constants of a law, the agent corrects it: it sees the law's action, and its own is added.
+    An agent that does nothing then acts as the law does.
     """
 
     observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
@@ -37,6 +48,7 @@ class View(Model):
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
     logarithmic_feed: bool = True
+    guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
@@ -48,7 +60,8 @@ class View(Model):
     @property
     def size(self) -> int:
         """Number of features."""
-        return (len(self.observations) + self.friction_estimate) * (1 + len(self.averages))
+        guided = 2 if self.guide is not None else 0
+        return (len(self.observations) + self.friction_estimate) * (1 + len(self.averages)) + guided
 
     @property
     def spaces(self) -> tuple[gym.spaces.Box, gym.spaces.Box]:
@@ -74,14 +87,14 @@ class View(Model):
         return [names.index(name) for name in self.observations]
 
     def features(
-        self, config: TaskConfig, rows: Rows, averages: Rows | None, new: npt.NDArray[np.bool_]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Features (N, size) of observations (N, d), and the averages (N, m) to give back next time.
+        self, config: TaskConfig, rows: Rows, memory: Rows | None, new: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float32], Rows]:
+        """Features (N, size) of observations (N, d), and the memory (N, m) to give back next time.
 
         Args:
             config: the task that the observations are of.
             rows: observations (N, d).
-            averages: what the last call returned; None: all episodes are new.
+            memory: what the last call returned, averages and what the guide remembers; None: all episodes are new.
             new: (N,) where an episode begins.
         """
         seen = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
@@ -92,16 +105,28 @@ class View(Model):
             scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
             seen = np.column_stack([seen, scaled]).astype(np.float32)
         repeated = np.tile(seen, len(self.averages))
-        if averages is None:
-            averages = repeated
+        width = repeated.shape[1]
+        averages = repeated if memory is None else memory[:, :width]
         gains = np.repeat(-np.expm1(-config.period / np.array(self.averages)), seen.shape[1]).astype(np.float32)
         kept = np.where(new[:, None], repeated, averages + gains * (repeated - averages)).astype(np.float32)
-        return np.concatenate([seen, kept], axis=1), kept
+        if self.guide is None:
+            return np.concatenate([seen, kept], axis=1), kept
+        remembered = None if memory is None else (memory[:, width:],)
+        guide, (remembers,) = _guide(self.guide, config).predict(np.asarray(rows), remembered, new)
+        acted = self.agent_actions(config, guide)
+        return np.concatenate([seen, kept, acted], axis=1), np.concatenate([kept, remembers], axis=1)
 
-    def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
-        """(N, 2) actions of the environment for the agent's: its feed action is of the logarithm."""
+    def guided(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32] | None:
+        """(N, 2) what the guide would do, in the agent's terms, as features (N, size) say; None without a guide."""
+        return None if self.guide is None else features[:, -2:]
+
+    def env_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
+        """(N, 2) actions of the environment for the agent's, which correct ``guided``: feed is of the logarithm."""
+        actions = np.asarray(actions, dtype=np.float64)
+        if guided is not None:
+            actions = np.clip(actions + guided, -1.0, 1.0)
         low, high = config.feed_speeds
-        share = share_of(np.asarray(actions, dtype=np.float64))
+        share = share_of(actions)
         feed = low * (high / low) ** share[:, 0] if self.logarithmic_feed else low + share[:, 0] * (high - low)
         linear = action_of(share_between(feed, config.feed_speeds))
         floor = self._air_floor(config)
@@ -109,7 +134,7 @@ class View(Model):
         acted: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
         return np.clip(acted, -1.0, 1.0)
 
-    def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
+    def agent_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
         """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
         low, high = config.feed_speeds
         share = share_of(np.asarray(actions, dtype=np.float64))
@@ -118,9 +143,16 @@ class View(Model):
         floor = self._air_floor(config)
         blown = (share[:, 1] - floor) / (1.0 - floor)
         acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
-        return np.clip(acted, -1.0, 1.0)
+        acted = np.clip(acted, -1.0, 1.0)
+        return acted if guided is None else np.clip(acted - guided, -1.0, 1.0).astype(np.float32)
 
     def _air_floor(self, config: TaskConfig) -> float:
         """The least air as a share of the task's range."""
         low, high = config.air_supply_rates
         return max(self.least_air_supply_rate - low, 0.0) / (high - low)
+
+
+@lru_cache(maxsize=64)
+def _guide(constants: Constants, config: TaskConfig) -> PlcLaw:
+    """The law in a task."""
+    return PlcLaw(config, constants)
