@@ -22,7 +22,11 @@ from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
 
-SEGMENT: Final = 3.0  # [m] of constant feed and air
+SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
+"""[m] of constant feed and air, by the vibration measure: the noise in a flaw's band is a running mean of 2 s, which at
+0.4 m/s and a time-lapse of 4 are 3.2 m,"""
+SMEARED: Final = {"displacement": 0.0, "snr": 3.0}
+"""[m] of each segment that are not fitted: they still hear the one before."""
 HIDDEN, EPOCHS, BATCH = 64, 300, 512
 HELD_OUT: Final = 12
 """Tubes, the first of the training list, on which the map is tested and not fitted: two of each helix diameter."""
@@ -32,7 +36,7 @@ LEAST_SPREAD: Final = 0.05
 
 @dataclass
 class Wandering(FixedPolicy):
-    """Feed and air held for ``SEGMENT``, then drawn anew: to explore. An episode's own noise seeds its draws."""
+    """Feed and air held for a ``SEGMENT``, then drawn anew: to explore. An episode's own noise seeds its draws."""
 
     seed: int = 0
     memory: ClassVar[int] = 1
@@ -40,9 +44,9 @@ class Wandering(FixedPolicy):
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed is uniform in its logarithm, air in itself. Memory: the first noise that was measured."""
         memory[:, 0] = np.where(memory[:, 0] > 0.0, memory[:, 0], seen["rf_noise"])
-        shares = np.empty((2, len(memory)))
+        shares, segment = np.empty((2, len(memory))), SEGMENT[self.config.vibration_measure]
         for k, (first, length) in enumerate(zip(memory[:, 0], seen["inserted_length"], strict=True)):
-            entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / SEGMENT)]
+            entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / segment)]
             shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
         least, most = self.config.air_supply_rates
         slow, fast = feeds(self.config)
@@ -68,6 +72,7 @@ def fit_map(
     import torch
 
     torch.manual_seed(seed)
+    profile = profile[profile["inserted_length"] % SEGMENT[measure] >= SMEARED[measure]]
     length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
     tubes = profile[list(CONTEXT)].to_numpy(float)
     inputs, scaling = features_of(length, feed, air, tubes), None
