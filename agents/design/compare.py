@@ -30,7 +30,15 @@ from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import Candidate, check_candidate, judge, stretch_of, try_insertions, try_sections
+from probe_env.envs.trials import (
+    Candidate,
+    check_candidate,
+    check_measure,
+    judge,
+    stretch_of,
+    try_insertions,
+    try_sections,
+)
 from probe_env.schedule import Schedule
 from probe_env.settings import explain
 
@@ -168,7 +176,8 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
 
 
 def check_comparison(comparison: Comparison) -> None:
-    """Raise ValueError if there is a design that cannot be tried; names it."""
+    """Raise ValueError if there is a design that cannot be tried, and name it, or a measure that none is judged by."""
+    check_measure(comparison.config)
     stretch_of(comparison.config)
     feed = None if comparison.full else comparison.schedule()
     if comparison.tube == TABLE_2:

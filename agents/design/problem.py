@@ -21,7 +21,7 @@ from agents.records.code_hash import code_hash
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import Candidate, check_candidate, judge, stretch_of, try_sections
+from probe_env.envs.trials import Candidate, check_candidate, check_measure, judge, stretch_of, try_sections
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.schedule import Schedule
 
@@ -179,6 +179,7 @@ class DesignProblem:
 
     def check(self) -> None:
         """Raise ValueError if the feed does not fit, or the probes to beat can nowhere be tried."""
+        check_measure(self.config)
         stretch_of(self.config)
         if self.feed != "best-constant" and not self.full:
             self._comparison({}, self.contexts).schedule()

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.trials.players import Controller
 from probe_env.schedule import Schedule
+
+LEAST_SNR: Final = 1e-3
+"""What no signal at all counts as, so that its inverse is finite."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Trial:
         deep: (N, p) whether so much is inserted that lost drive counts.
         lost_drive, diverged: (N,) whether it ended so.
         inspected: (N,) what the sensor saw to the end, where that was simulated.
+        noise: (N, p) over the signal of a 20 % groove, where the task is judged by that.
     """
 
     widths: FloatArray
@@ -51,6 +56,7 @@ class Trial:
     lost_drive: BoolArray
     diverged: BoolArray
     inspected: FloatArray | None = None
+    noise: FloatArray | None = None
 
 
 def seeds_of(candidates: Sequence[Candidate]) -> list[int]:

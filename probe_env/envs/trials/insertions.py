@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials.candidates import Candidate, Trial, seeds_of
+from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import Players
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
 from probe_env.fidelity import Fidelity
 from probe_env.schedule import Schedule
+
+SUMS: Final = ("travel", "seconds", "air", "square", "noise", "tension", "periods")
 
 
 def try_insertions(
@@ -36,7 +39,7 @@ def try_insertions(
     rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds_of(candidates))}
     observation, _ = episodes.reset(range(count), rngs, options)
     places = int(np.ceil(stretch.span))
-    sums = {name: np.zeros((count, places)) for name in ("travel", "seconds", "air", "square", "tension", "periods")}
+    sums = {name: np.zeros((count, places)) for name in SUMS}
     ended = {name: np.zeros(count, dtype=bool) for name in ("lost_drive", "diverged")}
     guides = np.array([candidate.design.built.guide_length for candidate in candidates])
     players = Players(count)
@@ -61,6 +64,7 @@ def try_insertions(
                 sums["seconds"][k, place] += config.period
                 sums["air"][k, place] += info["air_supply_rate"] * config.period
                 sums["square"][k, place] += travel * info["radial_rms_m"] ** 2
+                sums["noise"][k, place] += travel / max(info["snr"], LEAST_SNR) ** 2
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
     inspected = np.array([tally.inspected for tally in episodes.tally])
@@ -74,7 +78,7 @@ def _gathered(
     inspected: FloatArray,
     config: TaskConfig,
 ) -> Trial:
-    span = stretch_of(config).span
+    span, heard = stretch_of(config).span, config.vibration_measure == "snr"
     travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)
     seen = sums["periods"] > 0.0
     metres = SENSOR_START + np.arange(travel.shape[1]) + 1.0
@@ -93,4 +97,5 @@ def _gathered(
         ended["lost_drive"],
         ended["diverged"],
         inspected,
+        np.sqrt(np.where(seen, sums["noise"] / travel, 0.0)) if heard else None,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,17 @@ from probe_env.design import Design
 from probe_env.envs.task import Outcome, TaskConfig, capped_square, reward_terms
 from probe_env.envs.trials.candidates import Trial
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
+
+JUDGED: Final = ("displacement", "snr")
+"""Vibration measures that designs are judged by."""
+
+
+def check_measure(config: TaskConfig) -> None:
+    """Raise ValueError unless designs can be judged by the task's vibration measure."""
+    if config.vibration_measure not in JUDGED:
+        raise ValueError(
+            f"vibration_measure = {config.vibration_measure!r}: designs are judged by {' or '.join(JUDGED)}"
+        )
 
 
 def judge(
@@ -22,15 +34,14 @@ def judge(
     less. Vibration, time and air are of the span that all designs share.
 
     Raises:
-        ValueError: another vibration measure than displacement.
+        ValueError: the task's vibration measure is not one of ``JUDGED``.
     """
-    if config.vibration_measure != "displacement":
-        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: designs are judged by displacement")
+    check_measure(config)
     span = stretch_of(config).span
     guides = np.array([design.built.guide_length for design in designs])
     covered = trial.widths.sum(axis=1)
     missed = np.maximum(span - covered, 0.0)
-    ratio = trial.radial_rms / config.limit
+    ratio = (trial.radial_rms if trial.noise is None else trial.noise) / config.limit
     seconds = trial.widths / np.maximum(trial.feed_speed, 1e-9)
     squares = (trial.widths * capped_square(config, ratio)).sum(axis=1)
     time, air = seconds.sum(axis=1), (seconds * trial.air_supply_rate).sum(axis=1)

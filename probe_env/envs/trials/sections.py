@@ -6,13 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from probe_env.arrays import FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials.candidates import Candidate, Trial, seeds_of
+from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import Controller
 from probe_env.envs.trials.stretch import stretch_of
 from probe_env.fidelity import Fidelity
+from probe_env.inspection.meter import Meter
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import SPAN
 from probe_env.physics.batch import SimulatorBatch
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
@@ -55,7 +59,8 @@ def try_sections(
         seeds=[seed for seed in seeds_of(candidates) for _ in stretch.positions], perturbation=PERTURBATION,
     )  # fmt: skip
     settled = batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
-    window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged)
+    heard = config.vibration_measure == "snr"
+    window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=heard)
     diverged = (settled.diverged | window.diverged).reshape(shape)
     rms, tension = (window.statistics[name].reshape(shape) for name in ("radial_rms_m", "tension_mean_n"))
     deep = inserted >= config.lost_drive_from
@@ -63,7 +68,19 @@ def try_sections(
     reached = np.cumsum(diverged | slack, axis=1) == 0
     widths = np.where(reached, stretch.widths, 0.0)
     lost, broken = np.asarray(slack.any(axis=1)), np.asarray(diverged.any(axis=1))
-    return Trial(widths, speed, air, rms, tension, deep & ~diverged, lost, broken)
+    noise = None
+    if heard:
+        assert window.radial is not None
+        noise = _noise(config.sensor, window.radial, speed.ravel()).reshape(shape)
+    return Trial(widths, speed, air, rms, tension, deep & ~diverged, lost, broken, noise=noise)
+
+
+def _noise(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
+    """(n,) noise over the signal of a 20 % groove, of motions (samples, n) [m] passed at ``feed`` (n,) [m/s]."""
+    meter, every = Meter(sensor, len(feed), SAMPLE_PERIOD), np.arange(len(feed))
+    for second in np.split(radial, round(MEASURE / SPAN)):
+        told = meter.listen(every, second, feed)
+    return np.asarray(1.0 / np.maximum(told.snr, LEAST_SNR))
 
 
 def over_length(feed: Schedule | Controller) -> Schedule:
