@@ -71,6 +71,7 @@ def fit_map(
     """
     import torch
 
+    torch.set_num_threads(1)  # a small network: threads would wait for each other
     torch.manual_seed(seed)
     profile = profile[profile["inserted_length"] % SEGMENT[measure] >= SMEARED[measure]]
     length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
