@@ -20,6 +20,8 @@ from probe_env.schedule import Schedule
 FOLDER: Final = RESULTS / "snr"
 REFERENCE: Final = "millimetre-schedule"
 OWN: Final = "snr-schedule"
+AGENT: Final = "ppo-snr"
+TEACHER: Final = "tension-scheduled"
 HEADER: Final = (
     "policy", "reward in S/N", "against millimetre-schedule", "time [s]", "a90/95 [%]", "S/N over 3 [m]",
     "radial rms [mm]", "air [m³]",
@@ -52,6 +54,23 @@ def snr() -> str:
         f"{markdown(HEADER, rows)}\n\n"
         f"Means over {tubes} held-out tubes of `--tube snr`, differences paired, 95 % intervals; {lost} insertions lost"
         f" their drive or diverged. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
+    )
+
+
+def snr_agent() -> str:
+    """The agent that was trained for what is found."""
+    folder = RESULTS / "snr-agent"
+    table = grouped(read_csv(folder / "episodes.csv", EPISODES))
+    mean = table[table["policy"] == AGENT].mean(numeric_only=True)
+    depth = depths_of(table).set_index("policy")["a90_95_percent_wall"].loc[AGENT]
+    against = ", ".join(
+        f"{paired_difference(table, AGENT, other, 'reward').text()} against `{other}`" for other in (TEACHER, OWN)
+    )
+    return (
+        f"The agent `{AGENT}` (`probe-env train {AGENT} --tube snr`, seed 0) imitates `{TEACHER}`, then learns by"
+        f" PPO. It earns {mean['reward']:.1f} in {mean['inspection_time_s']:.0f} s with an a90/95 of {depth:.1f} %:"
+        f" {against}."
+        f" {source(folder / 'provenance.json')}"
     )
 
 

@@ -23,6 +23,10 @@ TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
 PLC: Final = "plc-law"
+READ_BY_LAW: Final = (
+    "inserted_length", "feed_speed", "air_supply_rate", "root_tension", "rf_noise", "helix_diameter",
+)  # fmt: skip
+"""What a guide looks at, and so an agent with one."""
 
 
 def guide_of(given: Any) -> Any:
@@ -55,6 +59,9 @@ class View(Model):
         missing = [name for name in MEASURED if name not in self.observations]
         if self.friction_estimate and missing:
             raise PydanticCustomError("estimate", f"friction_estimate needs the observations {', '.join(missing)}")
+        missing = [name for name in READ_BY_LAW if name not in self.observations]
+        if self.guide is not None and missing:
+            raise PydanticCustomError("guide", f"guide needs the observations {', '.join(missing)}")
         return self
 
     @property

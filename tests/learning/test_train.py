@@ -28,6 +28,10 @@ TINY = {
 }
 PPO = {**TINY, "learning": {"n_steps": 16, "batch_size": 32, "n_epochs": 2}}
 IMITATING = {**PPO, "imitation": {"teacher": "slow-down", "rounds": 2, "steps": 32, "epochs": 2}}
+GUIDED = {
+    **PPO, "guide": "plc-law", "network": {"net_arch": (8,), "noise_interval": 4},
+    "imitation": {"teacher": "plc-law", "rounds": 1, "steps": 32, "epochs": 2},
+}  # fmt: skip
 RECURRENT = {**PPO, "algorithm": "recurrent-ppo"}
 SAC = {**TINY, "algorithm": "sac", "learning": {"learning_starts": 16, "buffer_size": 256, "batch_size": 8}}
 
@@ -46,7 +50,7 @@ def equal(first, second):
     return first.keys() == second.keys() and all((first[name] == second[name]).all() for name in first)
 
 
-@pytest.mark.parametrize("settings", [IMITATING, RECURRENT, SAC], ids=["ppo", "recurrent-ppo", "sac"])
+@pytest.mark.parametrize("settings", [IMITATING, GUIDED, RECURRENT, SAC], ids=["ppo", "guided", "recurrent-ppo", "sac"])
 def test_resumed_equals_never_stopped(settings, tmp_path):
     """Half of the phases, then the rest by resuming, gives the weights and the curve of one go."""
     one_go = train_all(Training(**settings), tmp_path / "whole", resume=False)
@@ -57,7 +61,7 @@ def test_resumed_equals_never_stopped(settings, tmp_path):
     assert (one_go[columns] == resumed[columns]).all(axis=None)
     assert equal(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
     agent = load_bundle(tmp_path / "whole" / "seed-0" / BEST)
-    action, _ = agent.predict(np.zeros(len(agent.config.observations), dtype=np.float32), deterministic=True)
+    action, _ = agent.predict(np.full(len(agent.config.observations), 0.5, dtype=np.float32), deterministic=True)
     assert (np.abs(action) <= 1.0).all()
 
 

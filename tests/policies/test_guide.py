@@ -1,5 +1,7 @@
 """An agent that corrects a law: what it does nothing about is the law's."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -58,7 +60,7 @@ def test_a_correction_is_added_in_the_agent_s_own_terms() -> None:
     )  # an action of the environment has seven digits of the feed, its logarithm fewer
 
 
-def test_a_bundle_keeps_the_law_that_it_was_trained_on(tmp_path) -> None:
+def test_a_bundle_keeps_the_law_that_it_was_trained_on(tmp_path: Path) -> None:
     saved = agent(View(guide=OWN), Network(net_arch=(8,), noise_interval=4))
     save_bundle(tmp_path / "agent.npz", saved.description, saved.policy)
     loaded = load_bundle(tmp_path / "agent.npz")
@@ -80,3 +82,20 @@ def test_another_range_of_feeds_is_refused() -> None:
     other = TaskConfig(feed_speeds=(0.02, 0.3)).all_shown
     with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* guide acts"):
         Agent(made.description, made.policy, other)
+
+
+def test_an_agent_sees_what_its_law_looks_at() -> None:
+    with pytest.raises(ValueError, match="guide needs the observations root_tension, helix_diameter"):
+        View(guide=OWN, observations=("inserted_length", "feed_speed", "air_supply_rate", "rf_noise"))
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "recurrent-ppo"])
+def test_smooth_exploration_is_for_all_algorithms(algorithm: str, tmp_path: Path) -> None:
+    description = Description(
+        algorithm=algorithm, network=Network(net_arch=(8,), noise_interval=4), view=View(), task=TASK, trained={}
+    )
+    policy = build_policy(description)
+    save_bundle(tmp_path / "agent.npz", description, policy)
+    rows = np.random.default_rng(0).uniform(0.1, 1.0, (3, len(TASK.observations)))
+    made, loaded = Agent(description, policy, TASK), load_bundle(tmp_path / "agent.npz")
+    assert (loaded.predict(rows, deterministic=True)[0] == made.predict(rows, deterministic=True)[0]).all()

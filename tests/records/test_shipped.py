@@ -29,8 +29,13 @@ def installed(tmp_path):
 
 
 def test_a_checkout_ships_what_it_holds():
-    assert shipped_agents() == {"ppo": (0, 1, 2, 3, 4), "ppo-any-probe": (0, 1, 2), "ppo-no-tension": (0, 1, 2, 3, 4)}
-    assert shipped_names("train") == ("ppo", "ppo-any-probe", "ppo-no-tension")  # each is how its agents were made
+    assert shipped_agents() == {
+        "ppo": (0, 1, 2, 3, 4),
+        "ppo-any-probe": (0, 1, 2),
+        "ppo-no-tension": (0, 1, 2, 3, 4),
+        "ppo-snr": (0,),
+    }
+    assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
     assert {"original", "improved"} <= set(shipped_names("design"))
     assert agent_file("ppo") == ROOT / "results" / "agents" / "ppo" / "seed-0" / "agent.npz"
     assert agent_file("ppo@2") == ROOT / "results" / "agents" / "ppo" / "seed-2" / "agent.npz"
