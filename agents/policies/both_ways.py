@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from agents.policies.fixed import STUDY_AIR
 from agents.rollouts.plan import Policy
-from probe_env.envs.observations import in_si_units
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import in_si_units
 from probe_env.schedule import Schedule
 
 SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")

@@ -26,8 +26,8 @@ from agents.policies.maps.vibration_map import stored_map
 from agents.policies.view import View
 from agents.records.arrays import read_arrays
 from agents.records.provenance import write_atomically
-from probe_env.envs.observations import PROBE
 from probe_env.envs.task import TaskConfig, action_of, share_between
+from probe_env.envs.task.observations import PROBE
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.observations import in_si_units
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import in_si_units
 from probe_env.schedule import Schedule
 
 State = tuple[np.ndarray, ...]

@@ -18,8 +18,8 @@ from agents.policies.domain import Domain
 from agents.records.code_hash import class_hash
 from agents.rollouts.plan import Policy
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.observations import in_si_units
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import in_si_units
 from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
 

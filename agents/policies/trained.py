@@ -9,8 +9,8 @@ from agents.policies.view import View
 from agents.records.arrays import read_arrays
 from agents.records.shipped import AGENT_FILE, DEFAULT_SEED, file_or_shipped, shipped_agents, shipped_folder
 from agents.terminal.tables import print_terms
-from probe_env.envs.observations import PROBE
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import PROBE
 from probe_env.files import FileError, read_toml
 from probe_env.settings import tuples
 

@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.policies.plc.law import Constants, PlcLaw, read_constants
-from probe_env.envs.observations import OBSERVATIONS, in_si_units
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of
+from probe_env.envs.task.observations import OBSERVATIONS, in_si_units
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity
 

@@ -18,9 +18,9 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Step
-from probe_env.envs.observations import observe
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import Outcome, TaskConfig, air_used, capped_square, ending, reward_terms, slack
+from probe_env.envs.task.observations import observe
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.settings import check_known
 

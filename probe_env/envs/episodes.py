@@ -18,9 +18,6 @@ from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.kpis import SIGNALS, Tally
 from probe_env.envs.limits import check_simulable
-from probe_env.envs.observations import observe
-from probe_env.envs.passes import Counted, Passes
-from probe_env.envs.safety import cost_terms
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
     MEASURES,
@@ -34,6 +31,9 @@ from probe_env.envs.task import (
     slack,
     travel,
 )
+from probe_env.envs.task.observations import observe
+from probe_env.envs.task.passes import Counted, Passes
+from probe_env.envs.task.safety import cost_terms
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.found import Found
 from probe_env.inspection.meter import Meter

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.safety import COSTS
+from probe_env.envs.task.safety import COSTS
 from probe_env.inspection.found import Found
 
 LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200

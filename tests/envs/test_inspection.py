@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.observations import in_si_units
-from probe_env.envs.passes import Passes
+from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.task.passes import Passes
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
 from probe_env.schedule import Schedule

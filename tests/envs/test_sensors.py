@@ -7,8 +7,8 @@ import pytest
 import probe_env
 from probe_env import Context, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
-from probe_env.envs.observations import observe
 from probe_env.envs.starts import checked_contexts, drawn_context
+from probe_env.envs.task.observations import observe
 
 assert probe_env.__all__
 SHORT = {"growing": False, "period": 0.05, "time_limit": 1.0, "settle_time": 0.05}

@@ -8,8 +8,8 @@ import probe_env
 from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.kpis import Percentiles
-from probe_env.envs.observations import OBSERVATIONS, in_si_units, observe
 from probe_env.envs.task import TERMS, TaskConfig
+from probe_env.envs.task.observations import OBSERVATIONS, in_si_units, observe
 from probe_env.physics.batch import SimulatorBatch
 
 CONSTANT = (0.2, 63.0 / 3600.0)

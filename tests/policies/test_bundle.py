@@ -14,8 +14,8 @@ from agents.policies.bundle import Agent, Description, Network, build_policy, lo
 from agents.policies.catalogue import make_policy
 from agents.policies.view import View
 from agents.vec_env import ProbeVecEnv
-from probe_env.envs.observations import OBSERVATIONS
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import OBSERVATIONS
 
 TASK = TaskConfig()
 

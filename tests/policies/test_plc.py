@@ -25,8 +25,8 @@ from agents.policies.plc.quasi_steady import quasi_steady_rewards
 from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
 from agents.processes.workers import HERE
 from probe_env import Context, spread_contexts
-from probe_env.envs.observations import in_si_units, observe
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import in_si_units, observe
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.schedule import Schedule

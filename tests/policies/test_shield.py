@@ -11,7 +11,7 @@ from agents.policies.shield import Shielded
 from agents.rollouts.plan import Plan
 from agents.rollouts.playing import Playing
 from probe_env import Context, Scene, TaskConfig
-from probe_env.envs.observations import observe
+from probe_env.envs.task.observations import observe
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 

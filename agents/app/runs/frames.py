@@ -9,8 +9,8 @@ import numpy as np
 
 from agents.rollouts.playing import Playing, Unit
 from probe_env.arrays import FloatArray
-from probe_env.envs.observations import in_si_units
 from probe_env.envs.pictures.motion import SAMPLE_PERIOD, Motion
+from probe_env.envs.task.observations import in_si_units
 from probe_env.physics.simulator import Simulator
 
 OF_INFO: Final = (

@@ -12,8 +12,8 @@ from agents.logs.log import Log
 from probe_env import Context, Fidelity
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.observations import ACCELEROMETER_FLOOR, RF_FLOOR
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import ACCELEROMETER_FLOOR, RF_FLOOR
 
 RECORDED: Final = {
     "root_tension": ("tension_mean_n", 0.0),

@@ -23,7 +23,7 @@ from agents.policies.planning.rest import worth_of_rest
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.observations import in_si_units
+from probe_env.envs.task.observations import in_si_units
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 
 Memory = tuple[int, float, float, float]

@@ -10,7 +10,7 @@ from agents.policies.fixed import FixedPolicy
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, expected_cost
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.observations import RF_FLOOR
+from probe_env.envs.task.observations import RF_FLOOR
 from probe_env.physics.closed_forms import sliding_tension
 
 START = 5.0

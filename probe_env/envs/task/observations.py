@@ -14,7 +14,7 @@ from probe_env.arrays import FloatArray
 from probe_env.design import RANGES
 
 if TYPE_CHECKING:
-    from probe_env.envs.task import TaskConfig
+    from probe_env.envs.task.config import TaskConfig
 
 ACCELEROMETER_FLOOR: Final = 1e-2  # [m/s2] rms, its own noise
 RF_FLOOR: Final = 1e-6  # [m] of radial rms: noise of the eddy-current signal at rest

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 COSTS: Final = {
     "lost_drive": "the mean root tension is below what the drive needs, where that counts",

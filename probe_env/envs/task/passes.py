@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import END_TOLERANCE, TaskConfig
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import END_TOLERANCE
 
 BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""

@@ -1,20 +1,18 @@
-"""The control task: what is acted, rewarded, and when it ends; what is observed is in ``observations``.
-
-Knows no simulator and no environment. Everything is for N probes at once, one row or entry a probe.
-"""
+"""Settings of the control task: what is acted and observed, limits, weights and sensors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
+from probe_env.arrays import FloatArray
+from probe_env.envs.task.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
+from probe_env.envs.task.ranges import action_of, share_between, share_of
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
@@ -29,9 +27,6 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
     "snr": ("noise_to_signal", 1.0 / 3.0),
 }
 """Statistic of a window and default limit of each vibration measure; of snr the noise over a 20 % groove's signal."""
-END_TOLERANCE: Final = 1e-6
-"""[m] of the helix's end at which an insertion is complete; actions are float32."""
-TERMS: Final = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
 SHOWN: Final = ("observe_root_tension", "privileged", "observe_probe")
 """Fields of the task that say what is observed, and change nothing else."""
 
@@ -222,143 +217,6 @@ class TaskConfig(Model):
                 raise ValueError(f"{name} = {value!r} is outside the task's range {low:g} to {high:g}")
         action: npt.NDArray[np.float32] = self.actions(feed_speed, air_supply_rate)[0].astype(np.float32)
         return action
-
-
-def share_of(action: FloatArray) -> FloatArray:
-    """The share of a range, 0 to 1, that an action in [-1, 1] stands for; beyond it the end."""
-    return np.asarray(0.5 * (np.clip(action, -1.0, 1.0) + 1.0))
-
-
-def action_of(share: FloatArray) -> FloatArray:
-    """The inverse of ``share_of``."""
-    return 2.0 * share - 1.0
-
-
-def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
-    """Where in a range a value is: 0 at its low end, 1 at its high one."""
-    low, high = range_
-    return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
-
-
-class Ending(NamedTuple):
-    """Which of N episodes end with a period and how, (N,) each."""
-
-    complete: BoolArray
-    lost_drive: BoolArray
-    diverged: BoolArray
-    out_of_time: BoolArray
-
-    @property
-    def terminated(self) -> BoolArray:
-        """Ended by what happened."""
-        return self.complete | self.lost_drive | self.diverged
-
-    @property
-    def truncated(self) -> BoolArray:
-        """Ended by the time limit alone."""
-        return self.out_of_time & ~self.terminated
-
-
-def ending(
-    config: TaskConfig,
-    inserted: FloatArray,
-    helix_length: FloatArray,
-    slack_periods: npt.NDArray[np.integer[Any]],
-    time: FloatArray,
-    stepped: BoolArray,
-    diverged: BoolArray,
-) -> Ending:
-    """When an episode ends: the helix's end is reached, drive is lost, the simulation diverged, or time is up.
-
-    Args:
-        config: the task.
-        inserted: cable in the helix [m].
-        helix_length: [m].
-        slack_periods: periods in a row that were ``slack``.
-        time: since the episode began [s].
-        stepped: whether the episode was stepped in this period; others end in nothing.
-        diverged: whether the simulation diverged in it.
-    """
-    good = stepped & ~diverged
-    complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
-    lost = (slack_periods >= config.lost_drive_periods) & good & ~complete
-    return Ending(complete, lost, diverged & stepped, stepped & (time >= config.time_limit - 1e-9))
-
-
-def slack(config: TaskConfig, tension: FloatArray, inserted: FloatArray) -> BoolArray:
-    """Whether the root tension [N] is too little to drive the probe; at first, near the entrance, it may be."""
-    return np.asarray((tension < config.required_tension) & (inserted >= config.lost_drive_from))
-
-
-def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed: FloatArray) -> FloatArray:
-    """Metres inspected in a period, by the inserted lengths [m] around it, or the feed speed at constant length."""
-    return after - before if config.growing else feed_speed * config.period
-
-
-def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Air [m3] used in a period, by the supply rates [m3/s] around it."""
-    return 0.5 * (np.abs(before) + np.abs(after)) * config.period
-
-
-def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
-    """What vibration costs a metre, for a ratio of vibration to its limit; beyond ``ratio_cap`` no more."""
-    return np.asarray(np.minimum(ratio, config.ratio_cap) ** 2)
-
-
-def metre_cost(config: TaskConfig, squares: FloatArray, feed: FloatArray, air: FloatArray) -> FloatArray:
-    """Cost (N,) of a metre (progress left out): vibration, time and air.
-
-    Args:
-        config: weights.
-        squares: ``capped_square`` of the vibration, or its mean.
-        feed: feed speed [m/s].
-        air: air supply [m3/s].
-    """
-    return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
-
-
-class Outcome(NamedTuple):
-    """What a period or a whole insertion came to, for each of N probes.
-
-    Attributes:
-        inspected: by the sensor [m].
-        squares: metres times ``capped_square`` of their vibration.
-        seconds: that it took.
-        air: used [m3].
-        uninspected: length left [m] where the episode ends, else 0.
-        diverged: whether the simulation diverged.
-    """
-
-    inspected: FloatArray
-    squares: FloatArray
-    seconds: FloatArray
-    air: FloatArray
-    uninspected: FloatArray
-    diverged: BoolArray
-
-
-def reward_terms(
-    config: TaskConfig, outcome: Outcome, action_change: FloatArray | None = None
-) -> dict[str, FloatArray]:
-    """Named terms (N,) of the reward; their sum is the reward.
-
-    Args:
-        config: weights.
-        outcome: what is rewarded.
-        action_change: (N, 2) action minus the one before; None where no actions were taken.
-    """
-    terms = {
-        "progress": config.progress_weight * outcome.inspected,
-        "vibration": -config.vibration_weight * outcome.squares,
-        "time": -config.time_weight * outcome.seconds,
-        "air": -config.air_weight * outcome.air,
-    }
-    if action_change is not None:
-        terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
-    return terms | {
-        "uninspected": -config.uninspected_weight * outcome.uninspected,
-        "diverged": -config.diverged_weight * outcome.diverged,
-    }
 
 
 def describe(config: TaskConfig) -> dict[str, Any]:

@@ -1,0 +1,45 @@
+"""The control task: all rules, and no simulator.
+
+Actions and what was measured enter, targets, observations, rewards, costs and endings leave. Imports scenes, the sensor
+and settings. Everything is for N probes at once, one row or entry a probe.
+"""
+
+from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, scene_of
+from probe_env.envs.task.ranges import action_of, share_between, share_of
+from probe_env.envs.task.rules import (
+    END_TOLERANCE,
+    TERMS,
+    Ending,
+    Outcome,
+    air_used,
+    capped_square,
+    ending,
+    metre_cost,
+    reward_terms,
+    slack,
+    travel,
+)
+
+__all__ = [
+    "END_TOLERANCE",
+    "MEASURES",
+    "SHOWN",
+    "TERMS",
+    "Ending",
+    "Inspects",
+    "Measure",
+    "Outcome",
+    "TaskConfig",
+    "action_of",
+    "air_used",
+    "capped_square",
+    "describe",
+    "ending",
+    "metre_cost",
+    "reward_terms",
+    "scene_of",
+    "share_between",
+    "share_of",
+    "slack",
+    "travel",
+]
