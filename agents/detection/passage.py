@@ -11,7 +11,8 @@ from tqdm import tqdm
 
 from agents.rollouts.plan import Policy
 from probe_env import Context, Fidelity
-from probe_env.envs.episodes import SAMPLE_PERIOD, Episodes
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.gauges import SAMPLE_PERIOD
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import Players
 from probe_env.inspection.channels import Passage
@@ -65,7 +66,7 @@ def insert(
             assert episodes.window is not None
             assert episodes.window.radial is not None
             radial.append(episodes.window.radial[:, 0])
-            spectra.append(episodes.meter.spectrum[0].copy())
+            spectra.append(episodes.gauges.meter.spectrum[0].copy())
             bar.update(info["inserted_length"] - guide - places[-1])
             places.append(info["inserted_length"] - guide)
             periods.append(info)

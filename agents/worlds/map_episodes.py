@@ -132,7 +132,7 @@ class MapEpisodes:
         self.slack_periods = np.where(chosen, np.where(hanging, self.slack_periods + 1, 0), self.slack_periods)
         end, never = config.scene.tube.helix_length, np.zeros(len(self), dtype=bool)
         ended = ending(config, self.length, np.full(len(self), end), self.slack_periods, self.time, chosen, never)
-        over = ended.terminated | ended.truncated
+        over = ended.over
         left = np.where(over, end - self.length, 0.0)
         outcome = Outcome(travel, travel * capped_square(config, ratio), np.full(len(self), dt), used, left, never)
         terms = reward_terms(config, outcome, change)

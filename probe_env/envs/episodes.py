@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
+from probe_env.envs.gauges import SAMPLE_PERIOD, Gauges
 from probe_env.envs.kpis import SIGNALS, Tally
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
@@ -29,21 +29,17 @@ from probe_env.envs.task import (
     ending,
     reward_terms,
     slack,
-    travel,
 )
-from probe_env.envs.task.observations import observe
-from probe_env.envs.task.passes import Counted, Passes
+from probe_env.envs.task.passes import Counted, Period, passes_of
 from probe_env.envs.task.safety import cost_terms
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.found import Found
-from probe_env.inspection.meter import Meter
 from probe_env.physics.batch import SimulatorBatch, Window
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulator import Simulator
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps
 
-SAMPLE_PERIOD: Final = 1e-3  # [s]
 START_PERTURBATION: Final = 1e-7  # [m]
 Terms = Mapping[str, FloatArray]
 
@@ -105,18 +101,21 @@ class Episodes:
         )  # fmt: skip
         self.context = [Context()] * count
         self.tally = [Tally() for _ in range(count)]
-        self.meter = Meter(config.sensor, count, SAMPLE_PERIOD)
+        self.gauges = Gauges(config, self.batch)
+        self.passes = passes_of(count, config, len(SIGNALS))
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.actions = np.tile(self.start_action, (count, 1))
-        self.observation = np.zeros((count, len(config.observations)), dtype=np.float32)
-        self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
         self.start = np.zeros(count)
         self.running = np.zeros(count, dtype=bool)
         self.window: Window | None = None
-        self.passes = Passes(count, config, len(SIGNALS)) if config.returns else None
 
     def __len__(self) -> int:
         return len(self.tally)
+
+    @property
+    def observation(self) -> npt.NDArray[np.float32]:
+        """(N, d) what is observed now; of episodes that diverged what was before."""
+        return self.gauges.observation
 
     def reset(
         self,
@@ -149,25 +148,22 @@ class Episodes:
             )  # fmt: skip
             self.batch.replace(k, simulator)
             self.start[k] = simulator.inserted_length
-            if self.passes is not None:
-                self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
+            self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
             self.tally[k] = Tally(found=Found(self.config.sensor))
-            self.meter.forget(k)
+            self.gauges.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
         self._set_friction(which)
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
-        window = self.batch.advance(None, None, self.config.settle_time, SAMPLE_PERIOD, active, keep_samples=True)
-        window = self._listen(window, active & ~window.diverged)
+        window = self._advance(None, self.config.settle_time, active)
         infos = {}
         for k in which:
             self.batch.simulators[k].feed_length()
             assert window.radial is not None
             self.tally[k].last_radial = window.radial[-2:, k].copy()
             self.running[k] = True  # one that diverged while settling ends in its first step
-        self.observed[active] = self._observe(window, active)[active, None]
-        self.observation[active] = self.observed[active, 0]
+        self.gauges.begin(self._measured(window), active, self.rng)
         for k in which:
             infos[k] = self._info(k, window) | {
                 "context": self.context[k].model_dump(),
@@ -184,50 +180,30 @@ class Episodes:
             RuntimeError: an active episode has ended and was not reset.
         """
         chosen, actions = self._decided(actions, active)
-        targets = self.config.targets(actions, self.may_stand)
-        if self.passes is not None:
-            targets *= self.passes.way[:, None]
-        ended = np.flatnonzero(chosen & ~self.running)
-        if len(ended):
-            raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")
+        targets = self.config.targets(actions, self.may_stand) * self.passes.way[:, None]
+        self._check_running(chosen)
         change = np.where(chosen[:, None], actions.astype(float) - self.actions, 0.0)
         self.actions = actions
-        before, air_before = self._inserted(), self._air_supply()
+        before, air_before = self.gauges.inserted(), self.gauges.air_supply_rate()
         self._set_friction(np.flatnonzero(chosen).tolist())
-        window = self.batch.advance(
-            targets[:, 0], targets[:, 1], self._dynamic_period, SAMPLE_PERIOD, chosen, keep_samples=True
-        )
+        window = self._advance(targets, self._dynamic_period, chosen)
         good = chosen & ~window.diverged
-        window = self._listen(window, good)
-        after, length = self._inserted(), self._helix_length()
+        period = self._period(good, window, before)
+        counted = self.passes.count(period)
         air = np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0)
-        counted = self._counted(good, window, before, after)
-        hanging = self._hanging(window)
-        self._count(chosen, good, window, counted, air, hanging)
-        slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
-        end = ending(self.config, after, length, slack_periods, time, chosen, window.diverged)
-        if self.passes is not None:
-            self.passes.turn(end.complete)
-            end = end._replace(complete=self.passes.is_back(after, self.start) & good)
-        over = end.terminated | end.truncated
-        left = np.where(over & self.config.growing, self._uninspected(before, after, good), 0.0)
-        seconds = np.full(len(self), self.config.period)
-        outcome = Outcome(counted.inspected, counted.squares, seconds, air, left, end.diverged)
-        terms = reward_terms(self.config, outcome, change)
-        reward = np.where(chosen, sum(terms.values()), 0.0)
+        hanging = slack(self.config, window.statistics["tension_mean_n"], period.after) & (self.passes.way > 0.0)
         costs = self._costs(good, window, hanging)
-        observation = self._observe(window, good)[:, None]
-        self._drop_out(observation[:, 0], good)
-        late = np.concatenate([self.observed[:, 1:], observation], axis=1)
-        self.observed[good] = late[good]  # a diverged probe keeps its last one
-        self.observation[good] = late[good, 0]
-        self.running &= ~over
+        self._count(chosen, good, window, counted, air, hanging)
+        end = self._ending(chosen, window, period)
+        terms = reward_terms(self.config, self._outcome(period, counted, air, end), change)
+        reward = np.where(chosen, sum(terms.values()), 0.0)
+        self.gauges.read(self._measured(window), good, self.rng)
+        self.running &= ~end.over
         self.window = window
         for k in np.flatnonzero(chosen):
             self.tally[k].reward += float(reward[k])
-        infos = [
-            self._step_info(k, window, (terms, costs), targets, end) if chosen[k] else {} for k in range(len(self))
-        ]
+        parts = (terms, costs)
+        infos = [self._step_info(k, window, parts, targets, end) if chosen[k] else {} for k in range(len(self))]
         return Step(self.observation.copy(), reward, end.terminated, end.truncated, infos)
 
     def _decided(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
@@ -239,12 +215,42 @@ class Episodes:
             raise ValueError(f"actions have shape {given.shape}; accepted is ({count}, 2): feed speed, air supply")
         return chosen, np.where(chosen[:, None], given, self.actions).astype(np.float32)
 
-    def _observe(self, window: Window, which: BoolArray) -> npt.NDArray[np.float32]:
-        """Observation (N, d), with new sensor noise for some probes; of the others the rows mean nothing."""
-        noise = np.zeros((len(self), 2))
-        for k in np.flatnonzero(which):
-            noise[k] = self.rng[k].normal(size=2)
-        return observe(self.config, self._measured(window), noise)
+    def _check_running(self, chosen: BoolArray) -> None:
+        ended = np.flatnonzero(chosen & ~self.running)
+        if len(ended):
+            raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")
+
+    def _advance(self, targets: FloatArray | None, duration: float, which: BoolArray) -> Window:
+        """Advance some probes towards targets (N, 2), or on as they are, and hear what their motion leaves."""
+        feed, air = (None, None) if targets is None else (targets[:, 0], targets[:, 1])
+        window = self.batch.advance(feed, air, duration, SAMPLE_PERIOD, which, keep_samples=True)
+        return self.gauges.listen(window, which & ~window.diverged)
+
+    def _period(self, good: BoolArray, window: Window, before: FloatArray) -> Period:
+        """What a period of the simulation is to the task."""
+        statistics = window.statistics
+        ratio = statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
+        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
+        squares = capped_square(self.config, ratio)
+        return Period(good, before, self.gauges.inserted(), window.feed_speed, squares, ratio <= 1.0, rms**2)
+
+    def _ending(self, chosen: BoolArray, window: Window, period: Period) -> Ending:
+        """How episodes end with a period."""
+        slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
+        helix = self.gauges.helix_length()
+        end = ending(self.config, period.after, helix, slack_periods, time, chosen, window.diverged)
+        return self.passes.ended(end, period)
+
+    def _outcome(self, period: Period, counted: Counted, air: FloatArray, end: Ending) -> Outcome:
+        """What a period came to."""
+        inspected = np.array([tally.inspected for tally in self.tally])
+        left = self.passes.uninspected(period, self.gauges.helix_length(), inspected)
+        left = np.where(end.over & self.config.growing, left, 0.0)
+        seconds = np.full(len(self), self.config.period)
+        return Outcome(counted.inspected, counted.squares, seconds, air, left, end.diverged)
+
+    def _measured(self, window: Window) -> dict[str, FloatArray]:
+        return self.gauges.measured(window, self.context, self.actions) | {"way": self.passes.way.copy()}
 
     def _step_info(
         self, k: int, window: Window, parts: tuple[Terms, Terms], targets: FloatArray, end: Ending
@@ -260,11 +266,10 @@ class Episodes:
             "lost_drive": bool(end.lost_drive[k]),
         }
         if not self.running[k]:
-            tally = self.tally[k]
-            length = self._helix_length()[k] - self.start[k] if self.config.growing else tally.inspected
-            tube = float(self._helix_length()[k])
+            tube = float(self.gauges.helix_length()[k])
+            length = tube - self.start[k] if self.config.growing else self.tally[k].inspected
             how = (bool(end.diverged[k]), bool(end.lost_drive[k]), bool(end.complete[k]))
-            info["episode_kpis"] = tally.kpis(float(length), tube, *how)
+            info["episode_kpis"] = self.tally[k].kpis(float(length), tube, *how)
         return info
 
     def _check_simulable(self, k: int, scene: Scene) -> None:
@@ -273,34 +278,6 @@ class Episodes:
             check_simulable(scene, self.fidelity, longest, self.config.air_supply_rates[1])
         except ValueError as error:
             raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
-
-    def _counted(self, good: BoolArray, window: Window, before: FloatArray, after: FloatArray) -> Counted:
-        """What a period adds to what is inspected."""
-        statistics = window.statistics
-        ratio = statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
-        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
-        squares = capped_square(self.config, ratio)
-        if self.passes is not None:
-            return self.passes.count(good, after, squares, ratio <= 1.0, rms**2)
-        inspected = np.where(good, travel(self.config, before, after, window.feed_speed), 0.0)
-        within = np.where(ratio <= 1.0, inspected, 0.0)
-        return Counted(inspected, inspected * squares, within, inspected[:, None] * rms**2)
-
-    def _uninspected(self, before: FloatArray, after: FloatArray, good: BoolArray) -> FloatArray:
-        """(N,) what is left to inspect [m], where the length grows."""
-        length = self._helix_length()
-        if self.passes is not None and self.config.inspects == "back":
-            return np.asarray(length - self.start - np.array([tally.inspected for tally in self.tally]))
-        if self.passes is not None:
-            return np.asarray(length - self.passes.reached)
-        return length - np.where(good, after, before)  # what passed in a period that diverged was not inspected
-
-    def _hanging(self, window: Window) -> BoolArray:
-        """(N,) whether too little tension drives a probe."""
-        hanging = slack(self.config, window.statistics["tension_mean_n"], self._inserted())
-        if self.passes is not None:
-            hanging &= self.passes.way > 0.0  # the air drives it out as well, but it is drawn
-        return hanging
 
     def _costs(self, good: BoolArray, window: Window, hanging: BoolArray) -> dict[str, FloatArray]:
         """Parts (N,) of the period's cost, which are tallied as well; 0 for probes that were not advanced."""
@@ -313,20 +290,11 @@ class Episodes:
                 self.tally[k].costs[name] += float(values[k])
         return costs
 
-    def _drop_out(self, observation: npt.NDArray[np.float32], which: BoolArray) -> None:
-        """Hold what drops out in observations (N, d) of some probes at what was measured before."""
-        if self.config.sensor_dropout == 0.0:
-            return
-        columns = [k for k, name in enumerate(self.config.observations) if name in ("rf_noise", "root_tension")]
-        for k in np.flatnonzero(which):
-            if self.rng[k].random() < self.config.sensor_dropout:
-                observation[k, columns] = self.observed[k, -1, columns]
-
     def _set_friction(self, which: Sequence[int]) -> None:
         """Give some probes the mean friction of the tube that they are in, where it drifts along it."""
         if self.config.friction_drift == 0.0:
             return
-        share = self._inserted() / self._helix_length()
+        share = self.gauges.inserted() / self.gauges.helix_length()
         for k in which:
             mean = self.context[k].friction * (1.0 + self.config.friction_drift * (float(share[k]) - 1.0))
             self.batch.simulators[k].set_friction(min(mean, 1.0))
@@ -341,24 +309,13 @@ class Episodes:
             tally.time += self.config.period
             if not good[k]:
                 continue
-            tally.inspected += float(counted.inspected[k])
-            tally.within_limit += float(counted.within[k])
-            tally.air += float(air[k])
-            tally.slack_periods = tally.slack_periods + 1 if hanging[k] else 0
-            tally.lost_drive_events += tally.slack_periods == self.config.lost_drive_periods
-            back = self.passes is not None and self.passes.way[k] < 0.0
+            inspected = float(counted.inspected[k])
+            tally.add_period(inspected, float(counted.within[k]), float(air[k]))
+            tally.add_drive(bool(hanging[k]), self.config.lost_drive_periods)
+            back = self.passes.way[k] < 0.0
             rest = float(window.radial[:, k].mean()) if back else 0.0  # on the outer wall, or on its way there
             tally.add_signals(counted.measures[k].tolist(), window.radial[:, k], SAMPLE_PERIOD, rest)
-            tally.found.add(float(counted.inspected[k]), *self.meter.of(int(k)))
-
-    def _listen(self, window: Window, good: BoolArray) -> Window:
-        """The window with what its motion leaves of the signal-to-noise; 0 for probes that were not advanced."""
-        assert window.radial is not None
-        noise = np.zeros(len(self))
-        which = np.flatnonzero(good)
-        if len(which):
-            noise[which] = 1.0 / self.meter.listen(which, window.radial[:, which], window.feed_speed[which]).snr
-        return replace(window, statistics=window.statistics | {"noise_to_signal": noise})
+            tally.found.add(inspected, *self.gauges.meter.of(int(k)))
 
     def _options(self) -> dict[str, Any]:
         return {
@@ -369,51 +326,8 @@ class Episodes:
             "perturbation": START_PERTURBATION,
         }
 
-    def _inserted(self) -> FloatArray:
-        """(N,) cable in the helix, not more than it is long [m]."""
-        return np.array([min(s.inserted_length, s.scene.tube.helix_length) for s in self.batch.simulators])
-
-    def _helix_length(self) -> FloatArray:
-        """(N,) [m]."""
-        return np.array([s.scene.tube.helix_length for s in self.batch.simulators])
-
-    def _air_supply(self) -> FloatArray:
-        """(N,) [m3/s]."""
-        return np.array([s.air_supply_rate for s in self.batch.simulators])
-
-    def _measured(self, window: Window) -> dict[str, FloatArray]:
-        inserted = self._inserted()
-        fields = {name: np.array([getattr(c, name) for c in self.context]) for name in Context.model_fields}
-        probes = [s.scene.probe for s in self.batch.simulators]
-        felt = dict(window.statistics)
-        if self.config.vibration_measure == "snr":  # then the eddy-current noise is that of the flaw's band
-            felt["radial_rms_m"] = self.config.sensor.equivalent_rms(felt["noise_to_signal"])
-        return {
-            **felt,
-            **fields,
-            **{name: np.array([getattr(probe, name) for probe in probes]) for name in RANGES},
-            "inserted_length": inserted,
-            "remaining_length": self._helix_length() - inserted,
-            "feed_speed": window.feed_speed,
-            "air_supply_rate": window.air_supply_rate,
-            "feed_action": self.actions[:, 0].astype(float),
-            "air_action": self.actions[:, 1].astype(float),
-            **({} if self.passes is None else {"way": self.passes.way.copy()}),
-        }
-
     def _info(self, k: int | np.integer[Any], window: Window) -> dict[str, Any]:
         """Physical values of one probe, SI units."""
-        inserted = min(self.batch.simulators[k].inserted_length, self.batch.simulators[k].scene.tube.helix_length)
-        names = ("radial_rms_m", "radial_acceleration_rms_m_per_s2", "axial_rms_m", "tension_mean_n", "lift_off_share")
-        noise = float(window.statistics["noise_to_signal"][k])
-        return {
-            "time": self.tally[k].time,
-            "inserted_length": float(inserted),
-            "inspected_length": self.tally[k].inspected,
-            "feed_speed": float(window.feed_speed[k]),
-            "air_supply_rate": float(window.air_supply_rate[k]),
-            **{name: float(window.statistics[name][k]) for name in names},
-            **({} if self.passes is None else {"way": float(self.passes.way[k])}),
-            "snr": 1.0 / noise if noise > 0.0 else 0.0,
-            "noise_rms_m": float(self.config.sensor.equivalent_rms(np.array(noise))),
-        }
+        way = {"way": float(self.passes.way[k])} if self.config.returns else {}
+        tally = self.tally[k]
+        return {"time": tally.time, "inspected_length": tally.inspected} | way | self.gauges.shows(int(k), window)

@@ -56,6 +56,17 @@ class Tally:
     last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
     found: Found = field(default_factory=Found)
 
+    def add_period(self, inspected: float, within_limit: float, air: float) -> None:
+        """Length inspected [m], how much of it within the limit [m], and air [m3] of a period."""
+        self.inspected += inspected
+        self.within_limit += within_limit
+        self.air += air
+
+    def add_drive(self, hanging: bool, patience: int) -> None:
+        """Whether too little tension drove the probe in a period; drive is lost after ``patience`` of them in a row."""
+        self.slack_periods = self.slack_periods + 1 if hanging else 0
+        self.lost_drive_events += self.slack_periods == patience
+
     def add_signals(self, squares: Sequence[float], radial: FloatArray, sample_period: float, rest: float) -> None:
         """Radial displacement samples (k,) [m] of a period, and what it adds to the sums over length of each square.
 

@@ -9,7 +9,8 @@ from agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.passes import Passes
+from probe_env.envs.task.passes import Period, passes_of
+from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
 from probe_env.schedule import Schedule
@@ -19,21 +20,30 @@ BOTH = TaskConfig(passes="both", time_limit=1800.0)
 HARD = Context(friction=0.2, helix_diameter=1.0)
 
 
+ONE, NONE = np.ones(1, dtype=bool), np.zeros((1, 0))
+DONE = Ending(complete=ONE, lost_drive=~ONE, diverged=~ONE, out_of_time=~ONE)
+
+
+def at(end, squares=ONE, measures=NONE):
+    """A period of one probe that ends at an inserted length."""
+    return Period(ONE, ONE, np.array([end]), ONE, squares, squares <= 1.0, measures)
+
+
 def shown(inspects, way_in, way_back):
     """Sums of an inspection of 4 m from 5 m on, in half metres, with squares given for each metre of both ways."""
-    passes = Passes(1, TaskConfig(passes="both", inspects=inspects), 1)
+    passes = passes_of(1, TaskConfig(passes="both", inspects=inspects), 1)
     passes.begin(0, 5.0, 9.0)
-    good, total = np.ones(1, dtype=bool), np.zeros(4)
+    total = np.zeros(4)
     for end in np.arange(5.5, 9.01, 0.5):
         squares = np.array([way_in[int(end - 5.25)]])
-        counted = passes.count(good, np.array([end]), squares, squares <= 1.0, squares[:, None])
+        counted = passes.count(at(end, squares, squares[:, None]))
         total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
-    passes.turn(good)
+    assert not passes.ended(DONE, at(9.0)).complete.any()
     for end in (*np.arange(8.5, 4.99, -0.5), 4.9):  # a little too far
         squares = np.array([way_back[max(int(end - 4.75), 0)]])
-        counted = passes.count(good, np.array([end]), squares, squares <= 1.0, squares[:, None])
+        counted = passes.count(at(end, squares, squares[:, None]))
         total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
-    assert passes.is_back(np.array([5.0]), np.array([5.0])).all()
+    assert passes.ended(DONE, at(5.0)).complete.all()
     return total.tolist()
 
 
@@ -53,15 +63,14 @@ def test_a_metre_may_be_cut_anywhere():
     """The better of both, metre by metre, does not depend on the periods' lengths."""
     totals = []
     for steps in (8, 37):
-        passes = Passes(1, BOTH, 0)
+        passes = passes_of(1, BOTH, 0)
         passes.begin(0, 5.0, 9.0)
-        places, good, total = np.linspace(5.0, 9.0, steps + 1)[1:], np.ones(1, dtype=bool), 0.0
-        none = np.zeros((1, 0))
+        places, total = np.linspace(5.0, 9.0, steps + 1)[1:], 0.0
         for end in places:
-            total += passes.count(good, np.array([end]), np.array([2.0]), good, none).squares[0]
-        passes.turn(good)
+            total += passes.count(at(end, np.array([2.0]))).squares[0]
+        passes.ended(DONE, at(9.0))
         for end in (*places[-2::-1], 5.0):
-            total += passes.count(good, np.array([end]), np.array([0.5]), good, none).squares[0]
+            total += passes.count(at(end, np.array([0.5]))).squares[0]
         totals.append(total)
     assert totals == pytest.approx([2.0, 2.0])
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from probe_env import Scene
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.episodes import SAMPLE_PERIOD, Episodes
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.gauges import SAMPLE_PERIOD
 from probe_env.envs.task import (
     MEASURES,
     Outcome,

@@ -1,4 +1,4 @@
-"""Both passes of an inspection: which way each probe goes, and what each metre counts for.
+"""Passes of an inspection: which way each probe goes, what each metre counts for, and when an inspection is complete.
 
 On the way in a metre counts as what was measured there. On the way back it counts again where the task says so: alone,
 or where it is better than what the way in showed, so that at the end every metre counts as the better of both.
@@ -13,10 +13,31 @@ import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.rules import END_TOLERANCE
+from probe_env.envs.task.rules import END_TOLERANCE, Ending, travel
 
 BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""
+
+
+class Period(NamedTuple):
+    """A control period of N probes, (N,) each.
+
+    Attributes:
+        good: whose period counts: those that were advanced and did not diverge.
+        before, after: inserted length around it [m].
+        feed_speed: at its end [m/s].
+        squares: capped square of the vibration over its limit.
+        within: whether it was within the limit.
+        measures: (N, m) what else is averaged over the length.
+    """
+
+    good: BoolArray
+    before: FloatArray
+    after: FloatArray
+    feed_speed: FloatArray
+    squares: FloatArray
+    within: BoolArray
+    measures: FloatArray
 
 
 class Counted(NamedTuple):
@@ -31,8 +52,39 @@ class Counted(NamedTuple):
     measures: FloatArray
 
 
-class Passes:
-    """Ways of N probes, and what the way in showed, bin by bin.
+class WayIn:
+    """One pass: probes are fed in, or stay where they are, and every metre counts as what was measured there.
+
+    Attributes:
+        way: (N,) 1, the way in.
+    """
+
+    def __init__(self, count: int, config: TaskConfig) -> None:
+        self.config = config
+        self.way = np.ones(count)
+
+    def begin(self, k: int, start: float, helix_length: float) -> None:
+        """An episode of probe ``k`` begins at an inserted length."""
+
+    def count(self, period: Period) -> Counted:
+        """Add a period."""
+        length = travel(self.config, period.before, period.after, period.feed_speed)
+        inspected = np.where(period.good, length, 0.0)
+        within = np.where(period.within, inspected, 0.0)
+        return Counted(inspected, inspected * period.squares, within, inspected[:, None] * period.measures)
+
+    def ended(self, end: Ending, period: Period) -> Ending:
+        """How episodes end, where ``end`` tells who is at the helix's end."""
+        return end
+
+    def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
+        """(N,) what is left to inspect [m], where the length grows; ``inspected`` so far."""
+        # what passed in a period that diverged was not inspected
+        return helix_length - np.where(period.good, period.after, period.before)
+
+
+class BothWays:
+    """Two passes: probes are fed in to the helix's end and drawn back to where they began.
 
     Attributes:
         way: (N,) 1 on the way in, -1 on the way back.
@@ -42,59 +94,53 @@ class Passes:
     """
 
     def __init__(self, count: int, config: TaskConfig, measures: int) -> None:
-        self.config, self.measures = config, measures
+        self.config, self._columns = config, 3 + measures
         self.way, self.begun, self.reached = np.ones(count), np.zeros(count), np.zeros(count)
         self.left = np.full(count, np.inf)
-        self._shown: list[FloatArray] = [np.zeros((0, 3 + measures)) for _ in range(count)]
+        self._shown: list[FloatArray] = [np.zeros((0, self._columns)) for _ in range(count)]
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length, on the way in."""
         self.way[k], self.begun[k], self.reached[k], self.left[k] = 1.0, start, start, np.inf
         # a row a bin, sums over its length: 1, squares, within the limit, measures
-        self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, 3 + self.measures))
+        self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, self._columns))
 
-    def count(
-        self, good: BoolArray, after: FloatArray, squares: FloatArray, within: BoolArray, measures: FloatArray
-    ) -> Counted:
-        """Add a period.
-
-        Args:
-            good: (N,) whose period counts.
-            after: (N,) inserted length at its end [m].
-            squares: (N,) capped square of the vibration over its limit.
-            within: (N,) whether it was within the limit.
-            measures: (N, m) what else is averaged over the length.
-        """
-        sums = np.zeros((len(self.way), 3 + self.measures))
-        for k in np.flatnonzero(good).tolist():
-            shown = np.concatenate([[1.0, squares[k], float(within[k])], measures[k]])
-            if after[k] > self.reached[k]:
-                for bin_, length in _bins(self.reached[k], after[k]):
-                    self._shown[k][bin_] += length * shown
+    def count(self, period: Period) -> Counted:
+        """Add a period."""
+        sums = np.zeros((len(self.way), self._columns))
+        for k in np.flatnonzero(period.good).tolist():
+            shown = np.concatenate([[1.0, period.squares[k], float(period.within[k])], period.measures[k]])
+            after, remembered = period.after[k], self._shown[k]
+            if after > self.reached[k]:
+                for bin_, length in _bins(self.reached[k], after):
+                    remembered[bin_] += length * shown
                 if self.config.inspects != "back":
-                    sums[k] += (after[k] - self.reached[k]) * shown
-                self.reached[k] = after[k]
+                    sums[k] += (after - self.reached[k]) * shown
+                self.reached[k] = after
             if self.way[k] < 0.0:
-                high, low = min(self.left[k], self.reached[k]), max(after[k], self.begun[k])
+                high, low = min(self.left[k], self.reached[k]), max(after, self.begun[k])
                 if low < high:
                     for bin_, length in _bins(low, high):
-                        sums[k] += self._back(k, bin_, length, shown)
+                        sums[k] += self._back(remembered[bin_], length, shown)
                     self.left[k] = low
         return Counted(sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3:])
 
-    def turn(self, which: BoolArray) -> None:
-        """Send probes back."""
-        self.way[which] = -1.0
+    def ended(self, end: Ending, period: Period) -> Ending:
+        """How episodes end, where ``end`` tells who is at the helix's end: those are sent back."""
+        self.way[end.complete] = -1.0
+        is_back = (self.way < 0.0) & (period.after <= self.begun + END_TOLERANCE)
+        return end._replace(complete=is_back & period.good)
 
-    def is_back(self, inserted: FloatArray, start: FloatArray) -> BoolArray:
-        """Whether probes (N,) are back where they began."""
-        return np.asarray((self.way < 0.0) & (inserted <= start + END_TOLERANCE))
+    def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
+        """(N,) what is left to inspect [m]; ``inspected`` so far."""
+        if self.config.inspects == "back":
+            return np.asarray(helix_length - self.begun - inspected)
+        return np.asarray(helix_length - self.reached)
 
-    def _back(self, k: int, bin_: int, length: float, shown: FloatArray) -> FloatArray:
+    def _back(self, known: FloatArray, length: float, shown: FloatArray) -> FloatArray:
         """What a piece of a bin adds on the way back."""
         if self.config.inspects == "back":
             return length * shown
-        known = self._shown[k][bin_]
         if self.config.inspects == "in" or known[0] == 0.0:
             return np.zeros_like(shown)
         before = known / known[0]
@@ -102,6 +148,11 @@ class Passes:
         gain = np.where(better, shown - before, 0.0)
         gain[2] = max(shown[2] - before[2], 0.0)
         return np.asarray(length * gain)
+
+
+def passes_of(count: int, config: TaskConfig, measures: int) -> WayIn | BothWays:
+    """The passes of N probes in a task; ``measures`` is how many columns those of a period have."""
+    return BothWays(count, config, measures) if config.returns else WayIn(count, config)
 
 
 def _bins(low: float, high: float) -> list[tuple[int, float]]:

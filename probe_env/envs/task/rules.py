@@ -36,6 +36,11 @@ class Ending(NamedTuple):
         """Ended by the time limit alone."""
         return self.out_of_time & ~self.terminated
 
+    @property
+    def over(self) -> BoolArray:
+        """Ended either way."""
+        return self.terminated | self.out_of_time
+
 
 def ending(
     config: TaskConfig,
