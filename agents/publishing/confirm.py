@@ -35,6 +35,7 @@ from agents.records.provenance import (
 from agents.terminal.tables import print_table
 
 COMPARED: Final = (".csv", ".npz", ".toml")
+KERNELS: Final = Path("probe_env/physics")
 
 
 def confirm_results(names: Sequence[str]) -> None:
@@ -93,6 +94,7 @@ def confirm(stage: Stage) -> int:
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
     with checked_out(_last(record)) as tree:
+        share_compiled(tree)
         put_inputs(stage, tree)  # what the results were made from may have been published after the commit
         _run(stage, record["command"], tree, folders["before"])
     _run(stage, stage.command, CHECKOUT, folders["now"])
@@ -137,6 +139,19 @@ def checked_out(name: str) -> Iterator[Path]:
         yield tree
     finally:
         subprocess.run([*git, "remove", "--force", str(tree)], check=True, capture_output=True)
+
+
+def share_compiled(tree: Path) -> None:
+    """Give a tree the compiled kernels that are here, where its simulator is the same to the last byte."""
+    here, there = CHECKOUT / KERNELS, tree / KERNELS
+    sources = sorted(here.rglob("*.py"))
+    if [path.relative_to(here) for path in sources] != sorted(path.relative_to(there) for path in there.rglob("*.py")):
+        return
+    if all(path.read_bytes() == (there / path.relative_to(here)).read_bytes() for path in sources):
+        for path in here.rglob("*.nb[ic]"):
+            target = there / path.relative_to(here)
+            target.parent.mkdir(exist_ok=True)
+            shutil.copyfile(path, target)
 
 
 def put_inputs(stage: Stage, tree: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agents.publishing import confirm, stages
-from agents.publishing.confirm import additions, confirm_results, first_difference, sampled
+from agents.publishing.confirm import additions, confirm_results, first_difference, sampled, share_compiled
 from agents.publishing.stages import Stage
 
 OLD = "0123456789abcdef"
@@ -58,6 +58,20 @@ def test_a_file_that_is_not_there_is_a_difference(tmp_path):
     shutil.rmtree(one)
     one.mkdir()
     assert "holds nothing to compare" in first_difference(one, other)
+
+
+@pytest.mark.parametrize(("source", "shared"), [("x = 1\n", True), ("x = 2\n", False)])
+def test_kernels_are_compiled_once_where_the_simulator_is_the_same(tmp_path, monkeypatch, source, shared):
+    monkeypatch.setattr(confirm, "CHECKOUT", tmp_path / "here")
+    for place, text in (("here", "x = 1\n"), ("there", source)):
+        folder = tmp_path / place / "probe_env/physics"
+        folder.mkdir(parents=True)
+        (folder / "kernel.py").write_text(text)
+    compiled = Path("probe_env/physics/__pycache__/kernel.advance-1.py311.nbi")
+    (tmp_path / "here" / compiled).parent.mkdir()
+    (tmp_path / "here" / compiled).write_bytes(b"code")
+    share_compiled(tmp_path / "there")
+    assert (tmp_path / "there" / compiled).exists() is shared
 
 
 def test_a_sample_is_the_command_with_other_options():
