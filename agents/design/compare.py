@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,7 @@ from agents.records.code_hash import class_hash, code_hash
 from agents.records.journal import Journal
 from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.tables import Columns, read_csv
 from agents.rollouts.plan import Policy
 from agents.rollouts.statistics import Interval, mean_interval
 from agents.terminal.tables import print_table
@@ -51,6 +52,9 @@ KPIS: dict[str, tuple[str, float, str]] = {
     "drive_margin_n": ("drive margin", 1.0, "N"),
 }
 """KPI -> name, factor and unit for people."""
+STORED: Final = "designs.csv"
+COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(KPIS, "number")}
+"""Of the stored table, as far as a summary needs them."""
 BATCH = 16
 CODE = ("probe_env.envs.trials:try_insertions", "probe_env.envs.trials:try_sections", "probe_env.envs.trials:judge")
 """What a result depends on, besides the feed."""
@@ -166,7 +170,7 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
             place | tube_column(comparison.tube) | comparison.contexts[k].model_dump() | record["kpis"] | origin
         )
     table = pd.DataFrame(rows)
-    write_atomically(output / "designs.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     setting: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
     setting |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
@@ -233,6 +237,16 @@ def cells(summary: pd.DataFrame) -> list[list[str]]:
 
 
 HEADER = ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()), "reward, change"]
+
+
+def read_comparison(folder: Path) -> pd.DataFrame:
+    """The stored rows of a comparison, one a design and context.
+
+    Raises:
+        FileNotFoundError: none is stored there.
+        FileError: the file is damaged.
+    """
+    return read_csv(folder / STORED, COLUMNS)
 
 
 def print_comparison(table: pd.DataFrame) -> None:

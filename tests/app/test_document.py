@@ -1,6 +1,7 @@
 """The page without a browser: it is built, its screens take in a run, and it loads nothing from elsewhere."""
 
 import json
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -10,6 +11,7 @@ from agents.app.desk import Office
 from agents.app.page.comparisons import Detection
 from agents.app.page.document import page_of
 from agents.app.server import server_of
+from agents.design.compare import cells, read_comparison, summarise
 from agents.rollouts.found import a90_95, bands
 from agents.rollouts.statistics import grouped
 
@@ -86,3 +88,15 @@ def test_a_dragged_flaw_stays_within_the_second_and_comes_back(office):
     assert flaw.flaw.data["time"] == [0.0]
     flaw.flaw.data = {"time": [], "at": []}
     assert flaw.flaw.data["at"] == [0.0]
+
+
+def test_a_comparison_of_designs_is_shown_as_the_command_prints_it(office):
+    page = page_of(office)
+    page.compare.open.value = "results/design/confirmed"
+    assert page.compare.wrong.text == ""
+    assert not page.compare.pictures.visible
+    for _, *texts in cells(summarise(read_comparison(Path("results/design/confirmed")))):
+        for text in texts:
+            assert f"<td>{text}<small>" in page.compare.tables.text
+    page.compare.open.value = "results/evaluation"
+    assert page.compare.pictures.visible

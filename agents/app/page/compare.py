@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+import pandas as pd
 from bokeh.models import Button, Select, TextInput
 
 from agents.app.desk import Desk
@@ -20,12 +21,14 @@ from agents.app.page.style import (
     words,
 )  # fmt: skip
 from agents.app.runs.shelf import stored_runs
+from agents.design.compare import HEADER, STORED, cells, read_comparison
+from agents.design.compare import summarise as summarise_designs
 from agents.evaluation.page.stored import Evaluation, read_evaluation
-from agents.evaluation.page.tables import Row, by_diameter, by_tube, ranked
+from agents.evaluation.page.tables import Cell, Row, by_diameter, by_tube, ranked
 from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import limit_of, ranking, verdict
 from agents.policies.on_map import Privileged
-from agents.rollouts.statistics import method_and_seed, sentences, summarise
+from agents.rollouts.statistics import Interval, method_and_seed, sentences, summarise
 from agents.terminal.refusals import refusal
 
 SHOWN: Final = 6
@@ -58,6 +61,11 @@ class CompareScreen:
         )
         self.tube.on_change("value", lambda attr, old, new: self._draw_tube())
         report.on_click(self._report)
+        self.pictures = side_by_side(
+            panel(below(self.front.plot, self.detection.layout), 360, 2),
+            panel(below(self.tube, *self.over_length.plots), 400, 3),
+            styles={"align-items": "flex-start"},
+        )
         self.layout = below(
             words("<h2>Compare</h2><p class='quiet'>Everything here is read from the folder, with the statistics of the"
                   " report.</p>"),
@@ -65,9 +73,7 @@ class CompareScreen:
             self.wrong,
             self.link,
             self.verdict,
-            side_by_side(panel(below(self.front.plot, self.detection.layout), 360, 2),
-                         panel(below(self.tube, *self.over_length.plots), 400, 3),
-                         styles={"align-items": "flex-start"}),
+            self.pictures,
             self.tables,
         )  # fmt: skip
 
@@ -87,13 +93,32 @@ class CompareScreen:
             self._read(self.desk.office.output / self.chosen.value)
 
     def _read(self, folder: Path) -> None:
+        designs = (folder / STORED).exists()
         try:
-            done = read_evaluation(folder)
+            done = read_comparison(folder) if designs else read_evaluation(folder)
         except (ValueError, OSError) as error:
             self.wrong.text = problem(refusal(error))
             return
         self.folder, self.wrong.text, self.link.text = folder, "", ""
-        self._show(done)
+        self.pictures.visible = not designs
+        if isinstance(done, Evaluation):
+            self._show(done)
+        else:
+            self._show_designs(done)
+
+    def _show_designs(self, table: pd.DataFrame) -> None:
+        """Of a comparison of probe designs what the command prints."""
+        summary, (first, *_) = summarise_designs(table), table["design"]
+        rewards = summary[summary["kpi"] == "reward"].sort_values("mean", ascending=False)
+        best = rewards.iloc[0]
+        change = Interval(best["change"], best["change_low"], best["change_high"]).text()
+        against = "" if best["design"] == first else f", {change} against {escape(str(first))}"
+        self.verdict.text = (
+            f"<p class='big'><b>{escape(str(best['design']))}</b> has the highest reward{against}.</p>"
+            f"<p class='quiet'>Designs on {table['context'].nunique()} tubes; means with 95 % intervals.</p>"
+        )
+        rows = [Row(name, "", tuple(Cell(text) for text in texts)) for name, *texts in cells(summary)]
+        self.tables.text = "<h2>Designs</h2>" + _html(HEADER, rows)
 
     def _show(self, done: Evaluation) -> None:
         table, task = done.table, done.setting.task
