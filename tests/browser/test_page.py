@@ -276,6 +276,7 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
         for number, title in enumerate(TITLES, start=1):
             screen(page, number)
             if title == "insertion":
+                page.get_by_text("20 ×", exact=True).first.click()  # so that the pause comes before the end
                 page.get_by_role("button", name="Run", exact=True).click()
                 page.get_by_text(re.compile(r"[34]\d\.\d m in after")).first.wait_for()
                 page.get_by_role("button", name="pause", exact=True).click()
@@ -295,6 +296,7 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
                 folder / f"{title}-{width}.png", optimize=True
             )  # a third of the bytes
             if title == "insertion":
+                page.get_by_text("as fast as it goes").click()
                 page.get_by_role("button", name="go on", exact=True).first.click()
                 page.locator("[data-state=finished]").wait_for()
 

@@ -25,7 +25,7 @@ from probe_env.fidelity import PRESETS
 PACES: Final = {"as fast as it goes": 0.0, "20 ×": 20.0, "5 ×": 5.0, "1 ×": 1.0}
 """What is said of a pace -> control periods a second; a period is a second."""
 ROUNDS: Final = 4
-"""Refreshes of the probe to one of the lines over the length, which are larger."""
+"""Refreshes of the probe to one of the lines over the length and of X and Y, which are larger."""
 SEEN: Final = {
     "inserted_length": ("inserted length", 1.0, "m"), "remaining_length": ("still to feed", 1.0, "m"),
     "feed_speed": ("feed speed", 1.0, "m/s"), "air_supply_rate": ("air supply", 3600.0, "m³/h"),
@@ -87,11 +87,12 @@ class InsertionScreen:
         if shape is not None:
             self.unrolled.show(shape, everything=self.whole.active)
             self.samples.data = {"x": shape.signal_time, "y": shape.signal_radial * 1e3}
-            self.flaw.show(run.sensor, shape)
             self.seen.text = _seen(shape.seen, run, frame)
         self._round += 1
         if self._round % ROUNDS == 0 or run.state != "running" or frame.paused:
             unit = _watched(frame, run)
+            if shape is not None:
+                self.flaw.show(run.sensor, shape)
             same = {u[0]: run.trace(u) for u in run.traces if unit is not None and u[1:] == unit[1:]}
             self.traces.show(same, unit[0] if unit else "", None if run.limit is None else run.limit * 1e3)
 
