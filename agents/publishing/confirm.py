@@ -217,9 +217,8 @@ def additions(before: Path, now: Path) -> list[str]:
         old, new = _rows(path), _rows(now / path.relative_to(before))
         columns, rows = [name for name in new.columns if name not in old.columns], len(new) - len(old)
         if columns or rows:
-            parts = [f"{len(columns)} new columns ({columns[0]}, ...)"] * bool(columns) + [f"{rows} new rows"] * bool(
-                rows
-            )
+            parts = [f"{len(columns)} new columns ({columns[0]}, ...)"] if columns else []
+            parts += [f"{rows} new rows"] if rows else []
             told.append(f"{path.relative_to(before)}: {', '.join(parts)}")
     return told
 

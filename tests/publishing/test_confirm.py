@@ -48,6 +48,8 @@ def test_what_is_written_besides_is_told(tmp_path):
     one, other = folder(tmp_path / "before"), folder(tmp_path / "now", "a,b,c,commit\n0,2,,x\n1,2,,x\n")
     assert additions(one, other) == ["table.csv: 2 new columns (b, ...), 1 new rows"]
     assert additions(one, one) == []
+    (other / "table.csv").write_text("a,commit\n0,x\n1,x\n")
+    assert additions(one, other) == ["table.csv: 1 new rows"]
     assert first_difference(other, one) == "table.csv differs"  # what is lost is a difference
 
 
