@@ -14,19 +14,10 @@ from matplotlib.axes import Axes
 from agents.detection.passage import Insertion
 from agents.records.drawing import BLUE, GREY, GRID, MM, RED, colours, plain, save
 from probe_env.arrays import FloatArray
-from probe_env.inspection.channels import Flaw, Passage
+from probe_env.inspection.channels import Flaw, smoothed
 
-SHOWN: Final = 10e-3
-"""[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
 AROUND: Final = 0.025
 """[m] on either side of a flaw that its figure shows."""
-
-
-def smoothed(passage: Passage, values: FloatArray) -> FloatArray:
-    """Values (k, ...) averaged over ``SHOWN``."""
-    width = max(round(SHOWN / passage.sample_period), 1)
-    kernel = np.full(width, 1.0 / width)
-    return np.apply_along_axis(lambda column: np.convolve(column, kernel, "same"), 0, values)
 
 
 class Marks:

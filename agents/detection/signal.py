@@ -25,7 +25,16 @@ from agents.terminal.tables import print_table
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
-from probe_env.inspection.channels import Flaw, along, calls, channels, filtered, support_places, support_signal
+from probe_env.inspection.channels import (
+    Flaw,
+    along,
+    calls,
+    channels,
+    filtered,
+    smoothed,
+    support_places,
+    support_signal,
+)
 from probe_env.inspection.detection import snr_at
 from probe_env.inspection.sensor import GROOVE
 from probe_env.settings import within
@@ -181,7 +190,7 @@ def _record(run: Insertion, config: TaskConfig, chart: Chart) -> dict[str, Any]:
 def correlation(run: Insertion, chart: Chart) -> float:
     """Of the deviation of X with the radial rms, over the control periods (Spearman); NaN where one does not vary."""
     each = run.passage.period
-    shown = pictures.smoothed(run.passage, chart.voltages[:, 0])
+    shown = smoothed(run.passage, chart.voltages[:, 0])
     noise = shown[: len(run.periods) * each].reshape(-1, each).std(axis=1)
     vibration = np.array([period["radial_rms_m"] for period in run.periods])
     if min(np.ptp(noise), np.ptp(vibration)) == 0.0 or len(noise) < 3:

@@ -16,6 +16,8 @@ from probe_env.inspection.matched import response_of
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import INVERSE, SPAN
 
+SHOWN: Final = 10e-3
+"""[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
 FLAW_REACH: Final = 1.5
 """Widths from a flaw within which it is seen: g(1.5) is below 1e-17."""
 
@@ -118,6 +120,13 @@ def channels(
     deviation = math.sqrt(0.5 * sensor.noise_density / passage.sample_period)
     voltages += deviation * rng.normal(size=voltages.shape)
     return np.asarray(voltages - voltages.mean(axis=0))
+
+
+def smoothed(passage: Passage, values: FloatArray) -> FloatArray:
+    """Values (k, ...) averaged over ``SHOWN``."""
+    width = max(round(SHOWN / passage.sample_period), 1)
+    kernel = np.full(width, 1.0 / width)
+    return np.apply_along_axis(lambda column: np.convolve(column, kernel, "same"), 0, values)
 
 
 def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray:

@@ -40,6 +40,11 @@ class Meter:
         """What was heard of probe k last, see ``Heard``: one row of each."""
         return self._last[k]
 
+    def last_second(self, k: int) -> FloatArray:
+        """(m,) motion of probe k that is kept, the newest last [m]; less than a second where less is known."""
+        known = min(int(self._known[k]), self._kept.shape[1])
+        return self._kept[k, self._kept.shape[1] - known :].copy()
+
     def listen(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray, feed: FloatArray) -> Heard:
         """A period of some probes.
 

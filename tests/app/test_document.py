@@ -2,12 +2,16 @@
 
 import json
 
+import pandas as pd
 import pytest
 from bokeh.document import Document
 
 from agents.app.desk import Office
+from agents.app.page.comparisons import Detection
 from agents.app.page.document import page_of
 from agents.app.server import server_of
+from agents.rollouts.found import a90_95, bands
+from agents.rollouts.statistics import grouped
 
 
 class Idle:
@@ -54,3 +58,31 @@ def test_only_this_machine_is_let_in(office):
     finally:
         server.stop()
         server.io_loop.close()
+
+
+def test_curves_of_detection_are_those_of_the_report(office):
+    table = grouped(pd.read_csv("results/control/episodes.csv"))
+    policies, shown = ["adaptive", "plc-law", "best-schedule"], Detection()
+    shown.show(table, policies)
+    assert shown.lines.data["name"] == policies
+    expected = bands(table)
+    for name, pod in zip(policies, shown.lines.data["pod"], strict=True):
+        assert pod == expected.loc[expected["policy"] == name, "pod"].to_list()
+    least = min(a90_95(table, name) for name in policies)
+    assert f"<b>{least:.1f} %</b>" in shown.told.text
+    page = page_of(office)
+    page.compare.open.value = "results/evaluation"  # an evaluation of before there was a sensor
+    assert page.compare.wrong.text == ""
+    assert "No curves of detection" in page.compare.detection.told.text
+
+
+def test_a_dragged_flaw_stays_within_the_second_and_comes_back(office):
+    page = page_of(office)
+    flaw = page.insertion.flaw
+    flaw.flaw.data = {"time": [-0.3], "at": [2.0]}
+    assert flaw.before.value == pytest.approx(0.3)
+    assert flaw.flaw.data == {"time": [-0.3], "at": [0.0]}
+    flaw.flaw.data = {"time": [0.4], "at": [0.0]}
+    assert flaw.flaw.data["time"] == [0.0]
+    flaw.flaw.data = {"time": [], "at": []}
+    assert flaw.flaw.data["at"] == [0.0]

@@ -128,6 +128,40 @@ def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp
     assert (folder / "report.html").exists()
 
 
+FLAW = """() => {
+    const document = Bokeh.documents[0];
+    const view = Bokeh.index.find_one(document.get_model_by_name("strip"));
+    const box = view.canvas_view.el.getBoundingClientRect();
+    const flaw = document.get_model_by_name("flaw").data;
+    return [box.left + view.frame.x_scale.compute(flaw.time[0]), box.top + view.frame.y_scale.compute(flaw.at[0])];
+}"""
+
+
+def test_a_flaw_that_is_dragged_is_seen_elsewhere_in_x_and_y(page):
+    run(page)
+    page.get_by_text("A flaw of 20 %").wait_for()
+    page.get_by_text("A flaw of 20 %").scroll_into_view_if_needed()  # the chart stands above it
+    signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
+    loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
+    before, x_y = page.evaluate(signals), page.evaluate(FLAW)
+    page.mouse.move(*x_y)
+    page.mouse.down()
+    page.mouse.move(x_y[0] + 40, x_y[1] + 10, steps=4)
+    page.mouse.up()
+    page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49")
+    changed = "(old) => Bokeh.documents[0].get_model_by_name('signals').data.x.some((value, k) => value != old[k])"
+    page.wait_for_function(changed, arg=before)
+    after = page.evaluate(signals)
+    assert len(after) == len(before) > 0
+    assert page.evaluate(loop) > 0
+    page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('flaw').data.at[0] == 0")  # it stays on its line
+    page.locator(".noUi-handle >> visible=true").last.focus()  # of the depth
+    page.keyboard.press("ArrowRight")
+    page.get_by_text("A flaw of 21 %").wait_for()
+    screen(page, 4)
+    page.get_by_text("Least depth found with 90 %").wait_for()
+
+
 BROKEN = [
     ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
     ("helix diameter [m]", "abc", "tube.helix_diameter"),

@@ -6,19 +6,14 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from bokeh.models import Button, ColumnDataSource, HoverTool, LabelSet, Select, TextInput, Whisker
+from bokeh.models import Button, Select, TextInput
 
 from agents.app.desk import Desk
+from agents.app.page.comparisons import Detection, Front, OverLength
 from agents.app.page.runs import report_link
 from agents.app.page.style import (
-    DASHES,
-    INK,
-    PALETTE,
     below,
-    chart,
     control_sheet,
-    legend_above,
-    limit_line,
     panel,
     problem,
     side_by_side,
@@ -33,8 +28,8 @@ from agents.policies.on_map import Privileged
 from agents.rollouts.statistics import method_and_seed, sentences, summarise
 from agents.terminal.refusals import refusal
 
-UNITS: Final = (("feed speed [m/s]", 1e-4), ("air supply [m³/h]", 0.1), ("radial rms [mm]", 1e-4))
-"""Of the columns of the report's traces: what they are and the unit in which they are whole numbers."""
+SHOWN: Final = 6
+"""Policies whose lines are drawn, the best first."""
 
 
 class CompareScreen:
@@ -51,8 +46,9 @@ class CompareScreen:
         self.wrong, self.verdict = words(name="compare-problem"), words(name="verdict")
         self.link, self.tables = words(name="compare-report"), words(name="ranking")
         self.tube = Select(title="tube", options=[], width=280, stylesheets=sheet)
-        self.front = _Front()
-        self.over_length = _OverLength()
+        self.front = Front()
+        self.over_length = OverLength()
+        self.detection = Detection()
         self._drawn: dict[str, Any] = {}
         self._folders: tuple[str, ...] = ()
         self.chosen.on_change("value", lambda attr, old, new: self._choose())
@@ -69,7 +65,8 @@ class CompareScreen:
             self.wrong,
             self.link,
             self.verdict,
-            side_by_side(panel(self.front.plot, 360, 2), panel(below(self.tube, *self.over_length.plots), 400, 3),
+            side_by_side(panel(below(self.front.plot, self.detection.layout), 360, 2),
+                         panel(below(self.tube, *self.over_length.plots), 400, 3),
                          styles={"align-items": "flex-start"}),
             self.tables,
         )  # fmt: skip
@@ -122,8 +119,9 @@ class CompareScreen:
         )  # fmt: skip
         order = ranking(table)
         self.front.show(summary, order)
+        self.detection.show(table, order[:SHOWN])
         limit = task.limit * 1e3 if task.vibration_measure == "displacement" else None
-        self._drawn = traces(table, done.profile, order[:6], limit)
+        self._drawn = traces(table, done.profile, order[:SHOWN], limit)
         options = [(str(k), f"{t['number']}: {t['text']}".rstrip(": ")) for k, t in enumerate(self._drawn["tubes"])]
         self.tube.options = options
         self.tube.value = "0"
@@ -140,75 +138,6 @@ class CompareScreen:
             self.link.text = report_link(self.folder)
         except (ValueError, OSError) as error:
             self.link.text = problem(refusal(error))
-
-
-class _Front:
-    """Time against vibration, a point a policy with its intervals."""
-
-    def __init__(self) -> None:
-        self.plot = chart("inspection time [s]", "radial rms [mm]", 330, y_axis_type="log",
-                          tools="pan,wheel_zoom,reset", title="Down and left is better; bars: 95 %")  # fmt: skip
-        self.plot.x_range.range_padding = self.plot.y_range.range_padding = 0.25  # room for names
-        names = ("name", "colour", "x", "y", "x_low", "x_high", "y_low", "y_high")
-        self.source = ColumnDataSource({name: [] for name in names})
-        for dimension, base, low, high in (("height", "x", "y_low", "y_high"), ("width", "y", "x_low", "x_high")):
-            self.plot.add_layout(
-                Whisker(source=self.source, base=base, lower=low, upper=high, dimension=dimension, line_color=INK)
-            )
-        dots = self.plot.scatter("x", "y", source=self.source, size=13, color="colour", line_color="white")
-        self.plot.add_layout(
-            LabelSet(source=self.source, x="x", y="y", text="name", x_offset=8, y_offset=4, text_font_size="12px")
-        )
-        tips = [("", "@name"), ("time [s]", "@x{0.}"), ("radial rms [mm]", "@y{0.000}")]
-        self.plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
-
-    def show(self, summary: Any, order: list[str]) -> None:
-        """Draw the policies of a summary."""
-        rows = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
-        data: dict[str, list[Any]] = {name: [] for name in self.source.data}
-        for number, policy in enumerate(order):
-            time, rms = rows[policy, "inspection_time_s"], rows[policy, "radial_rms_m"]
-            data["name"].append(policy)
-            data["colour"].append(PALETTE[number % len(PALETTE)])
-            for axis, row, factor in (("x", time, 1.0), ("y", rms, 1e3)):
-                for end, key in (("", "mean"), ("_low", "low"), ("_high", "high")):
-                    data[f"{axis}{end}"].append(row[key] * factor)
-        self.source.data = data
-
-
-class _OverLength:
-    """Vibration, feed and air over the inserted length in one tube."""
-
-    def __init__(self) -> None:
-        self.sources: list[tuple[int, Any]] = []
-        self.plots: list[Any] = []
-        for number in (2, 0, 1):
-            label, _ = UNITS[number]
-            shared = {"x_range": self.plots[0].x_range} if self.plots else {}
-            scale = "log" if number == 2 else "linear"
-            plot = chart("inserted length [m]", label, 190, y_axis_type=scale, **shared)
-            source = ColumnDataSource({name: [] for name in ("x", "y", "name", "colour", "dash")})
-            plot.multi_line("x", "y", source=source, color="colour", line_dash="dash", line_width=2,
-                            **({"legend_field": "name"} if number == 2 else {}))  # fmt: skip
-            self.sources.append((number, source))
-            self.plots.append(plot)
-        legend_above(self.plots[0])
-        self.limit = limit_line(self.plots[0], None)
-
-    def show(self, drawn: dict[str, Any], tube: int) -> None:
-        """Draw the policies that are shown first in a tube."""
-        self.limit.update(location=drawn["limit"] or 0.0, visible=drawn["limit"] is not None)
-        shown = [policy for policy in drawn["policies"] if policy["shown"] and policy["tubes"][tube]]
-        for number, source in self.sources:
-            _, unit = UNITS[number]
-            values = [policy["tubes"][tube][number] for policy in shown]
-            source.data = {
-                "x": [drawn["metres"]] * len(shown),
-                "y": [[float("nan") if v is None else max(v, number == 2) * unit for v in line] for line in values],
-                "name": [policy["name"] for policy in shown],
-                "colour": [PALETTE[k % len(PALETTE)] for k in range(len(shown))],
-                "dash": [DASHES[k % len(DASHES)] for k in range(len(shown))],
-            }
 
 
 def _titled(title: str, header: list[str], rows: list[Row]) -> str:

@@ -8,6 +8,7 @@ from typing import Any, Final
 from bokeh.models import Button, MultiChoice, RadioButtonGroup, Select, Spinner, Switch
 
 from agents.app.desk import Desk
+from agents.app.page.flaw import PassedFlaw
 from agents.app.page.runs import RunList
 from agents.app.page.style import below, chart, control_sheet, panel, problem, side_by_side, words
 from agents.app.page.traces import Traces
@@ -41,7 +42,7 @@ class InsertionScreen:
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
-        self.unrolled, self.slow = Unrolled(), SlowMotion()
+        self.unrolled, self.slow, self.flaw = Unrolled(), SlowMotion(), PassedFlaw()
         self.traces = Traces(("radial_rms_m", "feed_speed", "air_supply_rate"))
         self.signal = chart("time before now [s]", "sensor [mm]", 150)
         self.samples = self.signal.line([], [], line_width=1.2, color="#009E73").data_source
@@ -56,7 +57,7 @@ class InsertionScreen:
             side_by_side(*self._handles()),
             self.told,
             side_by_side(
-                panel(below(self.unrolled.layout, self.slow.layout, self.signal), 440, 3),
+                panel(below(self.unrolled.layout, self.slow.layout, self.signal, self.flaw.layout), 440, 3),
                 panel(below(self.traces.layout, self.seen), 330, 2),
                 styles={"align-items": "flex-start"},
             ),
@@ -86,6 +87,7 @@ class InsertionScreen:
         if shape is not None:
             self.unrolled.show(shape, everything=self.whole.active)
             self.samples.data = {"x": shape.signal_time, "y": shape.signal_radial * 1e3}
+            self.flaw.show(run.sensor, shape)
             self.seen.text = _seen(shape.seen, run, frame)
         self._round += 1
         if self._round % ROUNDS == 0 or run.state != "running" or frame.paused:

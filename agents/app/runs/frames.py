@@ -11,6 +11,7 @@ from agents.rollouts.playing import Playing, Unit
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.motion import SAMPLE_PERIOD, Motion
 from probe_env.envs.task.observations import in_si_units
+from probe_env.inspection.sensor import Sensor
 from probe_env.physics.simulator import Simulator
 
 OF_INFO: Final = (
@@ -48,7 +49,9 @@ class Shape:
         sensor: which of the places is nearest to the sensor.
         bore, helix_length, helix_diameter: of the tube [m].
         friction: of the tube [-].
-        signal_time, signal_radial: (m,) of the sensor within the period [s], [m].
+        signal_time, signal_radial: (m,) of the sensor in the last second of its motion [s], [m].
+        spectrum: mean density of that motion at ``inspection.spectrum.FREQUENCY`` [m2/Hz].
+        feed_speed: at the end of the period [m/s].
         seen: what the policy decides by next, SI units.
     """
 
@@ -65,6 +68,8 @@ class Shape:
     friction: float
     signal_time: FloatArray
     signal_radial: FloatArray
+    spectrum: FloatArray
+    feed_speed: float
     seen: dict[str, float]
 
 
@@ -98,11 +103,13 @@ class Planned:
         episodes: that it has.
         notes: what was said of its policies.
         limit: of the radial rms [m]; None: the task's is one of another measure.
+        sensor: what motion does to the signals.
     """
 
     episodes: int
     notes: tuple[str, ...]
     limit: float | None
+    sensor: Sensor
 
 
 @dataclass(frozen=True)
@@ -129,8 +136,7 @@ def shape_of(playing: Playing, k: int) -> Shape:
     simulator: Simulator = episodes.batch.simulators[k]
     chain, root, scene = simulator.chain, simulator.root, simulator.scene
     nodes = np.flatnonzero(chain.contact_stiffness[: root + 1] > 0.0)[::-1]
-    felt = episodes.window
-    radial = felt.radial[:, k] if felt is not None and felt.radial is not None else np.zeros(0)
+    radial = episodes.gauges.meter.last_second(k)
     seen = in_si_units(episodes.config, playing.observed(k))
     return Shape(
         place=(root - nodes) * chain.element_length,
@@ -145,6 +151,8 @@ def shape_of(playing: Playing, k: int) -> Shape:
         helix_diameter=scene.tube.helix_diameter,
         friction=scene.contact.friction,
         signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
-        signal_radial=radial.copy(),
+        signal_radial=radial,
+        spectrum=episodes.gauges.meter.spectrum[k].copy(),
+        feed_speed=simulator.feed_speed,
         seen={name: float(values[0]) for name, values in seen.items()},
     )

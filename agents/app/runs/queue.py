@@ -18,6 +18,7 @@ from agents.processes.pool import GRACE, started
 from agents.rollouts.playing import Unit
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.motion import Motion
+from probe_env.inspection.sensor import Sensor
 
 State = Literal["waiting", "running", "finished", "stopped", "failed"]
 ATTEMPTS: Final = 3
@@ -35,6 +36,7 @@ class Run:
         problem: why it failed, or what happened on the way.
         notes: what was said of its policies.
         limit: of the radial rms [m]; None: not known, or of another measure.
+        sensor: of its tube.
         frame: the last one.
         film: the last slow motion.
         films: how many there were.
@@ -49,6 +51,7 @@ class Run:
     problem: str = ""
     notes: tuple[str, ...] = ()
     limit: float | None = None
+    sensor: Sensor = field(default_factory=Sensor)
     frame: Frame | None = None
     film: Motion | None = None
     films: int = 0
@@ -64,8 +67,8 @@ class Run:
         """Take in what the worker tells."""
         match message:
             case Planned():
-                self.planned, self.notes, self.limit = message.episodes, message.notes, message.limit
-                self.traces = {}
+                self.planned, self.notes = message.episodes, message.notes
+                self.limit, self.sensor, self.traces = message.limit, message.sensor, {}
             case Frame():
                 self.frame, self.done, self.planned = message, message.done, message.planned
                 for unit, rows in message.rows:

@@ -85,7 +85,7 @@ class _Run:
             self.planned = len(plan.units())
             self.done = self.planned - len(_missing(plan, self.wanted))
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
-            self._send(Planned(self.planned, tuple(str(w.message) for w in told), limit))
+            self._send(Planned(self.planned, tuple(str(w.message) for w in told), limit, plan.config.sensor))
             run_plan(plan, self.wanted.output, progress=False, source=self._source)
             self._send(Over("finished"))
         except _StoppedError:
