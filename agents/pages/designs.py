@@ -14,8 +14,7 @@ DESIGN_TABLES = {
     "countermeasures": "The study's countermeasures (its section 4.3) one by one, in sections of constant length at its"
     " 0.2 m/s and 63 m3/h, {tubes} held-out tubes:",
     "confirmed": "The design found against the study's two, in whole insertions at the study's feed, {tubes} held-out"
-    " tubes; changes are against the improved probe, and vibration and time are over the 47.5 m that a guide of 10 m"
-    " leaves to inspect:",
+    " tubes; changes are against the improved probe, and vibration and time are over what the guide leaves to inspect:",
     "confirmed-finely": "The better two at the finest setting, `reference`, on the same {tubes} tubes:",
 }
 DRIVEN = (
