@@ -74,7 +74,7 @@ def summarised(table: pd.DataFrame) -> dict[str, float]:
 def _group(fidelity: str, group: int) -> list[list[dict[str, float]]]:
     """Rewards of the tubes of a group, a row each, as the one item of a task."""
     tubes = trials(group, "fast", SEED)
-    plant = Plant(tube=Tubes(**tubes[0].scene.tube.model_dump(exclude={"helix_diameter"})))
+    plant = Plant(tube=Tubes(**tubes[0].scene.tube.model_dump(exclude={"helix_diameter", "ovality"})))
     config = plant.configured()
     best = Schedule.read(DATA / "best-schedule.csv")
     chosen = {
@@ -96,7 +96,7 @@ def _group(fidelity: str, group: int) -> list[list[dict[str, float]]]:
 def _after_log(trial: Trial, config: TaskConfig) -> Schedule:
     """What is recommended for a tube once a log of it was calibrated."""
     diameter = trial.scene.tube.helix_diameter
-    plant = Plant(tube=Tubes(**trial.scene.tube.model_dump()))
+    plant = Plant(tube=Tubes(**trial.scene.tube.model_dump(exclude={"ovality"})))
     found = calibrate([Recorded("log", trial.log, "tube", diameter)], plant, stored_response(), progress=False)
     draws = found.posterior.draws[0]
     rows = np.linspace(0, len(draws) - 1, DRAWS).round().astype(int)

@@ -100,7 +100,7 @@ def _rows(fidelity: str, group: int) -> list[list[Row]]:
 
 def _row(response: Response, trial: Trial, name: str, log: Log) -> Row:
     """One calibration: truths, intervals, ranks, verdict."""
-    plant = Plant(tube=Tubes(**trial.scene.tube.model_dump()))
+    plant = Plant(tube=Tubes(**trial.scene.tube.model_dump(exclude={"ovality"})))
     recorded = Recorded("log", log, "tube", trial.scene.tube.helix_diameter)
     found = calibrate([recorded], plant, response, progress=False)
     row: Row = {"set": name, "misspecified": bool(found.misfits), "refused": bool(found.misfits or found.leaning)}
