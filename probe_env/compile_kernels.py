@@ -10,7 +10,7 @@ import sys
 from probe_env.envs.starts import WAY_BACK
 from probe_env.fidelity import BOTH_WAYS
 from probe_env.physics.methods import METHODS
-from probe_env.physics.simulator import Simulator
+from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 
 

@@ -34,9 +34,9 @@ from probe_env.envs.task.passes import Counted, Period, passes_of
 from probe_env.envs.task.safety import cost_terms
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.found import Found
-from probe_env.physics.batch import SimulatorBatch, Window
 from probe_env.physics.closed_forms import buckling_load
-from probe_env.physics.simulator import Simulator
+from probe_env.physics.simulation.batch import SimulatorBatch, Window
+from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps
 

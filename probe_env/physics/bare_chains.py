@@ -13,7 +13,7 @@ from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods import method_named, solver_named
 from probe_env.physics.methods.factors import node_matrices
-from probe_env.physics.methods.ticm import OK
+from probe_env.physics.methods.ticm.after_step import OK
 from probe_env.physics.state import State
 from probe_env.scene import Scene
 

@@ -10,7 +10,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.kpis import Percentiles
 from probe_env.envs.task import TERMS, TaskConfig
 from probe_env.envs.task.observations import OBSERVATIONS, in_si_units, observe
-from probe_env.physics.batch import SimulatorBatch
+from probe_env.physics.simulation.batch import SimulatorBatch
 
 CONSTANT = (0.2, 63.0 / 3600.0)
 WORST = probe_env.Context(friction=0.25, contact_stiffness=0.7e5, drag_factor=1.1, helix_diameter=1.0)

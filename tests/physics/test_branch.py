@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probe_env import Context, Scene, SimulatorBatch
-from probe_env.physics.simulator import Simulator
+from probe_env.physics.simulation.simulator import Simulator
 
 METHODS = ("superelement32", "imex", "newmark", "explicit")
 

@@ -12,7 +12,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.motion import SAMPLE_PERIOD, Motion
 from probe_env.envs.task.observations import in_si_units
 from probe_env.inspection.sensor import Sensor
-from probe_env.physics.simulator import Simulator
+from probe_env.physics.simulation.simulator import Simulator
 
 OF_INFO: Final = (
     "time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n",

@@ -21,7 +21,7 @@ from probe_env.envs.task import (
     slack,
     travel,
 )
-from probe_env.physics.batch import SimulatorBatch
+from probe_env.physics.simulation.batch import SimulatorBatch
 
 
 class Outlook(NamedTuple):

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.plate import GREEN, label_of
-from probe_env.physics.simulator import Simulator
+from probe_env.physics.simulation.simulator import Simulator
 
 EXAGGERATION: Final = 20.0  # of the radial displacement, against the gap between two turns
 INWARD: Final = 0.55  # how far the drawing winds inwards over the whole helix, so that turns do not overlap

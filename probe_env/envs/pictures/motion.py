@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.physics.simulator import Simulator
+from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 
 FRAME_PERIOD: Final = 5e-3

@@ -11,8 +11,9 @@ from numba import njit
 
 from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.factors import explicit_factors
-from probe_env.physics.methods.imex import (
-    after_step,
+from probe_env.physics.methods.imex.after_step import after_step
+from probe_env.physics.methods.imex.elimination import product
+from probe_env.physics.methods.imex.forces import (
     cable_forces,
     cable_walls,
     float_at,
@@ -23,7 +24,6 @@ from probe_env.physics.methods.imex import (
     loaded_wall,
     magnitude,
     pressed_forces,
-    product,
 )
 from probe_env.physics.methods.lane_group import (
     AXIAL,

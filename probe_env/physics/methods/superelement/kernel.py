@@ -10,7 +10,7 @@ so neither M^-1 f nor M v is ever formed, and K d alone is multiplied: K (d_befo
 d_before + tau / dt K d, the first of them from the step before. Modes are eliminated piece by piece, where the matrix
 is diagonal, then the floats from the tip to the root: u_i = E_i r_i - F_i u_{i-1}, coming back v_i = u_i - U_i v_{i+1}.
 
-Each symmetric matrix of a piece falls into an even and an odd block (see pitch.py). Lanes as in imex.py, but a row of
+Each symmetric matrix of a piece falls into an even and an odd block (see pitch.py). Lanes as in ``imex``, but a row of
 the state is a float with the piece on its root side. The root's piece is a part of a pitch and lies elsewhere in each
 lane: those rows have constants of their own (see roots.py).
 """
@@ -22,14 +22,8 @@ from numba import njit
 
 from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex import (
-    float_at,
-    float_forces,
-    less_product,
-    loaded_floats,
-    loaded_wall,
-    magnitude,
-)
+from probe_env.physics.methods.imex.elimination import less_product
+from probe_env.physics.methods.imex.forces import float_at, float_forces, loaded_floats, loaded_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, INPUTS, PEAK, ROOT
 from probe_env.physics.methods.lanes import load, splat, store, where_less
 from probe_env.physics.methods.superelement.roots import (

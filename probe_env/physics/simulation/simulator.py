@@ -6,7 +6,7 @@ import copy
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Literal, TypedDict, Unpack
+from typing import Any, Final, Unpack
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from probe_env.physics.chain import air_speed, build_chain, outer_start, sensor_
 from probe_env.physics.costs import pitch_step_seconds
 from probe_env.physics.drive import Drive
 from probe_env.physics.kernel_call import CHANNELS, Sampling, check_state
-from probe_env.physics.methods import METHODS, method_named, solver_named, ticm
+from probe_env.physics.methods import method_named, solver_named, ticm
 from probe_env.physics.methods.method import Advance
 from probe_env.physics.run import Run, check_size, point_name, shapes_of, shown, snapshot_steps
 from probe_env.physics.saved import Saved, check_names, check_types
+from probe_env.physics.simulation.options import DEFAULTS, Options
+from probe_env.physics.simulation.targets import check_targets
 from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps, within
@@ -28,29 +30,11 @@ STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
 
 
-class Options(TypedDict, total=False):
-    """How a probe starts and is fed; see ``Simulator`` for what they mean."""
-
-    solver: str
-    growing: bool
-    time_lapse: float
-    ramp: float
-    air_lag: float
-    perturbation: float
-    start: Literal["inner", "outer"]
-
-
-DEFAULTS: Final[Options] = {
-    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0,
-    "start": "inner",
-}  # fmt: skip
-
-
 class Simulator(Saved):
     """Advances one probe, of constant length or growing as it is fed in.
 
     ``iterations`` and ``unconverged_steps`` count, since the start, the iterations of ``implicit`` and its steps
-    in which they did not converge (see implicit.py for what is done then).
+    in which they did not converge (see ``methods.implicit`` for what is done then).
 
     Args:
         scene: what to simulate; its carrier length is the one at the start.
@@ -362,27 +346,7 @@ class Simulator(Saved):
 
     def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """Raise ValueError if a target is out of range."""
-        if feed_speed is not None:
-            within("feed_speed", feed_speed, -2.0, 2.0, "m/s")
-            self._check_return("feed_speed", feed_speed, "m/s")
-        if air_supply_rate is not None:
-            within("air_supply_rate", air_supply_rate, -0.2, 0.2, "m3/s")
-            self._check_return("air_supply_rate", air_supply_rate, "m3/s")
-
-    def _check_return(self, name: str, value: float, unit: str) -> None:
-        """Raise ValueError if a method cannot press or draw back a probe; warn where the couple of (9) is not fit."""
-        if value >= 0.0:
-            return
-        if not method_named(self.method).draws_back:
-            able = ", ".join(other for other, method in METHODS.items() if method.draws_back)
-            raise ValueError(f"{name} = {value!r} {unit}: {self.method} does not simulate the return; {able} do")
-        if self.scene.couple == "frame":
-            warnings.warn(
-                f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
-                ' pressed probe, whose root force is some three times too large; couple = "tangent" does not',
-                StabilityWarning,
-                stacklevel=4,
-            )
+        check_targets(self.scene, self.method, feed_speed, air_supply_rate)
 
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """New targets [m/s], [m3/s]; None leaves one as it is."""

@@ -22,7 +22,8 @@ from probe_env.physics.methods import method_named
 from probe_env.physics.methods.lane_group import Lane
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.signals import window_statistics
-from probe_env.physics.simulator import STEPS_PER_CALL, Options, Simulator
+from probe_env.physics.simulation.options import Options
+from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
 

@@ -1,0 +1,11 @@
+"""The TICM recursion (17)-(29), and the study's scheme stepped with it.
+
+``implicit`` builds on its parts too. Numba's cache does not see edits in another file: ``make clean`` after changing
+what another one uses. Imports the inputs of a step only.
+"""
+
+from probe_env.physics.methods.ticm.after_step import DIVERGED, OK, move_root, record
+from probe_env.physics.methods.ticm.equations import apply_solution, node_equations
+from probe_env.physics.methods.ticm.sweep import advance, ticm_step
+
+__all__ = ["DIVERGED", "OK", "advance", "apply_solution", "move_root", "node_equations", "record", "ticm_step"]

@@ -1,0 +1,39 @@
+"""Which feed speeds and air supplies a probe can be asked for."""
+
+from __future__ import annotations
+
+import warnings
+
+from probe_env.errors import StabilityWarning
+from probe_env.physics.methods import METHODS, method_named
+from probe_env.scene import Scene
+from probe_env.settings import within
+
+
+def check_targets(scene: Scene, method: str, feed_speed: float | None, air_supply_rate: float | None) -> None:
+    """Raise ValueError if a target, [m/s] or [m3/s], is out of range or not for this method; None is none.
+
+    Warns where a probe is pressed or drawn back and the couple of (9) is not fit for it.
+    """
+    if feed_speed is not None:
+        within("feed_speed", feed_speed, -2.0, 2.0, "m/s")
+        _check_return(scene, method, "feed_speed", feed_speed, "m/s")
+    if air_supply_rate is not None:
+        within("air_supply_rate", air_supply_rate, -0.2, 0.2, "m3/s")
+        _check_return(scene, method, "air_supply_rate", air_supply_rate, "m3/s")
+
+
+def _check_return(scene: Scene, method: str, name: str, value: float, unit: str) -> None:
+    """Raise ValueError if a method cannot press or draw back a probe; warn where the couple of (9) is not fit."""
+    if value >= 0.0:
+        return
+    if not method_named(method).draws_back:
+        able = ", ".join(other for other, known in METHODS.items() if known.draws_back)
+        raise ValueError(f"{name} = {value!r} {unit}: {method} does not simulate the return; {able} do")
+    if scene.couple == "frame":
+        warnings.warn(
+            f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
+            ' pressed probe, whose root force is some three times too large; couple = "tangent" does not',
+            StabilityWarning,
+            stacklevel=5,
+        )
