@@ -31,6 +31,12 @@ types: setup
 kernels: setup
 	$(BIN)/python -m probe_env.compile_kernels
 
+PYTHONS ?= 3.12 3.13
+
+# two processes on two cores: threads of linear algebra would wait for each other
+test test-processors $(PYTHONS:%=test-python-%): export OPENBLAS_NUM_THREADS = 1
+test test-processors $(PYTHONS:%=test-python-%): export OMP_NUM_THREADS = 1
+
 test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
 	$(BIN)/pytest --numprocesses 2 --dist worksteal
@@ -45,7 +51,6 @@ test-bounds: setup
 
 # torch has no wheel for processors alone on every index, and is not needed by the physics and the environments: tests
 # that need it or an agent library are skipped there, and the run says so
-PYTHONS ?= 3.12 3.13
 PYTHON3.12 ?= python3.12
 PYTHON3.13 ?= python3.13
 WITHOUT_TORCH := cmaes moocore openpyxl optuna pint

@@ -137,11 +137,11 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
             spectra.append(meter.spectrum.copy())
             for k in range(members):
                 found.add(1.0, *meter.of(k))
-    curve = found.curve(float(sum(found.lengths)), 60.0)
+    curve, z = found.curve(float(sum(found.lengths)), 60.0), found.threshold(60.0)
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
     rng = np.random.default_rng(seeds(1)[0])
     place, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))
-    called = np.array([_called(motion[k], spectrum[k], a, feed, rng) for k, a in zip(place, depth, strict=True)])
+    called = np.array([_called(motion[k], spectrum[k], a, feed, z, rng) for k, a in zip(place, depth, strict=True)])
     told = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(curve, 1e-6, 1.0 - 1e-6)))
     fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), told])).fit(
         disp=0, cov_type="cluster", cov_kwds={"groups": place}
@@ -154,7 +154,7 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
     assert a90[1] / a90[0] < 1.25  # so the interval says something
 
 
-def _called(motion, spectrum, depth, feed, rng):
+def _called(motion, spectrum, depth, feed, z, rng):
     """Whether a flaw somewhere in a second of motion is called, by a filter at the full sampling rate."""
     time = np.arange(len(motion)) * 1e-3
     seen = flaw.shape(feed * (time - rng.uniform(0.35, 0.65)) / SENSOR.flaw_width)
@@ -167,4 +167,4 @@ def _called(motion, spectrum, depth, feed, rng):
     density = SENSOR.seen_gain**2 * INVERSE * spectrum + SENSOR.noise_density
     # a line holds S * 500 Hz * samples, half of it in phase with the flaw
     deviation = math.sqrt((np.abs(seen) ** 2 / density).sum() * 250.0 * len(time))
-    return (signal * seen.conj() / density).real.sum() / deviation > threshold(SENSOR, 60.0)
+    return (signal * seen.conj() / density).real.sum() / deviation > z
