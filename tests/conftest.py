@@ -1,5 +1,6 @@
 """Seeds that a run can shift, rounding of another processor, and what is left out unless asked for or installed."""
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 
@@ -20,6 +21,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--shift-seeds", type=int, default=0, metavar="N",
         help="statistical tests draw the N-th other set of seeds, and runs begin with other last digits",
     )  # fmt: skip
+
+
+def pytest_configure() -> None:
+    """A script that starts the tests in its background, or under nohup, has these ignored; tests send them."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """The plan of the house: folders of at most a dozen files that say what they are for, functions that can be read."""
 
 import ast
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("probe_env", "agents") for path in (ROOT / package).rglob("*.py"))
 FOLDERS = sorted({path.parent for path in FILES})
 MOST_FILES, MOST_LINES, MOST_PARAMETERS = 12, 60, 7
+MOST_BYTES = 5_000_000
 
 
 def functions():
@@ -35,3 +37,11 @@ def test_a_room_has_at_most_a_dozen_files_and_says_what_it_is_for(folder):
 def test_functions_can_be_read():
     assert [name for name, lines, _ in functions() if lines > MOST_LINES] == []
     assert [name for name, _, parameters in functions() if parameters > MOST_PARAMETERS] == []
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no checkout: what belongs to the project is not known")
+def test_the_project_stays_small():
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    sizes = {name: (ROOT / name).stat().st_size for name in listed.split("\0") if (ROOT / name).is_file()}
+    assert len(sizes) > 500
+    assert [name for name, size in sizes.items() if size > MOST_BYTES or name.endswith((".whl", ".gz"))] == []

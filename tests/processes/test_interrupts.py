@@ -23,6 +23,7 @@ from probe_env.envs.task import TaskConfig
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
+HANGS = 300.0  # [s], of processes that end in 10 s
 STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
@@ -125,9 +126,10 @@ def test_words():
 
 
 def command(prelude, *arguments):
-    """The command as a process of its own, with something done to it before."""
+    """The command as a process of its own, with something done to it before; one that hangs is ended and fails."""
     code = f"import os, signal, sys\n{prelude}\nfrom agents.cli import main\nsys.exit(main())"
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, cwd=ROOT)
+    asked = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=HANGS)
 
 
 IN_IMPORT = """
