@@ -111,6 +111,9 @@ MAKERS: Final = {
     "passes": Entry("plant:Passes", "where to look: on the way in, back, or both", "probe-env passes --limit 6"),
     "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
+    "other-probes": Entry(
+        "study:OtherProbes", "whether the usual mesh holds for other probes", "probe-env other-probes --limit 1"
+    ),
     "stability": Entry("study:Stability", "which time steps hold", "probe-env stability --output output/stability"),
     "timelapse": Entry("study:Timelapse", "what time-lapse changes", "probe-env timelapse --output output/timelapse"),
     "peers": Entry("study:Peers", "other packages beside this one", "probe-env peers --output output/chart"),

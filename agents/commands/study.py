@@ -177,6 +177,27 @@ class Chart:
 
 
 @dataclass(frozen=True)
+class OtherProbes:
+    """Compare the mesh and step of `standard` with the converged ones for random designs in random tubes."""
+
+    output: Path = Path("output/other-probes")
+    """Folder of other-probes.csv."""
+    limit: int = 0
+    """The first so many probes; 0: all eleven."""
+
+    def run(self) -> None:
+        """Run what is missing, print."""
+        from agents.chart import other_probes
+
+        most = len(other_probes.other_probes())
+        if not 0 <= self.limit <= most:
+            raise ValueError(f"limit = {self.limit!r} is outside the accepted range 0 (all) to {most}")
+        table = other_probes.run_other_probes(self.output, self.limit)
+        print(other_probes.markdown(table))
+        print(f"written: {self.output}/other-probes.csv")
+
+
+@dataclass(frozen=True)
 class Peers:
     """Put other packages beside ours on a scene that all can run: PyElastica, MuJoCo, Exudyn, as far as installed."""
 
