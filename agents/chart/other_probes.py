@@ -162,8 +162,9 @@ def sentences(table: pd.DataFrame) -> list[str]:
             f"{words} {np.exp(np.mean([np.log(values[statistic].mean) for values in found.values()])):.2f}"
             for statistic, words in SHOWN.items()
         ]
+        called = f"`{name}`" if name in PRESETS else f"`standard` at {name}"
         lines.append(
-            f"`{name}`, geometric mean over the {len(found)} that ring (0.01 mm and more): {', '.join(means)}."
+            f"{called}, geometric mean over the {len(found)} that ring (0.01 mm and more): {', '.join(means)}."
         )
     lost = table[table["diverged"].astype(bool)].groupby("probe").size()
     told = ", ".join(f"{count} of {probe}" for probe, count in lost.items()) or "none"
