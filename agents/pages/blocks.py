@@ -19,7 +19,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
-        simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
+        simulator.peers, simulator.presets, simulator.root, simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,
     )
 }  # fmt: skip
