@@ -10,7 +10,7 @@ from scipy.sparse.linalg import eigs
 
 from probe_env.physics.chain import air_speed, build_chain
 from probe_env.physics.closed_forms import steady_tensions
-from tests.oracles.chains import matrices
+from oracles.chains import matrices
 
 
 def sliding_system(scene, nodes_per_pitch, offset):
