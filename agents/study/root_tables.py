@@ -53,7 +53,8 @@ def lengths(table: pd.DataFrame, statistic: str = "radial_rms_m") -> list[tuple[
 
 def meshes(table: pd.DataFrame) -> list[tuple[str, ...]]:
     """Of each mesh at 30 m: radial rms [mm] at a float's place and half a pitch on, their ratio, the axial one's."""
-    e, rows = Ensemble(table), []
+    e = Ensemble(table)
+    rows: list[tuple[str, ...]] = []
     usual = Root(30)
     tried = [usual, *(replace(usual, method=m, nodes_per_pitch=n, time_step=FINE_STEP) for m, n in MESHES)]
     for at in tried:

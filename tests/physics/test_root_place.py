@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.chains import bent, matrices, plain_chain
+from oracles.scatter import apart, reach
+from oracles.sliding import growth_rates, sliding_system
 
 from agents.study.cases import DURATION
 from agents.study.root_waves import MIDDLE, arc_of_rotation, conversion, far_stiffness, lengthening, near_stiffness
 from agents.study.roots import Root, load_rows, run_root
-from oracles.chains import bent, matrices, plain_chain
-from oracles.scatter import apart, reach
-from oracles.sliding import growth_rates, sliding_system
 from probe_env import Scene
 from probe_env.physics.chain import build_chain
 
@@ -113,8 +113,8 @@ def test_small_vibrations_grow_faster_when_the_root_is_between_floats():
     """Linear, deterministic: waves of bending go to the root, axial ones come back, and both grow on their way.
 
     Once round takes T = L dq / d omega / p at least, in the middle of the band, so that a conversion c times as large
-    adds ln c / T to the growth. Places between floats differ by no more than their conversions; the float's place, whose
-    conversion is none in the closed form, lies further off than that.
+    adds ln c / T to the growth. Places between floats differ by no more than their conversions; the float's place,
+    whose conversion is none in the closed form, lies further off than that.
     """
     scene = Scene(carrier_length=10.0)
     rates = {}
