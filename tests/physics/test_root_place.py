@@ -133,7 +133,7 @@ def test_small_vibrations_grow_faster_when_the_root_is_between_floats():
 
 
 @pytest.mark.processor
-def test_a_root_between_floats_rings_more():
+def test_a_root_between_floats_rings_more(seeds):
     """At 30 m: as much more as the stored ensemble says but for chance, and more than chance alone could make.
 
     The floats' places before and after it are alike.
@@ -144,7 +144,7 @@ def test_a_root_between_floats_rings_more():
         case = Root(30, place)
         stored[place] = table.loc[table["case"] == case.name, "radial_rms_m"].to_numpy()
         assert len(stored[place]) == 16
-        rows = run_root(case, SCENES, tuple(range(1001, 1001 + LIVE)), DURATION, threads=2)
+        rows = run_root(case, SCENES, tuple(seeds(LIVE)), DURATION, threads=2)
         rms[place] = np.array([row["radial_rms_m"] for row in rows])
     at, between = ([np.concatenate([v[p] for p in places]) for v in (rms, stored)] for places in ((0, 1), (0.25, 0.5)))
     sizes = [(DEVIATION, len(values)) for values in (*at, *between)]
