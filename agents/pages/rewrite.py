@@ -87,6 +87,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         results / "speed.md": ("bench", "environments", "presets"),
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
         DOCS / "superelement.md": ("superelement", "other_probes"),
+        DOCS / "simulation" / "root.md": ("root",),
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_constants", "plc_text"),
