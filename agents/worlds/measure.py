@@ -16,6 +16,7 @@ from agents.policies.maps.fit import Wandering
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.reading import read_csv
 from agents.rollouts.statistics import mean_interval
 from agents.worlds.map_episodes import MapEpisodes
 from agents.worlds.noise import STORED, Noise, Scatter, features
@@ -138,8 +139,11 @@ def run_world(limit: int, simulated: Path, output: Path) -> pd.DataFrame:
         limit: training tubes that are recorded, the first, which are balanced.
         simulated: episodes of an evaluation at ``fast`` on the test tubes (episodes.csv).
         output: folder.
+
+    Raises:
+        FileError: ``simulated`` is no such table; nothing was recorded.
     """
-    truth = pd.read_csv(simulated)
+    truth = read_csv(simulated, {"policy": "name", "context": "count", "reward": "number"})
     rows = record_insertions(limit)
     found = noise_of(rows, stored_map())
     path = output / STORED.name

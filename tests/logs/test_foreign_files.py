@@ -309,6 +309,14 @@ SHEETS = {
         sheet(["time [s]", "feed [m/s]", "air [m3/h]"], [0, "=1+1", 63], [1, "=1+1", 63]), "Messung",
         "row 2, column 'feed [m/s]': no value in the whole column",
     ),
+    "many empty rows": (
+        with_part(GOOD_SHEET, PAGE, b"</sheetData>", b"<row/>" * 10**5 + b"</sheetData>"), "Messung",
+        "row 10004: more rows than a sheet has, or more empty ones than a log",
+    ),
+    "rows beyond the last": (
+        with_part(GOOD_SHEET, PAGE, b"</sheetData>", b'<row r="1048577"><c><v>1</v></c></row></sheetData>'), "Messung",
+        "more rows than a sheet has, or more empty ones than a log",
+    ),
     "wide": (
         sheet(["time [s]", "feed [m/s]", "air [m3/h]"], [0] * 300), "Messung", "row 2: more than 256 columns",
     ),

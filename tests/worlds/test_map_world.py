@@ -211,3 +211,20 @@ def test_agents_train_in_it_and_are_validated_by_simulation() -> None:
     assert Training.model_validate({"environment": {"fidelity": "map"}}).environment.fidelity == "map"
     with pytest.raises(ValueError, match="agents are chosen by simulation"):
         Training.model_validate({"validation": {"fidelity": "map"}})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("policy,context\npi,0\n", "column 'reward' is missing"),
+        ("policy,context,reward\npi,0,loud\n", "line 2: reward = 'loud' is not a number"),
+        ("\x00", "episodes.csv"),
+    ],
+)
+def test_what_it_is_compared_with_is_read_before_any_work(tmp_path, monkeypatch, text, said):
+    monkeypatch.setattr(measure, "record_insertions", lambda limit: pytest.fail("insertions were recorded"))
+    path = tmp_path / "episodes.csv"
+    path.write_text(text)
+    with pytest.raises(FileError, match=said):
+        measure.run_world(6, path, tmp_path / "world")
+    assert not (tmp_path / "world").exists()

@@ -26,6 +26,10 @@ MOST_TEXT: Final = 256 * MEBI
 MOST_PARTS: Final = 10_000
 LONGEST_CELL: Final = 32_767
 """Characters, as Excel has it."""
+LAST_ROW: Final = min(1_048_576, MOST_ROWS)
+"""As Excel has it."""
+MOST_EMPTY: Final = 10_000
+"""Rows without a cell, which a small file can have by the million."""
 _CONTROL: Final = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
@@ -81,12 +85,14 @@ def _rows(path: Path, page: Any) -> list[tuple[int, list[str]]]:
         cells = [_text(value) for value in row]
         while cells and not cells[-1].strip():
             cells.pop()
+        if number > LAST_ROW or number - len(rows) > MOST_EMPTY:
+            raise FileError(path, f"row {number}: more rows than a sheet has, or more empty ones than a log: cut it")
         if not cells:
             continue
         if len(cells) > MOST_COLUMNS:
             raise FileError(path, f"row {number}: more than {MOST_COLUMNS} columns")
         size += sum(map(len, cells))
-        if size > MOST_TEXT or len(rows) > MOST_ROWS:
+        if size > MOST_TEXT:
             raise FileError(path, f"row {number}: the sheet is larger than a log may be: cut it")
         for cell in cells:
             if len(cell) > LONGEST_CELL or _CONTROL.search(cell):
