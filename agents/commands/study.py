@@ -178,9 +178,10 @@ class Pressed:
     def run(self) -> None:
         """Run what is missing, print."""
         from agents.chart.stability import lost, pressed_runs, pressed_words, returns
+        from agents.chart.stability.pressed import SCENES
 
-        if not 0 <= self.limit <= pressed_runs.SCENES:
-            raise ValueError(f"limit = {self.limit!r} is outside the accepted range 0 (all) to {pressed_runs.SCENES}")
+        if not 0 <= self.limit <= SCENES:
+            raise ValueError(f"limit = {self.limit!r} is outside the accepted range 0 (all) to {SCENES}")
         if "scenes" in self.parts:
             print(pressed_words.markdown(pressed_runs.run_pressed(self.output, self.limit, self.jobs)))
         if "map" in self.parts:

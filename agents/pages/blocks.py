@@ -21,5 +21,6 @@ MAKERS: dict[str, Callable[[], str]] = {
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
         simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,
+        simulator.lost_insertions, simulator.pressed_scenes,
     )
 }  # fmt: skip

@@ -51,7 +51,8 @@ SEED: Final = 22
 def diverged_episodes(episodes: Path) -> list[Unit]:
     """Policy, context and seed of the episodes of ``any-probe`` that diverged."""
     table = read_csv(episodes)
-    return [(row.policy, int(row.context), int(row.seed)) for row in table[table["diverged"] > 0].itertuples()]
+    rows: list[Any] = table[table["diverged"] > 0][["policy", "context", "seed"]].to_dict("records")
+    return [(str(row["policy"]), int(row["context"]), int(row["seed"])) for row in rows]
 
 
 def any_plan(policies: list[str], cable: bool) -> Plan:

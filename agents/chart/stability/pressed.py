@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -72,7 +72,7 @@ class Pressed:
     growing: bool
 
     @property
-    def start(self) -> str:
+    def start(self) -> Literal["inner", "outer"]:
         """Wall that it lies on at rest: air towards the feed device presses it against the outer one."""
         return "outer" if self.scene.air_supply_rate < 0.0 else "inner"
 

@@ -60,8 +60,8 @@ def sentences(table: pd.DataFrame) -> list[str]:
         fine = len(set(gone) - set(lost(table, FINE)))
         told.append(
             f"The {len(gone)} that diverge on four nodes a pitch with the cable on the walls are cables of at most"
-            f" {weakest:.2g} N m² ({as_weak} scenes have such). A quarter of the step holds {short} of them, eight nodes a"
-            f" pitch {fine}: it is the mesh, not the step."
+            f" {weakest:.2g} N m² ({as_weak} scenes have such). A quarter of the step holds {short} of them, eight"
+            f" nodes a pitch {fine}: it is the mesh, not the step."
         )
     return [*told, *_beside_implicit(table)]
 
@@ -98,4 +98,4 @@ def agreement(table: pd.DataFrame, column: str) -> np.ndarray:
     chosen = contested(table)
     fast, slow = (_members(table, setting, column).loc[chosen] for setting in (COARSE, IMPLICIT))
     error = np.sqrt((fast.var(axis=1) + slow.var(axis=1)) / MEMBERS)
-    return ((fast.mean(axis=1) - slow.mean(axis=1)) / error).to_numpy()
+    return np.asarray((fast.mean(axis=1) - slow.mean(axis=1)) / error)
