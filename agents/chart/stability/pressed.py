@@ -89,13 +89,9 @@ class Pressed:
         """The greater pressure of these over Euler's load between two floats; 0 where it is pulled."""
         return max(-min(self.sliding_tensions()), 0.0) / buckling_load(self.scene.probe)
 
-    def mesh_number(self, nodes_per_pitch: int) -> float:
-        """T h^2 / EI with the greater pull of these: above 1 the cable bends under it within an element.
-
-        Pressure is bounded in the couple so that it does not come to that, see ``chain.most_couple``.
-        """
-        h = self.scene.probe.float_pitch / nodes_per_pitch
-        return max(*self.sliding_tensions(), 0.0) * h**2 / self.scene.probe.flexural_rigidity
+    def bending_force(self, nodes_per_pitch: int) -> float:
+        """EI / h^2 [N]: an axial force beyond it bends the cable within an element, finer than the mesh knows."""
+        return self.scene.probe.flexural_rigidity * (nodes_per_pitch / self.scene.probe.float_pitch) ** 2
 
 
 @cache

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart.stability.pressed import AFTER, AIR_LAG, BEFORE, RAMP, SCENES, Pressed, pressed_scene
+from agents.chart.stability.pressed import AFTER, AIR_LAG, BEFORE, RAMP, SCENES, WAYS, Pressed, pressed_scene
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
 from agents.study.cases import PERTURBATION
@@ -27,10 +27,10 @@ CODE: Final = ("agents.chart.stability.pressed_runs:run_group",)
 KEYS: Final = ("scene", "method", "time_step_s", "nodes_per_pitch", "cable", "member")
 WINDOW: Final = 1.0  # [s], the last of a run, of the statistics
 GROUP: Final = 40
-COMPARED: Final = 3
 MEMBERS: Final = 3
 STUCK: Final = 10.0
-"""Pressure of steady sliding over Euler's load from which on a scene is called stuck."""
+BEYOND: Final = 1e4
+"""Pressure of steady sliding over Euler's load from which on a scene is called stuck, and beyond all bounds."""
 
 
 class Setting(NamedTuple):
@@ -101,7 +101,6 @@ def run_pressed(output: Path, limit: int = 0, threads: int = 1) -> pd.DataFrame:
     for member in range(MEMBERS):
         for setting in (COARSE, IMPLICIT):
             _fill(store, contested(store.table), setting, member, threads)
-            _fill(store, contested(store.table, stuck=True)[:1], setting, member, threads)
     return store.table
 
 
@@ -138,8 +137,12 @@ def lost(table: pd.DataFrame, setting: Setting) -> list[int]:
     return [int(number) for number in diverged.index[diverged.notna()]]
 
 
-def contested(table: pd.DataFrame, stuck: bool = False) -> list[int]:
-    """The shortest of the scenes that only the cable's contact holds, stuck or not: compared with ``implicit``."""
-    held = sorted(set(lost(table, BARE)) - set(lost(table, COARSE)))
-    chosen = [number for number in held if (pressed_scene(number).over_euler() > STUCK) == stuck]
-    return sorted(chosen, key=lambda number: pressed_scene(number).scene.inserted_length)[:COMPARED]
+def contested(table: pd.DataFrame) -> list[int]:
+    """Scenes that only the cable's contact holds, for ``implicit``: the shortest of every way and of what is stuck."""
+    held = set(lost(table, BARE)) - set(lost(table, COARSE))
+    scenes = sorted(map(pressed_scene, held), key=lambda pressed: (pressed.scene.inserted_length, pressed.number))
+    free = [pressed for pressed in scenes if pressed.over_euler() <= STUCK]
+    stuck = [pressed for pressed in scenes if pressed.over_euler() > STUCK]
+    beyond = [pressed for pressed in stuck if pressed.over_euler() > BEYOND]
+    first = {pressed.way: pressed for pressed in reversed(free)}
+    return [pressed.number for pressed in (*(first[way] for way in WAYS if way in first), *stuck[:1], *beyond[:1])]
