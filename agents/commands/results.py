@@ -20,14 +20,19 @@ class Results:
     """Where code was rewritten: run a sample with the commit that made the results and with this one, and keep the
     results if all numbers are the same."""
 
+    since: str = ""
+    """With --confirm: one commit at which all were up to date, to compare with; its kernels are compiled once."""
+
     def run(self) -> None:
         """Say what is stale, run it, publish it."""
         from agents.publishing.confirm import confirm_results
         from agents.publishing.places import check_checkout
         from agents.publishing.stages import run_results
 
+        if self.since and not self.confirm:
+            raise ValueError(f"since = {self.since!r} goes with --confirm")
         check_checkout("results")
         if self.confirm:
-            confirm_results(self.stages)
+            confirm_results(self.stages, self.since)
         else:
             run_results(self.stages, self.plan)

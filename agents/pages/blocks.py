@@ -18,8 +18,9 @@ MAKERS: dict[str, Callable[[], str]] = {
         found.anchors, found.snr, found.snr_agent,
         plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness,
-        simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments, simulator.outputs,
-        simulator.peers, simulator.presets, simulator.scaling, simulator.smooth, simulator.stability,
+        simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
+        simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
+        simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,
         simulator.lost_insertions, simulator.pressed_scenes,
     )

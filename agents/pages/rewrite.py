@@ -87,7 +87,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         results / "speed.md": ("bench", "environments", "presets"),
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
         DOCS / "simulation" / "return.md": ("pressed_scenes", "lost_insertions"),
-        DOCS / "superelement.md": ("superelement",),
+        DOCS / "superelement.md": ("superelement", "other_probes"),
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_constants", "plc_text"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from agents.bench import scaling as portioned
+from agents.chart import other_probes as probes
 from agents.chart import tables as chart
 from agents.chart import timelapse as lapses
 from agents.chart.costs import REPEATS
@@ -137,6 +138,18 @@ def superelement() -> str:
     shown = constant[constant["method"].str.startswith("superelement") | nodes]
     note = source(RESULTS / "chart" / "ensembles-provenance.json")
     return f"{chart.outputs(shown, (30.0, 40.0, 50.0))}\n\nRatios of means with 95 % intervals. {note}"
+
+
+def other_probes() -> str:
+    """The usual mesh and step for other probes than table 2's."""
+    path = RESULTS / "chart" / "other-probes.csv"
+    members = probes.MEMBERS
+    note = (
+        f"Ratios of the means of {members['standard']} runs at `standard` to those of {members['converged']} with"
+        f" sixteen nodes a pitch at 5e-5 s, {probes.INSERTED:g} m inside, with 95 % intervals."
+        f" {source(path.with_name(f'{path.stem}-provenance.json'))}"
+    )
+    return f"{probes.markdown(stored_rows(path))}\n\n{note}"
 
 
 def timelapse() -> str:

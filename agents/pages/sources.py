@@ -21,9 +21,10 @@ def source(path: Path) -> str:
     """Command, commit and machine of stored results."""
     record = read_json(path, Record).model_dump()
     machine = record["machine"]
+    processor = "; ".join(filter(None, (machine["processor"], machine.get("kernels", ""))))
     return (
         f"Made by `{command(record)}` at commit {record['commit']}, {machine['cores']} cores"
-        f" ({machine['processor']}), numba {record['packages']['numba']}; stored in `{path.parent}/`."
+        f" ({processor}), numba {record['packages']['numba']}; stored in `{path.parent}/`."
     )
 
 

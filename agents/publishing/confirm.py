@@ -14,8 +14,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +22,7 @@ import numpy as np
 import pandas as pd
 
 from agents.publishing.stages import APART, RECORDS, WORK, Stage, load_stages
+from agents.publishing.trees import checked_out_once, put_inputs, states_in
 from agents.records.provenance import (
     CHECKOUT,
     changed_code,
@@ -35,18 +35,20 @@ from agents.records.provenance import (
 from agents.terminal.tables import print_table
 
 COMPARED: Final = (".csv", ".npz", ".toml")
-KERNELS: Final = Path("probe_env/physics")
 
 
-def confirm_results(names: Sequence[str]) -> None:
+def confirm_results(names: Sequence[str], since: str = "") -> None:
     """Keep the results of stages whose code or command changed without changing what they give.
 
     Args:
         names: of the stages; none: all.
+        since: a commit at which they were up to date, whose code the samples are compared with; default: of each stage
+            the newest one that made or confirmed it.
 
     Raises:
-        ValueError: no such stage, or the code differs from the commit.
-        RuntimeError: a sample failed, or differs: names the stage and the file. Those before it are kept.
+        ValueError: no such stage or commit, or the code differs from the commit.
+        RuntimeError: a sample failed, or differs: names the stage and the file; or a stage was not up to date then.
+            Those before it are kept.
     """
     stages = {stage.name: stage for stage in load_stages()}
     for name in names:
@@ -55,15 +57,18 @@ def confirm_results(names: Sequence[str]) -> None:
     if not in_history(commit()):
         files = ", ".join(changed_code()[:5]) or "there is no git history here"
         raise ValueError(f"results are kept for clean commits only; commit first: {files}")
+    if since and not in_history(since):
+        raise ValueError(f"since = {since!r} is no commit before this one")
     chosen = [stages[name] for name in names or stages]
     rows = []
-    for stage in chosen:
-        answer = _answer(stage)
-        if not answer:
-            others = confirm(stage)
-            answer = f"the same: kept, but for {others} rows of other code" if others else "the same: kept"
-        rows.append((stage.name, answer))
-        print(f"{stage.name}: {answer}", flush=True)
+    with checked_out_once() as tree_of:
+        for stage in chosen:
+            answer = _answer(stage)
+            if not answer:
+                others = confirm(stage, tree_of, since)
+                answer = f"the same: kept, but for {others} rows of other code" if others else "the same: kept"
+            rows.append((stage.name, answer))
+            print(f"{stage.name}: {answer}", flush=True)
     print_table("Confirmed results", ("stage", "outcome"), rows, left=2)
 
 
@@ -80,23 +85,30 @@ def _answer(stage: Stage) -> str:
     return "" if stage.sample or stage.script else "no sample is known: make it again"
 
 
-def confirm(stage: Stage) -> int:
+def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> int:
     """Run a stage's sample with the commit that made it and with this code; keep the results if they agree.
+
+    Args:
+        stage: whose code or command changed.
+        tree_of: commit -> its files.
+        since: the commit to compare with, at which the stage was up to date; default: the newest that made or
+            confirmed it.
 
     Returns:
         how many rows of stores stay as they are, with a hash that the sample does not know: they do not count as done.
 
     Raises:
-        RuntimeError: a run failed, or the first file in which they differ.
+        RuntimeError: a run failed, or the first file in which they differ; or it was not up to date then.
     """
     record = stage.record()
+    tree = tree_of(since or _last(record))
+    if since and any(record[name] != value for name, value in states_in(tree)[stage.name].items()):
+        raise RuntimeError(f"stage {stage.name}: its results were not up to date at {since}: leave --since out")
     place = WORK / f"{stage.name}-sample"
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
-    with checked_out(_last(record)) as tree:
-        share_compiled(tree)
-        put_inputs(stage, tree)  # what the results were made from may have been published after the commit
-        _run(stage, record["command"], tree, folders["before"])
+    put_inputs(stage, tree)  # what the results were made from may have been published after the commit
+    _run(stage, record["command"], tree, folders["before"])
     _run(stage, stage.command, CHECKOUT, folders["now"])
     difference = first_difference(folders["before"], folders["now"])
     if difference:
@@ -126,47 +138,6 @@ def sampled(command: str, sample: dict[str, str]) -> str:
         else:
             words += [flag, value]
     return shlex.join(words)
-
-
-@contextmanager
-def checked_out(name: str) -> Iterator[Path]:
-    """The files of a commit, in a folder of their own while it is entered."""
-    tree = WORK / f"tree-{name}"
-    git = ["git", "-C", str(CHECKOUT), "worktree"]
-    subprocess.run([*git, "remove", "--force", str(tree)], check=False, capture_output=True)
-    subprocess.run([*git, "add", "--detach", str(tree), name], check=True, capture_output=True)
-    try:
-        yield tree
-    finally:
-        subprocess.run([*git, "remove", "--force", str(tree)], check=True, capture_output=True)
-
-
-def share_compiled(tree: Path) -> None:
-    """Give a tree the compiled kernels that are here, where its simulator is the same to the last byte."""
-    here, there = CHECKOUT / KERNELS, tree / KERNELS
-    sources = sorted(here.rglob("*.py"))
-    if [path.relative_to(here) for path in sources] != sorted(path.relative_to(there) for path in there.rglob("*.py")):
-        return
-    if all(path.read_bytes() == (there / path.relative_to(here)).read_bytes() for path in sources):
-        for path in here.rglob("*.nb[ic]"):
-            target = there / path.relative_to(here)
-            target.parent.mkdir(exist_ok=True)
-            shutil.copyfile(path, target)
-
-
-def put_inputs(stage: Stage, tree: Path) -> None:
-    """Put the stage's inputs, as they are here, in the place of those of a tree, where they may have another folder.
-
-    Raises:
-        RuntimeError: a file has no place there, or several.
-    """
-    for path in sorted(path for pattern in stage.reads for path in CHECKOUT.glob(pattern)):
-        places = [tree / path.relative_to(CHECKOUT)]
-        if not places[0].exists():
-            places = [place for place in tree.rglob(path.name) if place.is_file()]
-        if len(places) != 1:
-            raise RuntimeError(f"stage {stage.name}: {path.name} has {len(places)} places in {tree}")
-        shutil.copyfile(path, places[0])
 
 
 def _run(stage: Stage, command: str, tree: Path, folder: Path) -> None:

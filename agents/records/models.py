@@ -83,6 +83,8 @@ class Machine(Stored):
 
     processor: str
     cores: int
+    kernels: str = ""
+    """What linear algebra and numba chose code for; not known of older records."""
 
 
 class Record(Stored):

@@ -13,6 +13,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_name
+from threadpoolctl import threadpool_info
+
 from agents.records.atomic import write_atomically as write_atomically
 from agents.terminal.masking import masked_command
 from probe_env.machine import available_cores
@@ -44,8 +47,23 @@ def provenance(command: str | None = None, commits: Iterable[str] | None = None)
             "processor": _processor(),
             "cores": available_cores(),
             "system": f"{platform.system()} {platform.machine()}",
+            "kernels": _kernels(),
         },
     }
+
+
+def _kernels() -> str:
+    """What linear algebra and numba choose code for: it decides the last digits, and in chaos all that follows.
+
+    Processors of one name need not agree, and environment variables change both.
+    """
+    blas = {
+        f"{pool['internal_api']} {pool.get('architecture', '')}"
+        for pool in threadpool_info()
+        if pool["user_api"] == "blas"
+    }
+    target = os.environ.get("NUMBA_CPU_NAME") or get_host_cpu_name()
+    return ", ".join([*sorted(blas), f"numba {target}"])
 
 
 @lru_cache

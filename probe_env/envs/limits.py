@@ -47,7 +47,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
-        limit = METHODS[fidelity.method].contact_step(scene, fidelity.nodes_per_pitch)
+        limit = _longest_step(fidelity.method, scene, fidelity.nodes_per_pitch)
     except ValueError as error:
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_that_holds(fidelity, scene)}"
@@ -116,13 +116,19 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
     return Sliding(greatest, greatest * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
 
 
+def _longest_step(method: str, scene: Scene, nodes_per_pitch: int) -> float:
+    """The longest step known to hold [s]; where none is known, the longest that contact allows."""
+    known = METHODS[method]
+    return known.stable_step(scene, nodes_per_pitch) or known.contact_step(scene, nodes_per_pitch)
+
+
 def _that_holds(fidelity: Fidelity, scene: Scene) -> str:
     """Settings that hold, the step a round one: by the same method, in double precision, on nodes."""
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
         nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else FINE_MESH
         try:
-            limit = METHODS[method].contact_step(scene, nodes)
+            limit = _longest_step(method, scene, nodes)
         except ValueError:
             continue
         step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)

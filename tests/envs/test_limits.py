@@ -217,6 +217,19 @@ def hostile(rng):
     }
 
 
+@pytest.mark.parametrize("stiffness", [1.5e5, 1.9e5, 2.05e5, 2.2e5, 2.4e5, 3e5])
+@pytest.mark.parametrize("fidelity", ["standard", "standard-v0", "reference-v0", "study"])
+def test_what_is_accepted_has_a_step_that_is_known_to_hold(fidelity, stiffness):
+    """Between the longest step known to hold and the one at which contact breaks no simulator may be warned of."""
+    env = gym.make("probe_env/Snapshot-v1", fidelity=fidelity)
+    known = METHODS[PRESETS[fidelity].method].stable_step(Scene(contact={"stiffness": stiffness}), 4)
+    if PRESETS[fidelity].time_step <= known:
+        env.reset(seed=0, options={"contact_stiffness": stiffness})  # warnings are errors here
+    else:
+        with pytest.raises(ValueError, match=f"contact_stiffness = {stiffness:g} N/m: .* time step of at most"):
+            env.reset(seed=0, options={"contact_stiffness": stiffness})
+
+
 @pytest.mark.parametrize(("env_id", "periods"), [(IDS[0], 4), (IDS[1], 12)])
 def test_hostile_contexts_are_refused_or_stay_finite_and_in_the_space(env_id, periods):
     """A step that does not hold diverges within 0.2 s; what diverges otherwise was compressed, ended and said so."""

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.publishing import confirm, stages
-from agents.publishing.confirm import additions, confirm_results, first_difference, sampled, share_compiled
+from agents.publishing import confirm, stages, trees
+from agents.publishing.confirm import additions, confirm_results, first_difference, sampled
 from agents.publishing.stages import Stage
+from agents.publishing.trees import put_inputs, share_compiled
 
 OLD = "0123456789abcdef"
 RECORD = {
@@ -64,7 +65,7 @@ def test_a_file_that_is_not_there_is_a_difference(tmp_path):
 
 @pytest.mark.parametrize(("source", "shared"), [("x = 1\n", True), ("x = 2\n", False)])
 def test_kernels_are_compiled_once_where_the_simulator_is_the_same(tmp_path, monkeypatch, source, shared):
-    monkeypatch.setattr(confirm, "CHECKOUT", tmp_path / "here")
+    monkeypatch.setattr(trees, "CHECKOUT", tmp_path / "here")
     for place, text in (("here", "x = 1\n"), ("there", source)):
         folder = tmp_path / place / "probe_env/physics"
         folder.mkdir(parents=True)
@@ -93,13 +94,14 @@ def stage(tmp_path, monkeypatch):
     monkeypatch.setattr(stages, "CHECKOUT", tmp_path)
     for module in (stages, confirm):
         monkeypatch.setattr(module, "RECORDS", tmp_path / "results" / "records")
-    monkeypatch.setattr(confirm, "CHECKOUT", tmp_path)
+    for module in (confirm, trees):
+        monkeypatch.setattr(module, "CHECKOUT", tmp_path)
     monkeypatch.setattr(confirm, "WORK", tmp_path / "output")
     monkeypatch.setattr(confirm, "load_stages", lambda: (one,))
     monkeypatch.setattr(confirm, "in_history", lambda _: True)
     monkeypatch.setattr(confirm, "commit", lambda: "def")
     monkeypatch.setattr(confirm, "committed_at", lambda name: {"abc": 2, "def": 3}.get(name, 1))
-    monkeypatch.setattr(confirm, "checked_out", lambda name: _Tree(tmp_path / name))
+    monkeypatch.setattr(trees, "checked_out", lambda name: _Tree(tmp_path / name))
     state = one.state()
     (tmp_path / "results" / "records").mkdir(parents=True)
     (tmp_path / "results" / "numbers").mkdir()
@@ -148,6 +150,25 @@ def test_results_are_kept_under_the_new_hash_where_the_sample_agrees(stage, monk
     assert "numbers: up to date" in capsys.readouterr().out
 
 
+def test_all_stages_can_be_compared_with_one_commit(stage, monkeypatch, tmp_path):
+    """It is checked out once, and a stage that was stale then is not kept by it."""
+    one, path, _ = stage
+    many = tuple(one.model_copy(update={"name": name}) for name in ("numbers", "letters"))
+    monkeypatch.setattr(confirm, "load_stages", lambda: many)
+    (path.parent / "letters.json").write_text(path.read_text())
+    then = {key: json.loads(path.read_text())[key] for key in ("command", "code", "inputs")}
+    states = {"numbers": then, "letters": then | {"code": "another"}}
+    monkeypatch.setattr(confirm, "states_in", lambda tree: states)
+    opened = []
+    monkeypatch.setattr(trees, "checked_out", lambda name: opened.append(name) or _Tree(tmp_path / name))
+    ran = outputs(monkeypatch, 1.0, 1.0)
+    with pytest.raises(RuntimeError, match="stage letters: its results were not up to date at 123"):
+        confirm_results((), "123")
+    assert opened == ["123"]
+    assert [tree for _, tree in ran] == ["123", tmp_path.name]
+    assert json.loads(path.read_text())["confirmed"]
+
+
 def test_both_samples_have_the_inputs_of_today(stage, tmp_path):
     """They may have moved, and may have been published after the commit that the results name."""
     one = stage[0].model_copy(update={"reads": ("data/*.npz", "agents/*/agent.npz")})
@@ -157,13 +178,13 @@ def test_both_samples_have_the_inputs_of_today(stage, tmp_path):
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_text(text if place.is_relative_to(tmp_path / "data") else "old")
     (tmp_path / "agents/b/agent.npz").write_text("b")
-    confirm.put_inputs(one, tree)
+    put_inputs(one, tree)
     assert (tree / "elsewhere" / "map.npz").read_text() == "new"
     assert (tree / "agents" / "b" / "agent.npz").read_text() == "b"
     (tree / "third").mkdir()
     (tree / "third" / "map.npz").write_text("old")
     with pytest.raises(RuntimeError, match=r"map.npz has 2 places"):
-        confirm.put_inputs(one, tree)
+        put_inputs(one, tree)
 
 
 def test_rows_that_carry_a_hash_get_the_new_one_and_stay_otherwise(stage, monkeypatch, tmp_path, capsys):
