@@ -79,10 +79,11 @@ class Study:
 
     scenes: Path | None = None
     """Folder of the scene files; default: those that ship."""
-    way: Literal["in", "back"] = "in"
-    """The probe fed in, or drawn back with reversed air beside the probe fed in: the study's experiment (e)."""
+    way: Literal["in", "back", "root"] = "in"
+    """The probe fed in, or drawn back with reversed air beside the probe fed in: the study's experiment (e); or fed in
+    with the root at several places between two floats, which is no claim of the study."""
     output: Path = Path("output/study")
-    """Folder of ensemble.csv, or back.csv; runs that are stored there are not repeated, and none is dropped."""
+    """Folder of ensemble.csv, back.csv or root.csv; stored runs are not repeated, and none is dropped."""
     members: int = 1
     """Perturbed runs a case."""
     duration: float = 8.0
@@ -94,9 +95,10 @@ class Study:
 
     def run(self) -> None:
         """Run what is missing, print the table."""
-        from agents.study import back, cases
+        from agents.study import back, cases, roots
         from agents.study.back_claims import back_findings
         from agents.study.claims import findings, print_findings
+        from agents.study.root_tables import root_markdown
 
         for name, low, high in (("members", 1, 1000), ("jobs", 1, 256), ("duration", 0.5, 1e4)):
             value = getattr(self, name)
@@ -104,6 +106,11 @@ class Study:
                 raise ValueError(f"{name} = {value!r} is outside the accepted range {low} to {high:g}")
         scenes = self.scenes or shipped_folder("scenes")
         wanted = scenes, self.output, self.members, self.duration
+        if self.way == "root":
+            table = roots.run_roots(*wanted, roots.SUBSET if self.subset else (), self.jobs)
+            print(root_markdown(table))
+            print(f"written: {self.output}/root.csv")
+            return
         if self.way == "back":
             table = back.run_back(*wanted, back.SUBSET if self.subset else (), self.jobs)
             found, file = back_findings(table, scenes), "back.csv"

@@ -20,7 +20,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         designs.codesign, designs.designs, designs.search, robustness.robustness,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
-        simulator.scaling, simulator.smooth, simulator.stability,
+        simulator.root, simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,
         simulator.lost_insertions, simulator.pressed_scenes,
     )

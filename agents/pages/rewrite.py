@@ -88,6 +88,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
         DOCS / "simulation" / "return.md": ("pressed_scenes", "lost_insertions"),
         DOCS / "superelement.md": ("superelement", "other_probes"),
+        DOCS / "simulation" / "root.md": ("root",),
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_constants", "plc_text"),

@@ -21,6 +21,8 @@ from agents.study.back import load_rows as load_trips
 from agents.study.back_claims import back_findings
 from agents.study.cases import load_rows
 from agents.study.claims import findings, markdown
+from agents.study.root_tables import root_markdown
+from agents.study.roots import load_rows as load_roots
 
 PRESSED = RESULTS / "pressed"
 FIGURES = ("ns_per_node_step", "node_step_ratio", "simulated_second_ratio")
@@ -47,6 +49,18 @@ def back() -> str:
         f" from {2.0 + SETTLING:g} s on where the start has died. {source(folder / 'back-provenance.json')}"
     )
     return f"{markdown(back_findings(table))}\n\n{note}"
+
+
+def root() -> str:
+    """The root's place in a pitch."""
+    folder = RESULTS / "study"
+    table = load_roots(folder)
+    members = int(table.groupby("case").size().max())
+    note = (
+        f"Means with 95 % intervals of {members} runs a case that differ by 0.1 µm at the start, 6 s each, from 2 s on;"
+        f" a growing probe has the length half-way. {source(folder / 'root-provenance.json')}"
+    )
+    return f"{root_markdown(table)}\n\n{note}"
 
 
 def bench() -> str:
