@@ -115,6 +115,7 @@ MAKERS: Final = {
         "study:OtherProbes", "whether the usual mesh holds for other probes", "probe-env other-probes --limit 1"
     ),
     "stability": Entry("study:Stability", "which time steps hold", "probe-env stability --output output/stability"),
+    "pressed": Entry("study:Pressed", "which pressed scenes and steps hold", "probe-env pressed scenes --limit 20"),
     "timelapse": Entry("study:Timelapse", "what time-lapse changes", "probe-env timelapse --output output/timelapse"),
     "peers": Entry("study:Peers", "other packages beside this one", "probe-env peers --output output/chart"),
     "bench": Entry("study:Bench", "the kernels' speed", "probe-env bench --repeats 3"),

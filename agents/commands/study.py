@@ -168,6 +168,37 @@ class Stability:
 
 
 @dataclass(frozen=True)
+class Pressed:
+    """Run what is pressed: two hundred drawn scenes, the map of steps drawn back, and insertions that were lost."""
+
+    parts: tyro.conf.Positional[tuple[Literal["scenes", "map", "insertions"], ...]] = ("scenes", "map", "insertions")
+    """What of it."""
+    output: Path = Path("output/pressed")
+    """Folder of scenes.csv, map.csv and insertions.csv; what is there already is not run again."""
+    episodes: Path = Path("results/any-probe/episodes.csv")
+    """Table of `probe-env evaluate --probes random`, of which the insertions that diverged are run again."""
+    limit: int = 0
+    """The first so many scenes, cells of a method, and insertions of a set; 0: all."""
+    jobs: int = 1
+    """Threads."""
+
+    def run(self) -> None:
+        """Run what is missing, print."""
+        from agents.chart.stability import lost, pressed_runs, pressed_words, returns
+        from agents.chart.stability.pressed import SCENES
+
+        if not 0 <= self.limit <= SCENES:
+            raise ValueError(f"limit = {self.limit!r} is outside the accepted range 0 (all) to {SCENES}")
+        if "scenes" in self.parts:
+            print(pressed_words.markdown(pressed_runs.run_pressed(self.output, self.limit, self.jobs)))
+        if "map" in self.parts:
+            print(returns.markdown(returns.run_returns(self.output, self.limit)))
+        if "insertions" in self.parts:
+            print(lost.markdown(lost.run_again(self.episodes, self.output, self.limit, self.jobs)))
+        print(f"written: {self.output}/ ({', '.join(f'{part}.csv' for part in self.parts)})")
+
+
+@dataclass(frozen=True)
 class Chart:
     """Chart accuracy against cost: every method before chaos and in it, mesh and model choices. Stored runs stay."""
 

@@ -22,5 +22,6 @@ MAKERS: dict[str, Callable[[], str]] = {
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
         simulator.root, simulator.scaling, simulator.smooth, simulator.stability,
         simulator.study, simulator.superelement, simulator.timelapse,
+        simulator.lost_insertions, simulator.pressed_scenes,
     )
 }  # fmt: skip

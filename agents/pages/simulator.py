@@ -10,6 +10,7 @@ from agents.chart import tables as chart
 from agents.chart import timelapse as lapses
 from agents.chart.costs import REPEATS
 from agents.chart.peers import comparison as others
+from agents.chart.stability import lost, pressed_words, returns
 from agents.chart.stability import map as stability_map
 from agents.pages.sources import RESULTS, source
 from agents.records.models import Record
@@ -23,6 +24,7 @@ from agents.study.claims import findings, markdown
 from agents.study.root_tables import root_markdown
 from agents.study.roots import load_rows as load_roots
 
+PRESSED = RESULTS / "pressed"
 FIGURES = ("ns_per_node_step", "node_step_ratio", "simulated_second_ratio")
 """Of a method in the bench: cost, and ratios of the study's scheme to it."""
 
@@ -173,7 +175,22 @@ def timelapse() -> str:
 def stability() -> str:
     """Steps that hold, and those that are wrong."""
     folder = RESULTS / "stability"
-    return f"{stability_map.markdown(read_csv(folder / 'map.csv'))}\n\n{source(folder / 'provenance.json')}"
+    return (
+        f"{stability_map.markdown(read_csv(folder / 'map.csv'))}\n\n{source(folder / 'provenance.json')}\n\n"
+        f"{returns.markdown(stored_rows(PRESSED / 'map.csv'))}\n\n{source(PRESSED / 'map-provenance.json')}"
+    )
+
+
+def pressed_scenes() -> str:
+    """Which of two hundred pressed scenes end finite."""
+    table, origin = stored_rows(PRESSED / "scenes.csv"), source(PRESSED / "scenes-provenance.json")
+    return f"{pressed_words.markdown(table)}\n\n{origin}"
+
+
+def lost_insertions() -> str:
+    """Insertions that diverge with floats alone, with the cable on the walls."""
+    table, origin = stored_rows(PRESSED / "insertions.csv"), source(PRESSED / "insertions-provenance.json")
+    return f"{lost.markdown(table)}\n\n{origin}"
 
 
 def energy() -> str:
