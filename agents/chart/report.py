@@ -23,7 +23,15 @@ STUDY = CHECKOUT / "results" / "study"
 
 
 def run_chart(output: Path, target: Path) -> None:
-    """Everything that is missing; what is timed comes last, when the machine has nothing else to do."""
+    """Everything that is missing; what is timed comes last, when the machine has nothing else to do.
+
+    Raises:
+        FileError: something stored in the folder is damaged; nothing was run.
+    """
+    for name in ("ensembles", "insertions", "smooth", "costs"):
+        path = output / f"{name}.csv"
+        if path.exists():
+            read_csv(path)
     run_ensembles(output)
     run_insertions(output)
     run_smooth(output)

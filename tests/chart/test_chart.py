@@ -11,12 +11,13 @@ from oracles.scatter import CHANCE, hits_within, reach
 from scipy.linalg import expm
 from scipy.stats import linregress
 
-from agents.chart import ensembles, insertions, smooth
+from agents.chart import ensembles, insertions, report, smooth
 from agents.chart.ensembles import Setting, open_store, run_ensembles, run_setting
 from agents.chart.figures import RESOLVED, resolved
 from agents.chart.report import draw_chart
 from agents.records.store import stored_rows
 from agents.rollouts.statistics import ratio_interval
+from probe_env.files import FileError
 from probe_env.physics import closed_forms
 from probe_env.physics.bare_chains import LAPACK
 
@@ -211,3 +212,12 @@ def test_the_stored_statistics_of_superelements_are_the_converged_mesh_s():
         assert (rows.loc[[40.0, 50.0], f"{output}:high"] < 1.1).all()
     coarse = errors[table_2 & (errors["method"] == "imex32") & (errors["nodes_per_pitch"] == 4)]
     assert (coarse.set_index("carrier_length_m").loc[[30.0, 40.0, 50.0], "radial_rms_m:high"] < 0.9).all()
+
+
+@pytest.mark.parametrize("name", ["ensembles", "insertions", "smooth", "costs"])
+def test_what_is_stored_is_read_before_anything_is_run(name, tmp_path, monkeypatch):
+    for function in ("run_ensembles", "run_insertions", "run_smooth", "run_costs"):
+        monkeypatch.setattr(report, function, lambda output: pytest.fail("something was run"))
+    (tmp_path / f"{name}.csv").write_text("a,b\n1\n")
+    with pytest.raises(FileError, match=f"{name}.csv: line 2: 1 values for 2 columns"):
+        report.run_chart(tmp_path, tmp_path / "measured_errors.csv")
