@@ -26,6 +26,7 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
         "log",
         "calibrate",
         "recommend",
+        "plc",
         "render",
         "train",
         "tune",
