@@ -148,8 +148,8 @@ class Calibrations:
 class Recommendations:
     """Recommend schedules for simulated tubes after one log of each, and simulate them against knowing the tube."""
 
-    tubes: int = 24
-    """In groups of 8 of one bore and length."""
+    tubes: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 24
+    """How many, in groups of 8 of one bore and length."""
     fidelity: Literal["fast", "standard"] = "standard"
     """How closely the schedules are simulated; the logs are simulated with fast."""
     output: Path = Path("output/recommendations")
