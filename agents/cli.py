@@ -5,15 +5,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 from agents.processes.interrupts import heard, tell
-
-AGENTS: Final = (
-    "cmaes", "moocore", "openpyxl", "optuna", "pint", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"
-)  # fmt: skip
-"""Modules of the extra "agents", which commands import when they need them."""
-EXTRAS: Final = {"agents": AGENTS, "app": ("bokeh", "tornado")}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,12 +44,14 @@ def _run(arguments: Sequence[str]) -> int:
 def _run_command(name: str, arguments: Sequence[str]) -> int:
     import warnings
 
-    from agents.publishing.places import in_its_place
-    from agents.terminal.notices import said_when_compiling
+    from agents.terminal.extras import extra_with
     from agents.terminal.refusals import refusal
     from probe_env import SimulationError
 
     try:
+        from agents.publishing.places import in_its_place
+        from agents.terminal.notices import said_when_compiling
+
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
         _show_choices()
         command = _command(name, arguments)
@@ -63,7 +59,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
             in_its_place(command).run()
     except ImportError as error:
         module = _missing(error)
-        extra = next((name for name, modules in EXTRAS.items() if module in modules), None)
+        extra = extra_with(module)
         if extra is None:
             raise
         return _fail(f'this command needs {module}, which is not installed: pip install "probe-env[{extra}]"')

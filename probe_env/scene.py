@@ -31,8 +31,8 @@ class Tube(Model):
     helix_length: Annotated[float, quantity(0.1, 1e3, "m")] = 60.0
     """Along the tube's axis [m]."""
     ovality: Annotated[float, quantity(0.0, 0.5, "")] = 0.0
-    """Greatest less least inner diameter over the nominal one: a bent tube is flat in the plane of its bend. The air's
-    cross-section, which is less by ovality squared / 4, stays as it is."""
+    """Greatest less least inner diameter over the nominal one [-]: a bent tube is flat in the plane of its bend. The
+    air's cross-section, which is less by ovality squared / 4, stays as it is."""
 
     @property
     def clear_diameter(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
@@ -14,6 +14,9 @@ from agents.processes.workers import Workers
 if TYPE_CHECKING:
     from probe_env import Design
     from probe_env.scene import Probe
+
+USUAL_TUBES: Final = 6
+"""Tubes that designs are tried in by a search."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +91,12 @@ class DesignSearch:
     """Whole insertions instead of sections of constant length."""
     trials: int = 240
     """Designs tried."""
-    contexts: Literal["train", "validation", "test"] | int = "train"
-    """Shipped list of tubes that designs are tried in. A number is what --limit is called now."""
-    limit: int = 6
-    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
+    contexts: Annotated[
+        Literal["train", "validation", "test"] | int, tyro.conf.arg(metavar="{train,validation,test}")
+    ] = "train"  # a number is how the published search was called: its stage keeps its command, and its record
+    """Shipped list of tubes that designs are tried in."""
+    limit: int | None = None
+    """Take so many tubes of the list only, the first of it, which are balanced; 0: all; default: 6."""
     tube: Path | None = None
     """Your own plant (tube.toml), see `probe-env compare --help`: searched for and tried in its tubes, among the floats
     that fit its bore."""
@@ -111,11 +116,14 @@ class DesignSearch:
         from agents.design.search import run_design_search
         from agents.policies.places import place_at
 
+        limit = USUAL_TUBES if self.limit is None else self.limit
         if isinstance(self.contexts, int):
+            if self.limit is not None:
+                raise ValueError(f"contexts = {self.contexts!r} is not one of train, validation, test")
             print(f"probe-env: note: --contexts {self.contexts} is now --limit {self.contexts}", file=sys.stderr)
             place = place_at(self.tube, "train", self.contexts)
         else:
-            place = place_at(self.tube, self.contexts, self.limit)
+            place = place_at(self.tube, self.contexts, limit)
         problem = design_problem(self.feed, self.full, place, self.fidelity)
         for cut in problem.cuts:
             print(f"probe-env: note: {cut}", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -84,8 +85,8 @@ class Agents:
 class Report:
     """Write the report of a stored evaluation again, or of what an interrupted one has stored: one HTML page."""
 
-    folder: tyro.conf.Positional[Path] = Path("results/evaluation")
-    """Folder of the evaluation."""
+    folder: tyro.conf.Positional[Path] = Path("output/evaluation")
+    """Folder of the evaluation; by default that of `evaluate`."""
 
     def run(self) -> None:
         """Write report.html, and summary.csv beside whole tables."""
@@ -132,7 +133,8 @@ class Map:
     """Folder of the insertions; what is there already is not run again."""
     target: Path | None = None
     """File of the map (.npz), how it was made beside it (.json); default: vibration-map.npz in the output folder, with
-    --tube NAME.toml NAME-map.npz beside that file, where every command with that tube finds it."""
+    --tube NAME.toml NAME-map.npz beside that file, where every command with that tube finds it, unless the file is one
+    that ships."""
     tube: Path | None = None
     """Your own plant (tube.toml): 96 tubes drawn from what is known of it instead of the training list."""
 
@@ -141,14 +143,26 @@ class Map:
         import_module("torch")  # for the fit, which comes after half an hour of simulation
 
         from agents.policies.maps.fit import make_map
-        from agents.policies.places import map_beside, plant_at
+        from agents.policies.places import plant_at
 
-        own = self.tube and self.tube.exists()  # nothing is written beside one that ships
-        target = self.target or (map_beside(self.tube) if self.tube and own else self.output / "vibration-map.npz")
+        target = self.target or self._default_target()
         if target.suffix != ".npz":
             raise ValueError(f"target = {str(target)!r} is not a file of arrays (.npz)")
         make_map(self.seeds, self.output, target, plant_at(self.tube))
         print(f"written: {target}")
+
+    def _default_target(self) -> Path:
+        """Beside the tube's file, or in the output folder where there is none, or one that ships: its map stays."""
+        from agents.policies.places import map_beside
+        from agents.records.shipped import file_or_shipped, ships
+
+        target = self.output / "vibration-map.npz"
+        if self.tube is None:
+            return target
+        if not ships("tubes", file_or_shipped("tubes", self.tube)):
+            return map_beside(self.tube)
+        print(f"probe-env: note: {self.tube} ships, and its map stays: the new one is {target}", file=sys.stderr)
+        return target
 
 
 @dataclass(frozen=True)
@@ -279,7 +293,7 @@ class Render:
     length: float = 10.0
     """Of the strip, how far behind the tip it reaches [m]."""
     duration: float = 0.5
-    """Of the strip, seconds of the probe's motion, up to 2; a picture each 5 ms."""
+    """Of the strip, how much of the probe's motion it shows [s], up to 2; a picture each 5 ms."""
     seed: int = 0
     """Of the tube and the sensors' noise."""
     tube: Path | None = None

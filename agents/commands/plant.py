@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -32,6 +33,9 @@ class Calibrate:
 
     def run(self) -> None:
         """Read, sample, store, print."""
+        for needed in ("emcee", "corner"):  # before half a minute of sampling
+            import_module(needed)
+
         from agents.calibration.calibration import calibrate
         from agents.calibration.pictures import draw_bands, draw_corner
         from agents.calibration.response import stored_response
@@ -107,6 +111,8 @@ class Learn:
 
     def run(self) -> None:
         """Simulate what is missing, learn, store."""
+        import_module("torch")  # for the network, which comes after hours of simulation
+
         from agents.calibration.simulated.fit import make_response
 
         target = self.target or self.output / "response.npz"
@@ -130,6 +136,8 @@ class Calibrations:
 
     def run(self) -> None:
         """Simulate, calibrate, store, print."""
+        import_module("emcee")  # for the calibrations, which come after the simulated logs
+
         from agents.calibration.simulated.study import run_study
 
         run_study(self.logs, self.fidelity, self.output, self.workers)
@@ -140,8 +148,8 @@ class Calibrations:
 class Recommendations:
     """Recommend schedules for simulated tubes after one log of each, and simulate them against knowing the tube."""
 
-    tubes: int = 24
-    """In groups of 8 of one bore and length."""
+    tubes: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 24
+    """How many, in groups of 8 of one bore and length."""
     fidelity: Literal["fast", "standard"] = "standard"
     """How closely the schedules are simulated; the logs are simulated with fast."""
     output: Path = Path("output/recommendations")
@@ -150,6 +158,8 @@ class Recommendations:
 
     def run(self) -> None:
         """Simulate, calibrate, recommend, store, print."""
+        import_module("emcee")  # for the calibrations, which come after the simulated logs
+
         from agents.recommendation.study import run_study
 
         run_study(self.tubes, self.fidelity, self.output, self.workers)

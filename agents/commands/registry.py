@@ -44,6 +44,10 @@ USERS: Final = {
         "plant:Recommend", "the schedule with the best expected reward for your plant",
         "probe-env recommend my-schedule.csv --tube mine.toml --output output/mine.csv",
     ),
+    "plc": Entry(
+        "control:Plc", "a feedback law of ten constants, for your plant's PLC",
+        "probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml",
+    ),
     "render": Entry(
         "feed:Render", "a film of an insertion, or slow motion near the tip",
         "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
@@ -96,10 +100,6 @@ MAKERS: Final = {
     "anchors": Entry(
         "inspection:Anchors", "which policy finds smaller flaws, whatever the sensor's scale",
         "probe-env anchors constant best-schedule --limit 6",
-    ),
-    "plc": Entry(
-        "control:Plc", "a feedback law of ten constants, for your plant's PLC",
-        "probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml",
     ),
     "world": Entry(
         "control:World", "the map as a world to train in, and its error", "probe-env world --limit 12"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -63,10 +64,9 @@ class Simulate:
         output = self.output or Path("output") / name
         step = method_named(self.method).usual_step if self.time_step is None else self.time_step
         simulator = Simulator(self.scene, self.method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
-        print(
-            f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s"
-            f" (known to hold up to {simulator.stable_time_step:.2g} s)"
-        )
+        stable = simulator.stable_time_step
+        holds = f"known to hold up to {stable:.2g} s" if math.isfinite(stable) else "holds with any"
+        print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s ({holds})")
         begin = 0.25 * self.duration if self.statistics_from is None else self.statistics_from
         statistics = simulate_scene(simulator, self.duration, begin, output, name)
         print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")

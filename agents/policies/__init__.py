@@ -6,6 +6,7 @@ rollouts and records; torch for trained networks and the map's fit.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from agents.policies.bundle import Agent
     from probe_env.envs.task import TaskConfig
 
-__all__ = ["from_sb3"]
+__all__ = ["from_sb3", "save_model"]
 
 
 def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
@@ -22,3 +23,10 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
     from agents.policies.sb3 import from_sb3 as policy_of  # and with it torch
 
     return policy_of(model, config)
+
+
+def save_model(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
+    """Store a model of Stable-Baselines3 as an agent's bundle; returns its hash, see ``agents.policies.sb3``."""
+    from agents.policies.sb3 import save_model as save
+
+    return save(path, model, config)

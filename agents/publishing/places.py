@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
 from agents.records.provenance import CHECKOUT, DATA, changed_code, commit
 
 PUBLISHED: Final = ("results", *DATA)
-"""Folders of the checkout that hold what README and docs say."""
+"""Folders of the checkout, and patterns of its files, that hold what README and docs say."""
 ELSEWHERE: Final = Path("output") / "unpublished"
 
 
@@ -27,15 +28,20 @@ def in_its_place(command: Any) -> Any:
     return dataclasses.replace(command, **moved)
 
 
+def is_published(path: Path) -> bool:
+    """Whether a path is one of ``PUBLISHED``, or lies in one."""
+    whole = path.absolute()
+    inner = [p.relative_to(CHECKOUT).as_posix() for p in (whole, *whole.parents) if p.is_relative_to(CHECKOUT)]
+    return any(fnmatchcase(name, pattern) for name in inner for pattern in PUBLISHED)
+
+
 def place(path: Path) -> Path:
     """Where what was meant for ``path`` goes: below ``ELSEWHERE`` if it would publish results of changed code."""
-    whole = path.absolute()
-    published = any(whole.is_relative_to(CHECKOUT / folder) for folder in PUBLISHED)
-    if not published or not commit().endswith("+changes"):
+    if not is_published(path) or not commit().endswith("+changes"):
         return path
     files = changed_code()
     shown = ", ".join(files[:3]) + (f" and {len(files) - 3} more" if len(files) > 3 else "")
-    elsewhere = ELSEWHERE / whole.relative_to(CHECKOUT)
+    elsewhere = ELSEWHERE / path.absolute().relative_to(CHECKOUT)
     warnings.warn(
         f"{path} is published from clean commits only, and {shown} differ from the commit: writing to {elsewhere}",
         stacklevel=2,

@@ -42,6 +42,11 @@ def shipped_folder(kind: Kind, package: Path = PACKAGE) -> Path:
     return package.parent / ("results" if kind == "agents" else "configs") / kind
 
 
+def ships(kind: Kind, path: str | Path, package: Path = PACKAGE) -> bool:
+    """Whether a path is in the folder of the shipped files of a kind, however it is written."""
+    return Path(path).resolve().is_relative_to(shipped_folder(kind, package).resolve())
+
+
 def shipped_names(kind: Kind, package: Path = PACKAGE) -> tuple[str, ...]:
     """Names of the shipped files of a kind, without their endings."""
     return tuple(shipped_agents(package)) if kind == "agents" else tuple(path.stem for path in _files(kind, package))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def simulate_scene(
 
 def _store(simulator: Simulator, run: Run, statistics: dict[str, float], start: float, output: Path, name: str) -> None:
     output.mkdir(parents=True, exist_ok=True)
-    scene = simulator.scene
+    scene, stable = simulator.scene, simulator.stable_time_step
     write_atomically(output / "scene.toml", scene.to_toml())
     column = run.column("sensor")
     chosen = run.time >= start
@@ -86,7 +87,7 @@ def _store(simulator: Simulator, run: Run, statistics: dict[str, float], start: 
             "method": simulator.method,
             "solver": simulator.solver,
             "time_step_s": simulator.time_step,
-            "stable_time_step_s": simulator.stable_time_step,
+            "stable_time_step_s": stable if math.isfinite(stable) else None,  # implicit holds with any step
             "nodes_per_pitch": simulator.nodes_per_pitch,
             "statistics_from_s": start,
             "statistics": statistics,

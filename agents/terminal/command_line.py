@@ -1,4 +1,4 @@
-"""Arguments as a command; what a model refuses is one line, as all errors are."""
+"""Arguments as a command; what tyro or a model refuses is one line, as all errors are."""
 
 from __future__ import annotations
 
@@ -9,12 +9,17 @@ from typing import Any, Final
 
 import tyro
 from pydantic import ValidationError
+from tyro import _strings
 
+from agents.terminal.tyro_texts import joined_lines, message_of, option_problem, options_of
 from probe_env.settings import explain
 
 OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.probe", "Contact": "--scene.contact",
                   "Air": "--scene.air"}  # fmt: skip
 """Model -> the options that fill it."""
+
+if hasattr(_strings, "remove_single_line_breaks"):  # tyro's own keeps breaks before what begins with no letter
+    _strings.remove_single_line_breaks = joined_lines
 
 
 def parsed(name: str, kind: type[Any], arguments: Sequence[str], example: str, default: Any = None) -> Any:
@@ -28,21 +33,41 @@ def parsed(name: str, kind: type[Any], arguments: Sequence[str], example: str, d
         default: command whose fields are the options' defaults.
 
     Raises:
-        ValueError: an option of a scene is not valid.
-        SystemExit: what tyro does not understand, which it has told; and help.
+        ValueError: an option is not known, or its value is not valid.
+        SystemExit: help was asked for, and printed.
     """
     given: dict[str, Any] = {
-        "args": arguments, "prog": f"probe-env {name}", "description": f"{kind.__doc__}\n\nExample: {example}"
+        "prog": f"probe-env {name}", "description": f"{kind.__doc__}\n\nExample: {example}"
     }  # fmt: skip
     given |= {"default": default} if default is not None else {}
+    command, stop, text = _silently(kind, given | {"args": arguments})
+    if stop is None:
+        return command
+    for error in _causes(stop):
+        if isinstance(error, ValidationError):
+            raise ValueError(explain(error, OPTIONS.get(error.title, error.title))) from error
+    if not stop.code:
+        return tyro.cli(kind, args=arguments, **given)  # once more, aloud: help
+    known = options_of(_silently(kind, given | {"args": ["--help"]})[2])
+    unknown = [argument for argument in _flags(arguments) if argument not in known]
+    raise ValueError(option_problem(unknown[0], known, name) if unknown else message_of(text)) from None
+
+
+def _silently(kind: type[Any], given: dict[str, Any]) -> tuple[Any, SystemExit | None, str]:
+    """The command or what tyro ended with, and all that it printed."""
+    printed = io.StringIO()
     try:
-        with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
-            return tyro.cli(kind, **given)
+        with redirect_stderr(printed), redirect_stdout(printed):
+            return tyro.cli(kind, **given), None, printed.getvalue()
     except SystemExit as stop:
-        for error in _causes(stop):
-            if isinstance(error, ValidationError):
-                raise ValueError(explain(error, OPTIONS.get(error.title, error.title))) from error
-    return tyro.cli(kind, **given)  # once more, aloud
+        return None, stop, printed.getvalue()
+
+
+def _flags(arguments: Sequence[str]) -> list[str]:
+    """What is written as an option, without its value, as tyro spells it; negative numbers are values."""
+    before = list(arguments[: arguments.index("--")] if "--" in arguments else arguments)
+    names = [argument.partition("=")[0] for argument in before if argument.startswith("--")]
+    return [name.replace("_", "-") for name in names]
 
 
 def positional(arguments: Sequence[str]) -> str | None:

@@ -1,5 +1,7 @@
 """What ``probe-env`` says of itself: the first page, every command's help, and what is not a command."""
 
+import json
+import math
 from importlib.metadata import version
 
 import pytest
@@ -8,6 +10,7 @@ import probe_env
 from agents.cli import main
 from agents.commands.registry import COMMANDS, MAKERS, USERS, first_page
 from agents.terminal.command_line import positional
+from probe_env import Scene
 from probe_env.physics.methods import METHODS
 
 
@@ -23,6 +26,7 @@ def test_the_first_page_shows_users_their_commands_first(arguments, status, caps
         "log",
         "calibrate",
         "recommend",
+        "plc",
         "render",
         "train",
         "tune",
@@ -50,17 +54,22 @@ def test_simulate_names_all_methods_and_units(capsys, monkeypatch):
         main(["simulate", "--help"])
     page = capsys.readouterr().out
     assert f"--method {{{','.join(METHODS)}}}" in page
-    assert len(METHODS) == 8
     for option in ("--scene.feed-speed", "--scene.probe.flexural-rigidity", "--scene.contact.stiffness"):
         assert "[" in page[page.index(option) :].splitlines()[1].replace("[default", "")  # its unit
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_simulate_takes_every_method_with_its_usual_step(method, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("agents.study.simulate.simulate_scene", lambda *_: {})
-    monkeypatch.setattr("agents.study.simulate.print_statistics", lambda *_: None)
-    assert main(["simulate", "fig11_l10", "--method", method, "--output", str(tmp_path)]) == 0
-    assert f"{method}, time step {METHODS[method].usual_step:g} s" in capsys.readouterr().out
+def test_simulate_runs_every_method_with_its_usual_step(method, tmp_path, capsys):
+    brief = ["--duration", "0.02", "--scene.carrier-length", "6", "--output", str(tmp_path)]
+    assert main(["simulate", "fig11_l10", "--method", method, *brief]) == 0
+    printed = capsys.readouterr().out
+    assert f"{method}, time step {METHODS[method].usual_step:g} s" in printed
+    assert "inf" not in printed
+    results = json.loads((tmp_path / "results.json").read_text(), parse_constant=pytest.fail)
+    assert (results["method"], results["time_step_s"]) == (method, METHODS[method].usual_step)
+    assert results["statistics"]["radial_rms_m"] > 0.0
+    limit = METHODS[method].stable_step(Scene.from_toml(tmp_path / "scene.toml"), results["nodes_per_pitch"])
+    assert results["stable_time_step_s"] == (limit if math.isfinite(limit) else None)
 
 
 def test_the_version_is_that_of_the_package(capsys):

@@ -17,19 +17,27 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.cli import AGENTS
 from agents.records.shipped import shipped_agents, shipped_names
+from agents.terminal.extras import modules_of
 
 ROOT = Path(__file__).parents[2]
+AGENTS, COMMANDS = modules_of("agents"), modules_of("commands")
 NO_BACKEND = ("No matching distribution found for hatchling", "Failed to establish a new connection", "ConnectionError")
-HIDDEN = f"""
+HIDDEN = """
 import sys
 class Hidden:
     def find_spec(self, name, *_):
-        if name.partition(".")[0] in {AGENTS}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+        if name.partition(".")[0] in HIDDEN:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Hidden())
 """
+
+
+def hiding(folder, modules):
+    """The folder for PYTHONPATH with which these modules are not installed."""
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(f"HIDDEN = {modules}\n{HIDDEN}")
+    return str(folder)
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +115,7 @@ def test_the_wheel_holds_what_users_name(wheel):
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert f"Version: {version('probe-env')}" in metadata
     assert "License-Expression: MIT" in metadata
+    assert "Provides-Extra: commands" in metadata
 
 
 def test_by_name_in_an_empty_folder(run, python):
@@ -132,8 +141,7 @@ def test_by_name_in_an_empty_folder(run, python):
 
 
 def test_without_the_extra_one_line_names_it(run, tmp_path):
-    (tmp_path / "hidden").mkdir()
-    (tmp_path / "hidden" / "sitecustomize.py").write_text(HIDDEN)
+    hidden = hiding(tmp_path / "hidden", AGENTS)
     for arguments, missing in (
         (["train", "ppo"], "torch"),
         (["design"], "moocore"),
@@ -142,11 +150,25 @@ def test_without_the_extra_one_line_names_it(run, tmp_path):
         (["map"], "torch"),
         (["log", "example-rig"], "pint"),
         (["evaluate", "pi", "ppo"], "torch"),
+        (["calibrate", "example-rig"], "emcee"),
+        (["response"], "torch"),
+        (["calibrations"], "emcee"),
+        (["recommendations"], "emcee"),
     ):
-        told = run("probe-env", *arguments, status=2, PYTHONPATH=str(tmp_path / "hidden"))
+        told = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
         line = f'this command needs {missing}, which is not installed: pip install "probe-env[agents]"'
         assert told == ("", f"probe-env: error: {line}\n"), arguments
     assert list(run.folder.iterdir()) == []
+
+
+def test_a_plain_install_is_the_simulator_and_the_environments(run, tmp_path):
+    hidden = hiding(tmp_path / "hidden", (*COMMANDS, *AGENTS))
+    code = "import gymnasium, probe_env; gymnasium.make('probe_env/Insertion-v1').reset(seed=0); print('reset')"
+    assert run("python", "-c", code, PYTHONPATH=hidden)[0] == "reset\n"
+    line = 'this command needs tyro, which is not installed: pip install "probe-env[commands]"'
+    for arguments in (["simulate", "fig11_l10"], ["evaluate"], ["agents"], ["train", "ppo"]):
+        assert run("probe-env", *arguments, status=2, PYTHONPATH=hidden) == ("", f"probe-env: error: {line}\n")
+    assert "usage: probe-env" in run("probe-env", "--help", PYTHONPATH=hidden)[0]
 
 
 def test_an_environment_loads_nothing_that_commands_alone_need(run):
@@ -154,23 +176,13 @@ def test_an_environment_loads_nothing_that_commands_alone_need(run):
         "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v1').reset(seed=0); print(*sys.modules)"
     )
     loaded = set(run("python", "-c", code)[0].split())
-    assert not loaded & {
-        "agents",
-        "imageio",
-        "jinja2",
-        "joblib",
-        "matplotlib",
-        "pandas",
-        "pyarrow",
-        "rich",
-        "tyro",
-        *AGENTS,
-    }
+    assert not loaded & {"agents", "matplotlib", "pandas", *COMMANDS, *AGENTS}
 
 
 def test_what_needs_a_checkout_says_so(run):
-    told = "probe-env: error: results works in a checkout of the project, and this is an installed package\n"
-    assert run("probe-env", "results", "--plan", status=2) == ("", told)
+    for arguments in (["results", "--plan"], ["world", "--limit", "1"]):
+        refused = f"{arguments[0]} works in a checkout of the project, and this is an installed package"
+        assert run("probe-env", *arguments, status=2) == ("", f"probe-env: error: {refused}\n")
 
 
 def installed_files(site):

@@ -82,6 +82,10 @@ def test_a_dirty_tree_publishes_elsewhere_and_says_so(checkout):
         Path("output/unpublished/results/evaluation"), Path("output/unpublished/agents/policies/data/map.npz")
     )
     assert place(Path("output/mine")) == Path("output/mine")
+    with pytest.warns(UserWarning, match="clean commits only"):  # a pattern of files, not a folder
+        assert place(Path("configs/tubes/snr-map.npz")) == Path("output/unpublished/configs/tubes/snr-map.npz")
+    assert place(Path("configs/tubes/mine.toml")) == Path("configs/tubes/mine.toml")
+    assert place(checkout.parent / "results" / "mine") == checkout.parent / "results" / "mine"
 
 
 def stage(**changes):
