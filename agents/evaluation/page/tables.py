@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from agents.evaluation.page.verdict import ranking
-from agents.records.columns import FOUND, KPIS, OVER_TUBES, shown_of
+from agents.records.columns import KPIS, OVER_TUBES, shown_of
 from agents.rollouts.statistics import by_context, endings, paired_difference, short
 
 MOST_DIAMETERS = 12
@@ -36,7 +36,7 @@ class Row:
 
 def header(kpi: str) -> str:
     """Name and unit of a KPI."""
-    name, _, unit = (KPIS | FOUND | OVER_TUBES)[kpi]
+    name, _, unit = (KPIS | OVER_TUBES)[kpi]
     return f"{name} [{unit}]" if unit else name
 
 
