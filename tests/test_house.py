@@ -2,6 +2,7 @@
 
 import ast
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,16 @@ def test_a_room_has_at_most_a_dozen_files_and_says_what_it_is_for(folder):
 def test_functions_can_be_read():
     assert [name for name, lines, _ in functions() if lines > MOST_LINES] == []
     assert [name for name, _, parameters in functions() if parameters > MOST_PARAMETERS] == []
+
+
+def test_a_kernel_needs_no_entry_in_the_settings_of_types():
+    """Files of methods are checked as kernels unless they are named as strict, so a new one is not named anywhere."""
+    overrides = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
+    named = {module for override in overrides for module in override["module"]}
+    assert "probe_env.physics.methods.*" in named
+    kernels = [path for path in (ROOT / "probe_env/physics/methods").rglob("*.py") if "@njit" in path.read_text()]
+    assert len(kernels) > 10
+    assert named.isdisjoint(".".join(path.relative_to(ROOT).with_suffix("").parts) for path in kernels)
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no checkout: what belongs to the project is not known")
