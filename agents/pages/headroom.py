@@ -75,12 +75,12 @@ def lead_of(table: pd.DataFrame, policy: str) -> str:
 def world() -> str:
     """Rewards in the world of the map beside simulated ones."""
     summary = pd.read_csv(RESULTS / "world" / "map-world.csv")
-    told = read_json(NOISE, Figures)
-    record, found = told.provenance.model_dump(), told.model_extra or {}
-    agreement = found["agreement"]
+    stored = read_json(NOISE, Figures)
+    record, measured = stored.provenance.model_dump(), stored.model_extra or {}
+    agreement = measured["agreement"]
     return (
         f"{markdown(worlds.HEADER, worlds.cells(summary))}\n\n"
         f"Mean rewards on {agreement['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; the order of the"
-        f" policies agrees with a Kendall's tau of {agreement['tau']:.2f}. The noise was measured on {found['periods']}"
-        f" seconds of {found['tubes']} training tubes. Made by `{command(record)}` at commit {record['commit']}."
+        f" policies agrees with a Kendall's tau of {agreement['tau']:.2f}. The noise was measured on {measured['periods']}"
+        f" seconds of {measured['tubes']} training tubes. Made by `{command(record)}` at commit {record['commit']}."
     )

@@ -23,9 +23,9 @@ SHOWN = ("reward", "inspection_time_s", "share_within_limit")
 
 def plc_constants() -> str:
     """The ten constants and how they were found."""
-    told = read_json(STORED, Figures)
-    found = told.model_extra or {}
-    record, tubes, rewards = told.provenance.model_dump(), found["tubes"], found["rewards"]
+    stored = read_json(STORED, Figures)
+    searched = stored.model_extra or {}
+    record, tubes, rewards = stored.provenance.model_dump(), searched["tubes"], searched["rewards"]
     simulated = (
         f", then {rewards['simulated']:.1f} in simulation on {tubes['simulated']}" if "simulated" in rewards else ""
     )
