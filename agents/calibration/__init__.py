@@ -1,3 +1,6 @@
-"""From a log to friction, stiffness, drag and damping with intervals."""
+"""What a log says of its plant: both enter; friction, stiffness, drag and damping leave, with intervals.
+
+``simulated`` is what the response is learnt from. Imports logs, records and terminal, plants and closed forms.
+"""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The commands' arguments, a dataclass each; what they run is imported when they do.
+"""The commands, a dataclass each: arguments enter; what they call writes files and prints tables, which leave.
 
-Imports any room.
+Imports any room, when a command runs; at the start only what names and checks the arguments.
 """

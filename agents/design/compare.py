@@ -21,6 +21,7 @@ from agents.policies.fixed import Scheduled
 from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.places import TABLE_2, Named
 from agents.records.code_hash import class_hash, code_hash
+from agents.records.columns import CORE, OF_DESIGNS, kpis_of
 from agents.records.journal import Journal
 from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
@@ -43,18 +44,10 @@ from probe_env.envs.trials import (
 from probe_env.schedule import Schedule
 from probe_env.settings import explain
 
-KPIS: dict[str, tuple[str, float, str]] = {
-    "reward": ("reward", 1.0, ""),
-    "radial_rms_m": ("radial rms", 1e3, "mm"),
-    "share_within_limit": ("within the limit", 100.0, "%"),
-    "inspection_time_s": ("time", 1.0, "s"),
-    "inspected_m": ("inspected", 1.0, "m"),
-    "drive_margin_n": ("drive margin", 1.0, "N"),
-}
-"""KPI -> name, factor and unit for people."""
 STORED: Final = "designs.csv"
-COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(KPIS, "number")}
-"""Of the stored table, as far as a summary needs them."""
+COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(CORE, "number")}
+NEWER: Final[Columns] = dict.fromkeys(OF_DESIGNS, "number")
+"""Of the stored table, as far as a summary takes them: what it needs, and what it shows where it is there."""
 BATCH = 16
 CODE = ("probe_env.envs.trials:try_insertions", "probe_env.envs.trials:try_sections", "probe_env.envs.trials:judge")
 """What a result depends on, besides the feed."""
@@ -217,7 +210,7 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
     first, rows = str(table["design"].iloc[0]), []
     by_design = {name: part.set_index("context") for name, part in table.groupby("design", sort=False)}
     for name, part in by_design.items():
-        for kpi in KPIS:
+        for kpi in kpis_of(part.columns, OF_DESIGNS):
             mean = mean_interval(part[kpi].to_numpy())
             change = mean_interval((part[kpi] - by_design[first][kpi]).to_numpy())
             rows.append((name, kpi, mean.mean, mean.low, mean.high, change.mean, change.low, change.high))
@@ -227,16 +220,19 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
 
 def cells(summary: pd.DataFrame) -> list[list[str]]:
     """Rows for people: a design, its KPIs with intervals, and the change of the reward against the first design."""
-    rows = []
+    rows, kpis = [], kpis_of(summary["kpi"], OF_DESIGNS)
     for name in dict.fromkeys(summary["design"]):
         part = summary[summary["design"] == name].set_index("kpi")
-        texts = [Interval(*part.loc[kpi, ["mean", "low", "high"]]).text(KPIS[kpi][1]) for kpi in KPIS]
+        texts = [Interval(*part.loc[kpi, ["mean", "low", "high"]]).text(factor) for kpi, (_, factor, _) in kpis.items()]
         change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]]).text()
         rows.append([str(name), *texts, change])
     return rows
 
 
-HEADER = ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in KPIS.values()), "reward, change"]
+def header(summary: pd.DataFrame) -> list[str]:
+    """What the cells of a row are."""
+    shown = kpis_of(summary["kpi"], OF_DESIGNS).values()
+    return ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown), "reward, change"]
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:
@@ -246,7 +242,7 @@ def read_comparison(folder: Path) -> pd.DataFrame:
         FileNotFoundError: none is stored there.
         FileError: the file is damaged.
     """
-    return read_csv(folder / STORED, COLUMNS)
+    return read_csv(folder / STORED, COLUMNS, NEWER)
 
 
 def print_comparison(table: pd.DataFrame) -> None:
@@ -254,6 +250,7 @@ def print_comparison(table: pd.DataFrame) -> None:
     where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
     number = table["context"].nunique()
     title = f"Means over {number} tubes{where} with 95 % intervals; change against the first"
-    print_table(title, HEADER, cells(summarise(table)))
+    summary = summarise(table)
+    print_table(title, header(summary), cells(summary))
     for name, part in table.groupby("design", sort=False):
         print(f"{name}: {int(part['lost_drive'].sum())} lost drive, {int(part['diverged'].sum())} diverged")

@@ -17,8 +17,7 @@ from agents.policies.catalogue import make_policy
 from agents.policies.places import Place
 from agents.records.atomic import write_atomically
 from agents.records.provenance import provenance, write_json
-from agents.records.reading import read_parquet
-from agents.records.tables import EPISODES, EPISODES_FOUND
+from agents.records.tables import read_episodes
 from agents.rollouts import found
 from agents.rollouts.statistics import grouped
 from agents.terminal.tables import print_table
@@ -218,7 +217,7 @@ def draw_curves(evaluation: Path, output: Path) -> None:
         FileNotFoundError: there is no such evaluation.
         ValueError: its episodes were stored before there was a sensor.
     """
-    table = grouped(read_parquet(evaluation / "episodes.parquet", EPISODES, EPISODES_FOUND))
+    table = grouped(read_episodes(evaluation / "episodes.parquet"))
     if not found.tells(table):
         raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
     curves = found.bands(table)

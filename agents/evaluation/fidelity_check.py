@@ -16,7 +16,7 @@ from scipy.stats import kendalltau
 
 from agents.policies.fixed import Scheduled
 from agents.processes.workers import HERE, Workers
-from agents.records.columns import FOUND, KPIS, kpis_of
+from agents.records.columns import KPIS, kpis_of
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_parquet
 from agents.records.tables import PROFILE
@@ -161,7 +161,7 @@ def words(checks: pd.DataFrame) -> list[str]:
         for row in rows.to_dict("records"):
             clear = row["low"] > 0.0 or row["high"] < 0.0
             if clear and abs(row["mean"]) > WORTH_A_WORD * abs(row["before"]):
-                name, factor, unit = (KPIS | FOUND)[row["kpi"]]
+                name, factor, unit = KPIS[row["kpi"]]
                 change = Interval(row["mean"], row["low"], row["high"]).text(factor)
                 lines.append(f"{row['policy']}: {name} changes by {change} {unit}".rstrip())
     return lines

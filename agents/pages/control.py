@@ -14,10 +14,10 @@ from agents.learning import results as agent_results
 from agents.pages.headroom import SHARE, lead_of, with_law, with_planner
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
-from agents.records.columns import shown_of
+from agents.records.columns import KPIS, shown_of
 from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
-from agents.records.tables import EPISODES
+from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement, profiles
 from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
 from probe_env.envs.task import TaskConfig
@@ -44,13 +44,13 @@ HEADLINE: Final = {
 }
 """Policies that a newcomer should know, in words."""
 SHORT: Final = {
-    "reward": ("reward", 1.0, ".1f"),
-    "inspection_time_s": ("time [s]", 1.0, ".0f"),
-    "share_within_limit": ("within the limit [%]", 100.0, ".1f"),
-    "radial_rms_m": ("radial rms [mm]", 1e3, ".3f"),
-    "air_m3": ("air [m³]", 1.0, ".1f"),
+    "reward": ("reward", ".1f"),
+    "inspection_time_s": ("time [s]", ".0f"),
+    "share_within_limit": ("within the limit [%]", ".1f"),
+    "radial_rms_m": ("radial rms [mm]", ".3f"),
+    "air_m3": ("air [m³]", ".1f"),
 }
-"""KPI -> heading, factor and format of the short table."""
+"""KPI -> heading and format of the short table."""
 
 
 def _simulated(folder: Path) -> str:
@@ -63,12 +63,12 @@ def _simulated(folder: Path) -> str:
 def headline() -> str:
     """The policies that a newcomer should know by five means each."""
     folder = RESULTS / "evaluation"
-    table, config = with_law(with_planner(grouped(read_csv(folder / "episodes.csv", EPISODES)))), TaskConfig()
+    table, config = with_law(with_planner(grouped(read_episodes(folder / "episodes.csv")))), TaskConfig()
     means = summarise(table).set_index(["policy", "kpi"])["mean"].to_dict()
-    lines = [f"| policy | what it does | {' | '.join(name for name, _, _ in SHORT.values())} |"]
+    lines = [f"| policy | what it does | {' | '.join(name for name, _ in SHORT.values())} |"]
     lines += ["|---" * 2 + "|---:" * len(SHORT) + "|"]
     for policy, what in HEADLINE.items():
-        cells = (f"{means[policy, kpi] * factor:{form}}" for kpi, (_, factor, form) in SHORT.items())
+        cells = (f"{means[policy, kpi] * KPIS[kpi][1]:{form}}" for kpi, (_, form) in SHORT.items())
         lines.append(f"| `{policy}` | {what} | {' | '.join(cells)} |")
     ends = endings(table[table["policy"].isin(HEADLINE)])
     count = int(ends["episodes"].sum())
@@ -92,7 +92,7 @@ def any_probe() -> str:
 
 
 def _evaluated(folder: Path, left_out: tuple[str, ...], lead: bool = False) -> str:
-    table = grouped(read_csv(folder / "episodes.csv", EPISODES))
+    table = grouped(read_episodes(folder / "episodes.csv"))
     against = compared_with(folder, table)
     known = shown_of(table.columns)
     shown = [kpi for kpi in known if kpi not in left_out]
@@ -114,7 +114,7 @@ def _evaluated(folder: Path, left_out: tuple[str, ...], lead: bool = False) -> s
 
 def agents() -> str:
     """The agents against the other policies with the differences in words; what training took."""
-    table = grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))
+    table = grouped(read_episodes(RESULTS / "evaluation" / "episodes.csv"))
     lines = [_improvement(table)]
     lines += [f"* {line}" for line in agent_results.verdicts(with_planner(table), "ppo", BARS, "planner")]
     curves = agent_results.load_curves(RESULTS / "agents" / "ppo")
@@ -145,7 +145,7 @@ def _improvement(table: pd.DataFrame) -> str:
 
 def reward_profiles() -> pd.DataFrame:
     """Performance profiles of the agents, what sets the bar, and the planner."""
-    table = with_law(with_planner(grouped(read_csv(RESULTS / "evaluation" / "episodes.csv", EPISODES))))
+    table = with_law(with_planner(grouped(read_episodes(RESULTS / "evaluation" / "episodes.csv"))))
     shown = [name for name in PROFILED if name in set(table["policy"])]
     return profiles(table, shown, np.arange(-40.0, 41.0, 1.0))
 
@@ -166,7 +166,7 @@ def tradeoff() -> str:
     """Hypervolume of every family of policies."""
     folder = RESULTS / "tradeoff"
     volumes = read_csv(folder / "hypervolume.csv")
-    contexts = read_csv(folder / "episodes.csv", EPISODES)["context"].nunique()
+    contexts = read_episodes(folder / "episodes.csv")["context"].nunique()
     parts = [
         f"`{row['family']}` {Interval(row['hypervolume'], row['low'], row['high']).text()}"
         for row in volumes.to_dict("records")

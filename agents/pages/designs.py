@@ -58,9 +58,10 @@ def designs() -> str:
 
 
 def _compared(folder: Path, title: str) -> str:
-    table = design_compare.cells(read_csv(folder / "summary.csv"))
+    summary = read_csv(folder / "summary.csv")
+    names, table = design_compare.header(summary), design_compare.cells(summary)
     record = read_json(folder / "provenance.json", Record).model_dump()
     tubes = read_csv(folder / "designs.csv")["context"].nunique()
-    lines = [title.format(tubes=tubes), "", f"| {' | '.join(design_compare.HEADER)} |"]
-    lines += ["|---" * len(design_compare.HEADER) + "|", *(f"| {' | '.join(row)} |" for row in table)]
+    lines = [title.format(tubes=tubes), "", f"| {' | '.join(names)} |"]
+    lines += ["|---" * len(names) + "|", *(f"| {' | '.join(row)} |" for row in table)]
     return "\n".join(lines) + f"\n\nMade by `{command(record)}` at commit {record['commit']}."

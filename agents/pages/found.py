@@ -11,8 +11,8 @@ from agents.detection import anchors as detection
 from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.catalogue import DATA
 from agents.records.models import Record
-from agents.records.reading import read_csv, read_json
-from agents.records.tables import EPISODES
+from agents.records.reading import read_json
+from agents.records.tables import read_episodes
 from agents.rollouts.found import depths_of
 from agents.rollouts.statistics import grouped, paired_difference
 from probe_env.schedule import Schedule
@@ -32,7 +32,7 @@ PLACES: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)
 
 def snr() -> str:
     """Policies in the task that is judged by what is found."""
-    table = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
+    table = grouped(read_episodes(FOLDER / "episodes.csv"))
     depths = depths_of(table).set_index("policy")["a90_95_percent_wall"]
     means = table.groupby("policy").mean(numeric_only=True).sort_values("reward", ascending=False)
     rows = []
@@ -60,7 +60,7 @@ def snr() -> str:
 def snr_agent() -> str:
     """The agent that was trained for what is found."""
     folder = RESULTS / "snr-agent"
-    table = grouped(read_csv(folder / "episodes.csv", EPISODES))
+    table = grouped(read_episodes(folder / "episodes.csv"))
     mean = table[table["policy"] == AGENT].mean(numeric_only=True)
     depth = depths_of(table).set_index("policy")["a90_95_percent_wall"].loc[AGENT]
     against = ", ".join(

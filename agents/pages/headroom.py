@@ -9,8 +9,8 @@ from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.catalogue import PLC
 from agents.policies.planning.planner import PLANNERS
 from agents.records.models import Figures
-from agents.records.reading import read_csv, read_json
-from agents.records.tables import EPISODES
+from agents.records.reading import read_json
+from agents.records.tables import read_episodes
 from agents.rollouts.statistics import BEST, grouped, share_of_lead
 from agents.worlds import measure as worlds
 from agents.worlds.noise import STORED as NOISE
@@ -49,14 +49,14 @@ def planner_settings() -> str:
 
 def with_planner(table: pd.DataFrame) -> pd.DataFrame:
     """An evaluation's table with the planner's episodes on the same tubes."""
-    played = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
+    played = grouped(read_episodes(FOLDER / "episodes.csv"))
     planner = played[(played["policy"] == BEST) & played["context"].isin(set(table["context"]))]
     return pd.concat([table, planner[[name for name in table.columns if name in planner]]], ignore_index=True)
 
 
 def with_law(table: pd.DataFrame) -> pd.DataFrame:
     """An evaluation's table with the episodes of the PLC's law on the same tubes."""
-    played = grouped(read_csv(RESULTS / "control" / "episodes.csv", EPISODES))
+    played = grouped(read_episodes(RESULTS / "control" / "episodes.csv"))
     law = played[(played["policy"] == PLC) & played["context"].isin(set(table["context"]))]
     return pd.concat([table, law[[name for name in table.columns if name in law]]], ignore_index=True)
 
@@ -75,12 +75,12 @@ def lead_of(table: pd.DataFrame, policy: str) -> str:
 def world() -> str:
     """Rewards in the world of the map beside simulated ones."""
     summary = pd.read_csv(RESULTS / "world" / "map-world.csv")
-    told = read_json(NOISE, Figures)
-    record, found = told.provenance.model_dump(), told.model_extra or {}
-    agreement = found["agreement"]
+    stored = read_json(NOISE, Figures)
+    record, measured = stored.provenance.model_dump(), stored.model_extra or {}
+    agreement = measured["agreement"]
     return (
         f"{markdown(worlds.HEADER, worlds.cells(summary))}\n\n"
         f"Mean rewards on {agreement['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; the order of the"
-        f" policies agrees with a Kendall's tau of {agreement['tau']:.2f}. The noise was measured on {found['periods']}"
-        f" seconds of {found['tubes']} training tubes. Made by `{command(record)}` at commit {record['commit']}."
+        f" policies agrees with a Kendall's tau of {agreement['tau']:.2f}. The noise was measured on"
+        f" {measured['periods']} seconds of {measured['tubes']} training tubes. Made by `{command(record)}` at commit {record['commit']}."
     )

@@ -18,32 +18,32 @@ from agents.records.reading import read_json
 def calibrations() -> str:
     """How well calibrations of simulated logs find their truths."""
     figures = read_json(RESULTS / "calibrations" / "summary.json", Figures)
-    told = figures.model_extra or {}
+    extra = figures.model_extra or {}
     header = ("", *(unknown.text for unknown in UNKNOWNS.values()))
     rows = [
-        (f"{what}, {name}", *(_cell(what, told[f"{name}: {unknown} {what}"]) for unknown in UNKNOWNS))
+        (f"{what}, {name}", *(_cell(what, extra[f"{name}: {unknown} {what}"]) for unknown in UNKNOWNS))
         for what in ("covered", "ranks uniform, p")
         for name in SETS
     ]
-    errors = ", ".join(f"{told[f'{name}: friction, median error']:.3f} {name}" for name in SETS)
+    errors = ", ".join(f"{extra[f'{name}: friction, median error']:.3f} {name}" for name in SETS)
     wrong = ", ".join(
-        f"{100.0 * told[f'{name}: wrongly misspecified']:.0f} % and {100.0 * told[f'{name}: wrongly doubtful']:.0f} %"
+        f"{100.0 * extra[f'{name}: wrongly misspecified']:.0f} % and {100.0 * extra[f'{name}: wrongly doubtful']:.0f} %"
         f" {name}"
         for name in SETS
     )
     caught = "; ".join(
-        f"{world} {100.0 * told[f'{world}: called misspecified']:.0f} % misspecified,"
-        f" {100.0 * told[f'{world}: called misspecified or doubtful']:.0f} % that or doubtful"
+        f"{world} {100.0 * extra[f'{world}: called misspecified']:.0f} % misspecified,"
+        f" {100.0 * extra[f'{world}: called misspecified or doubtful']:.0f} % that or doubtful"
         for world in WORLDS
     )
-    alone = f"{told['tension alone: friction, median error']:.3f}"
-    covered = f"{100.0 * told['tension alone: friction covered']:.0f} %"
+    alone = f"{extra['tension alone: friction, median error']:.3f}"
+    covered = f"{100.0 * extra['tension alone: friction covered']:.0f} %"
     return (
-        f"{told['logs']} simulated logs at `standard` with friction, stiffness, drag, damping, bore, length, helix"
+        f"{extra['logs']} simulated logs at `standard` with friction, stiffness, drag, damping, bore, length, helix"
         f" diameter and schedule drawn at random:\n\n{markdown(header, rows)}\n\n"
         f"The median error of the friction is {errors}; by the tension alone {alone}; its intervals cover {covered}."
         f" Called misspecified and doubtful although the model made them: {wrong}."
-        f" Of {told[f'{WORLDS[0]}: logs']} logs of each other world: {caught} (the tension times 1.5; what was felt"
+        f" Of {extra[f'{WORLDS[0]}: logs']} logs of each other world: {caught} (the tension times 1.5; what was felt"
         f" {SHIFT:g} s late; numbers drawn at random). {_source(figures)}"
     )
 
@@ -51,12 +51,12 @@ def calibrations() -> str:
 def recommendations() -> str:
     """What recommendations gain."""
     figures = read_json(RESULTS / "recommendations" / "summary.json", Figures)
-    told = figures.model_extra or {}
+    extra = figures.model_extra or {}
     return (
-        f"On {told['tubes']} simulated tubes of bores, lengths and frictions of their own, each calibrated on one log"
-        f" (another schedule than what is compared), the recommended schedule has {told['gain']:+.1f}"
-        f" [{told['gain, low']:.1f}, {told['gain, high']:.1f}] of reward against the shipped `best-schedule`:"
-        f" {100.0 * told['share of what knowing brings']:.0f} % of the {told['gain by knowing the tube']:+.1f} that"
+        f"On {extra['tubes']} simulated tubes of bores, lengths and frictions of their own, each calibrated on one log"
+        f" (another schedule than what is compared), the recommended schedule has {extra['gain']:+.1f}"
+        f" [{extra['gain, low']:.1f}, {extra['gain, high']:.1f}] of reward against the shipped `best-schedule`:"
+        f" {100.0 * extra['share of what knowing brings']:.0f} % of the {extra['gain by knowing the tube']:+.1f} that"
         f" knowing the tube would bring. {_source(figures)}"
     )
 
@@ -65,8 +65,8 @@ def plants() -> str:
     """Policies in plants of other bores and lengths."""
     folder = RESULTS / "plants"
     summary, figures = pd.read_csv(folder / "gains.csv"), read_json(folder / "provenance.json", Record)
-    told = summary[summary["policy"] == "tension-scheduled"]
-    worse = told[told["high"] < 0.0]["plant"].tolist()
+    by_tension = summary[summary["policy"] == "tension-scheduled"]
+    worse = by_tension[by_tension["high"] < 0.0]["plant"].tolist()
     verdict = (
         f"`tension-scheduled` is worse by more than scatter in {', '.join(worse)}"
         if worse
@@ -85,8 +85,8 @@ def passes() -> str:
     folder = RESULTS / "passes"
     summary, figures = pd.read_csv(folder / "passes.csv"), read_json(folder / "provenance.json", Record)
     entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
-    found = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
-    fast, slow = found["original", "fast-in", "back"], found["original", "best-schedule", "in"]
+    by_case = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
+    fast, slow = by_case["original", "fast-in", "back"], by_case["original", "best-schedule", "in"]
     best = {
         probe: max((entry for entry in entries if entry["probe"] == probe), key=lambda entry: float(entry["reward"]))
         for probe in passes_study.PROBES

@@ -11,8 +11,8 @@ from agents.policies.plc.law import STORED, PlantData, read_constants
 from agents.policies.plc.writing import HEADER, rows_of
 from agents.records.columns import shown_of
 from agents.records.models import Figures
-from agents.records.reading import read_csv, read_json
-from agents.records.tables import EPISODES
+from agents.records.reading import read_json
+from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement
 from agents.rollouts.statistics import endings, grouped, paired_difference
 
@@ -23,9 +23,9 @@ SHOWN = ("reward", "inspection_time_s", "share_within_limit")
 
 def plc_constants() -> str:
     """The ten constants and how they were found."""
-    told = read_json(STORED, Figures)
-    found = told.model_extra or {}
-    record, tubes, rewards = told.provenance.model_dump(), found["tubes"], found["rewards"]
+    stored = read_json(STORED, Figures)
+    searched = stored.model_extra or {}
+    record, tubes, rewards = stored.provenance.model_dump(), searched["tubes"], searched["rewards"]
     simulated = (
         f", then {rewards['simulated']:.1f} in simulation on {tubes['simulated']}" if "simulated" in rewards else ""
     )
@@ -39,7 +39,7 @@ def plc_constants() -> str:
 
 def plc_reached() -> str:
     """The law beside other policies on the held-out tubes."""
-    table = grouped(read_csv(FOLDER / "episodes.csv", EPISODES))
+    table = grouped(read_episodes(FOLDER / "episodes.csv"))
     known, beside = shown_of(table.columns), with_planner(table)
     names = [f"{known[kpi][0]} [{known[kpi][2]}]" if known[kpi][2] else known[kpi][0] for kpi in SHOWN]
     lines = [f"| policy | {' | '.join(names)} | {SHARE} |", "|---" * (len(SHOWN) + 2) + "|"]

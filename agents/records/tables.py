@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.records.columns import CARRIED, FOUND, HEARD, KPIS
+from agents.records.columns import CARRIED, CORE, HEARD, KPIS
 from agents.records.models import ENDINGS
 from agents.terminal.names import name_problem
 from probe_env.envs.contexts import Context
@@ -36,12 +36,12 @@ MOST_ROWS: Final = 20_000_000
 MOST_COLUMNS: Final = 1000
 PLACE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
-    **PLACE, **dict.fromkeys((*Context.model_fields, *KPIS, *ENDINGS), "number")
+    **PLACE, **dict.fromkeys((*Context.model_fields, *CORE, *ENDINGS), "number")
 }  # fmt: skip
-"""``episodes.csv`` and ``episodes.parquet``."""
-EPISODES_FOUND: Final[Columns] = dict.fromkeys((*FOUND, *POD_NAMES), "number")
+"""``episodes.csv`` and ``episodes.parquet``: what every one has."""
+EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *POD_NAMES), "number")
 PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
-"""What both have since there is a sensor."""
+"""What both have that were stored since there is such a figure."""
 PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **PLACE}
 """``profile.parquet``: metres of episodes; NaN where a probe diverged."""
 FRONT: Final[Columns] = {
@@ -59,11 +59,24 @@ COSTS: Final[Columns] = {
     "method": "text", "nodes_per_pitch": "count", "carrier_length_m": "number", "ns_per_node_step": "number"
 }  # fmt: skip
 """``chart/costs.csv``."""
+_NONE: Final[Columns] = MappingProxyType({})
 _HINT: Final = "restore the file, or make it again"
 
 
-def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> pd.DataFrame:
-    """A CSV table with a header; columns that are not named are numbers, truths or text, as all of their cells allow.
+def read_episodes(path: Path) -> pd.DataFrame:
+    """A table of episodes, CSV or Parquet: what every one has, and the KPIs that this one has.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: it is damaged.
+    """
+    return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+
+
+def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd.DataFrame:
+    """A CSV table with a header and the needed columns; those of ``newer`` are of their kind where there are any.
+
+    Columns that are not named are numbers, truths or text, as all of their cells allow.
 
     Raises:
         FileNotFoundError: no such file.
@@ -75,6 +88,7 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> pd.DataFram
     except csv.Error as error:
         raise FileError(path, f"line {table.line_num}: not CSV: {error} - {_HINT}") from error
     header = rows[0][1] if rows else []
+    columns = _present(columns, newer, header)
     _check_header(path, header, columns)
     for line, row in rows[1:]:
         if len(row) != len(header):
@@ -88,7 +102,7 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> pd.DataFram
     return check_table(path, pd.DataFrame(converted), columns)
 
 
-def read_parquet(path: Path, columns: Columns, newer: Columns = MappingProxyType({})) -> pd.DataFrame:
+def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
     """The needed columns of a Parquet table, and those of ``newer`` that it has, in the file's order.
 
     Raises:
@@ -100,7 +114,7 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = MappingProxyType
     try:
         file = pq.ParquetFile(io.BytesIO(content))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
-        columns = {**columns, **{name: kind for name, kind in newer.items() if name in names}}
+        columns = _present(columns, newer, names)
         _check_header(path, names, columns)
         if not 0 < rows <= MOST_ROWS:
             raise FileError(path, f"{rows} rows: a table has 1 to {MOST_ROWS} - {_HINT}")
@@ -120,12 +134,18 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = MappingProxyType
     return check_table(path, frame.astype(dict.fromkeys(texts, str)), columns)
 
 
-def check_table(path: Path, table: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    """The table itself, if it has some rows and the columns that are needed, of their kinds.
+def _present(columns: Columns, newer: Columns, header: list[Any]) -> Columns:
+    """The needed columns, and the newer ones that a table has."""
+    return {**columns, **{name: kind for name, kind in newer.items() if name in header}}
+
+
+def check_table(path: Path, table: pd.DataFrame, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
+    """The table itself, if it has rows and the columns that are needed, and these and newer ones are of their kinds.
 
     Raises:
         FileError: names file, column and row (the first is 1).
     """
+    columns = _present(columns, newer, list(table.columns))
     _check_header(path, list(table.columns), columns)
     if table.empty:
         raise FileError(path, f"no rows - {_HINT}")

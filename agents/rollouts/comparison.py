@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from agents.rollouts.statistics import CONFIDENCE, HIGH, Interval, seeds_by_contexts
+from agents.records.columns import HIGH
+from agents.rollouts.statistics import CONFIDENCE, Interval, seeds_by_contexts
 from probe_env.arrays import FloatArray
 
 RESAMPLES: Final = 2000

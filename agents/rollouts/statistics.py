@@ -11,13 +11,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
 
-from agents.records.columns import OVER_TUBES, kpis_of
+from agents.records.columns import HIGH, OVER_TUBES, kpis_of
 from agents.rollouts.found import a90_95, tells
 
 CONFIDENCE: Final = 0.95
-HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
-"""KPIs of which more is better."""
-
 BEST: Final = "planner"
 BAR: Final = "best-schedule"
 """Policies whose difference in reward is the planner's lead, the measure of headroom."""

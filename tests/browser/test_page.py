@@ -12,7 +12,7 @@ from conftest import opened, served
 from PIL import Image
 
 from agents.cli import main
-from agents.records.columns import KPIS
+from agents.records.columns import kpis_of
 from agents.rollouts.statistics import short
 
 PLACE = """([chart, k]) => {
@@ -119,7 +119,7 @@ def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp
     page.get_by_text("Ranking").wait_for()
     table = pd.read_parquet(folder / "episodes.parquet").set_index("policy")
     row = page.locator("tr", has=page.locator("th", has_text="my-schedule")).first.inner_text()
-    for kpi, (_, factor, _) in KPIS.items():
+    for kpi, (_, factor, _) in kpis_of(table.columns).items():
         assert short(table.loc["my-schedule", kpi] * factor) in row
     page.get_by_role("button", name="write its report").last.click()
     with page.context.expect_page() as report:

@@ -6,7 +6,7 @@ import pytest
 
 from agents.detection import pictures
 from agents.detection.signal import draw_curves
-from agents.records.columns import FOUND, KPIS
+from agents.records.columns import KPIS
 from agents.records.models import ENDINGS
 from agents.rollouts import found
 from probe_env import Context
@@ -64,7 +64,7 @@ def test_bands_and_their_picture(tmp_path):
 
 def test_curves_of_a_stored_evaluation(tmp_path, capsys):
     """What older episodes lack is said; what newer ones have is read from their file."""
-    whole = table(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *FOUND, *Context.model_fields), 1.0))
+    whole = table(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *Context.model_fields), 1.0))
     whole = whole.assign(**dict.fromkeys(ENDINGS, 0.0))
     whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
     with pytest.raises(ValueError, match="its episodes have no curves of detection: run the evaluation again"):

@@ -14,7 +14,7 @@ from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.report import evaluate, plan_of
 from agents.policies.fixed import Constant
 from agents.policies.places import place_of
-from agents.records.columns import KPIS
+from agents.records.columns import CORE
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
 from agents.rollouts.statistics import (
     Interval,
@@ -174,7 +174,7 @@ def synthetic(difference, contexts=40, noise=1.0):
     for policy, shift in (("A", -difference), ("B", 0.0)):
         for context in range(contexts):
             time_ = base[context] + shift + rng.normal(0.0, noise)
-            row = dict.fromkeys((*KPIS, "complete"), 1.0) | {"lost_drive": 0.0, "diverged": 0.0}
+            row = dict.fromkeys((*CORE, "complete"), 1.0) | {"lost_drive": 0.0, "diverged": 0.0}
             rows.append(row | {"policy": policy, "context": context, "seed": 0, "inspection_time_s": time_})
     return pd.DataFrame(rows)
 

@@ -15,7 +15,7 @@ from agents.evaluation.page.stored import comparable, read_evaluation, spans
 from agents.evaluation.page.verdict import limit_of, ranking, verdict
 from agents.evaluation.report import evaluate, write_report
 from agents.policies.fixed import PI, Constant, Scheduled
-from agents.records.columns import KPIS
+from agents.records.columns import CORE, KPIS
 from agents.rollouts.folder import UNFINISHED
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import grouped
@@ -49,7 +49,7 @@ def table_of(times, shares, rewards, tubes=20, scatter=0.0):
                 "reward": rewards[policy],
             }
             values = {name: value * (1.0 + scatter * rng.normal()) for name, value in given.items()}
-            row = dict.fromkeys((*KPIS, "complete"), 1.0) | {"lost_drive": 0.0, "diverged": 0.0} | values
+            row = dict.fromkeys((*CORE, "complete"), 1.0) | {"lost_drive": 0.0, "diverged": 0.0} | values
             rows.append(row | {"policy": policy, "context": context, "seed": 0})
     return pd.DataFrame(rows)
 

@@ -21,7 +21,7 @@ from agents.app.page.style import (
     words,
 )  # fmt: skip
 from agents.app.runs.shelf import stored_runs
-from agents.design.compare import HEADER, STORED, cells, read_comparison
+from agents.design.compare import STORED, cells, header, read_comparison
 from agents.design.compare import summarise as summarise_designs
 from agents.evaluation.page.stored import Evaluation, read_evaluation
 from agents.evaluation.page.tables import Cell, Row, by_diameter, by_tube, ranked
@@ -118,7 +118,7 @@ class CompareScreen:
             f"<p class='quiet'>Designs on {table['context'].nunique()} tubes; means with 95 % intervals.</p>"
         )
         rows = [Row(name, "", tuple(Cell(text) for text in texts)) for name, *texts in cells(summary)]
-        self.tables.text = "<h2>Designs</h2>" + _html(HEADER, rows)
+        self.tables.text = "<h2>Designs</h2>" + _html(header(summary), rows)
 
     def _show(self, done: Evaluation) -> None:
         table, task = done.table, done.setting.task

@@ -1,1 +1,4 @@
-"""Where methods stop: the map over scenes, one mass, energy, digits."""
+"""Where methods stop: methods, scenes and steps enter; what held, one mass's amplification, energy, digits leave.
+
+Imports the chart's colours, records and the physics.
+"""

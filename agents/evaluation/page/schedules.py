@@ -41,16 +41,16 @@ def downloads(
         table: episodes.
         profile: of them.
     """
-    found, none = [], []
+    by_schedule, none = [], []
     for policy in ranking(table):
         described = next((d for name, d in policies.items() if method_and_seed(name)[0] == policy), {})
         schedules = _given(described) or _fed(policy, table, profile)
         for what, schedule in schedules.items():
             file = f"{_file_name(policy)}{'-' + _file_name(what) if len(schedules) > 1 else ''}.csv"
             address = f"data:text/csv;charset=utf-8,{quote(schedule.to_csv())}"
-            found.append(Download(policy, what, file, address))
+            by_schedule.append(Download(policy, what, file, address))
         none += [] if schedules else [policy]
-    return found, none
+    return by_schedule, none
 
 
 def _file_name(name: str) -> str:

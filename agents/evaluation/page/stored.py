@@ -12,7 +12,7 @@ import pandas as pd
 
 from agents.records.models import Compared, Evaluated, Setting, Unfinished
 from agents.records.reading import FileError, check_table, read_json, read_parquet
-from agents.records.tables import EPISODES, EPISODES_FOUND, PROFILE
+from agents.records.tables import EPISODES, EPISODES_NEWER, PROFILE, read_episodes
 from agents.rollouts.folder import UNFINISHED, episodes_of, gathered
 from agents.rollouts.statistics import grouped
 from probe_env import Context
@@ -77,7 +77,7 @@ def read_evaluation(folder: Path) -> Evaluation:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
     table, profile = (
-        grouped(read_parquet(finished[0], EPISODES, EPISODES_FOUND)),
+        grouped(read_episodes(finished[0])),
         grouped(read_parquet(finished[1], PROFILE)),
     )
     if not set(profile["policy"]) <= set(table["policy"]):
@@ -125,7 +125,7 @@ def _interrupted(folder: Path) -> Evaluation:
     table, profile = gathered(chosen, contexts, done)
     if plan is None:
         table = table.assign(**dict.fromkeys(Context.model_fields, 0.0))
-    check_table(journal.path, table, EPISODES)
+    check_table(journal.path, table, EPISODES, EPISODES_NEWER)
     check_table(journal.path, profile, PROFILE)
     table, profile, compared = grouped(table), grouped(profile), _compared(folder)
     left_out = dict.fromkeys(name for _, name, _, _ in stored if name not in {name for _, name, _, _ in chosen})

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from agents.evaluation.page.verdict import ranking
-from agents.records.columns import FOUND, KPIS, OVER_TUBES, shown_of
+from agents.records.columns import KPIS, OVER_TUBES, shown_of
 from agents.rollouts.statistics import by_context, endings, paired_difference, short
 
 MOST_DIAMETERS = 12
@@ -36,25 +36,25 @@ class Row:
 
 def header(kpi: str) -> str:
     """Name and unit of a KPI."""
-    name, _, unit = (KPIS | FOUND | OVER_TUBES)[kpi]
+    name, _, unit = (KPIS | OVER_TUBES)[kpi]
     return f"{name} [{unit}]" if unit else name
 
 
 def ranked(
-    table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], told: Collection[str]
+    table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]
 ) -> tuple[list[str], list[Row]]:
     """Header and a row a policy, best first: every KPI with its interval, the reward against the best, how it ended."""
     figures: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
     rows, ends = [], _endings(table)
     order = ranking(table)
-    best = next((name for name in order if name not in told), order[0])
+    best = next((name for name in order if name not in informed), order[0])
     for policy in order:
         cells = [_against(table, policy, best)]
         for kpi, (_, factor, _) in shown_of(table.columns).items():
             row = figures[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
         cells.insert(0, cells.pop(1))  # the reward first
-        what = ("yours" if policy in own else "") or ("is told the tube" if policy in told else "")
+        what = ("yours" if policy in own else "") or ("is told the tube" if policy in informed else "")
         rows.append(Row(policy, what, (*cells, _ended(ends[policy]))))
     names = [header(kpi) for kpi in shown_of(table.columns)]
     return ["policy", names[0], f"reward against {best}", *names[1:], "how it ended"], rows
@@ -81,24 +81,24 @@ def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
 
 def _ended(row: Mapping[str, int]) -> Cell:
     """Insertions that came to their end, and why others did not."""
-    complete, _, told = ended(row).partition(", ")
-    return Cell(complete, told)
+    complete, _, shortfall = ended(row).partition(", ")
+    return Cell(complete, shortfall)
 
 
 def ended(row: Mapping[str, int]) -> str:
     """How many insertions came to their end, and why others did not, in words."""
     late = row["episodes"] - row["complete"] - row["lost_drive"] - row["diverged"]
     reasons = (("lost drive", row["lost_drive"]), ("diverged", row["diverged"]), ("out of time", late))
-    told = [f"{count} {reason}" for reason, count in reasons if count]
-    return ", ".join([f"{row['complete']} of {row['episodes']} complete", *told])
+    parts = [f"{count} {reason}" for reason, count in reasons if count]
+    return ", ".join([f"{row['complete']} of {row['episodes']} complete", *parts])
 
 
-def by_diameter(table: pd.DataFrame, told: Collection[str]) -> tuple[list[str], list[Row]]:
+def by_diameter(table: pd.DataFrame, informed: Collection[str]) -> tuple[list[str], list[Row]]:
     """Header and a row a policy: mean time and length within the limit, a column a helix diameter; none if unknown."""
     diameters = sorted(table["helix_diameter"].unique())
     if len(diameters) > MOST_DIAMETERS or diameters[0] <= 0.0:
         return [], []
-    columns = [_judged(table[table["helix_diameter"] == diameter], told) for diameter in diameters]
+    columns = [_judged(table[table["helix_diameter"] == diameter], informed) for diameter in diameters]
     counts = [table.loc[table["helix_diameter"] == diameter, "context"].nunique() for diameter in diameters]
     names = [
         f"{diameter:g} m ({count} tube{'s' if count > 1 else ''})"
@@ -108,14 +108,14 @@ def by_diameter(table: pd.DataFrame, told: Collection[str]) -> tuple[list[str], 
     return ["policy", *names], rows
 
 
-def by_tube(table: pd.DataFrame, told: Collection[str]) -> tuple[list[str], list[Row]]:
+def by_tube(table: pd.DataFrame, informed: Collection[str]) -> tuple[list[str], list[Row]]:
     """Header and a row a tube: what it is, then time and length within the limit of every policy."""
     order, rows = ranking(table), []
     tubes = table.drop_duplicates("context").set_index("context").sort_index()
     known = bool((tubes["helix_diameter"] > 0.0).all())
     for number, tube in tubes.iterrows():
         cells = [Cell(f"{tube[name] * factor:.{digits}f}") for name, factor, digits in TUBE.values()] if known else []
-        judged = _judged(table[table["context"] == number], told)
+        judged = _judged(table[table["context"] == number], informed)
         rows.append(Row(f"{number}", "", (*cells, *(judged[policy] for policy in order))))
     return ["tube", *(TUBE if known else ()), *order], rows
 
@@ -129,9 +129,9 @@ TUBE = {
 """Header -> what a tube is told by, factor and digits."""
 
 
-def _judged(part: pd.DataFrame, told: Collection[str]) -> dict[str, Cell]:
+def _judged(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
     """Of every policy the mean time and length within the limit on some tubes; the best is marked."""
-    best, ends = next((name for name in ranking(part) if name not in told), ""), _endings(part)
+    best, ends = next((name for name in ranking(part) if name not in informed), ""), _endings(part)
     cells = {}
     for policy in ranking(part):
         time, share = (by_context(part, policy, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit"))

@@ -43,16 +43,16 @@ def ranking(table: pd.DataFrame) -> list[str]:
     return [str(name) for name in means.sort_values(ascending=False, kind="stable").index]
 
 
-def verdict(table: pd.DataFrame, policy: str, told: Collection[str], limit: str) -> Verdict:
+def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: str) -> Verdict:
     """A policy against the best of the others; those that are told the tube are none to be held to.
 
     Args:
         table: of the episodes, on the same tubes for all.
         policy: that is judged.
-        told: policies that know what no rig does.
+        informed: policies that know what no rig does.
         limit: in words.
     """
-    rivals = [name for name in ranking(table) if name == policy or name not in told]
+    rivals = [name for name in ranking(table) if name == policy or name not in informed]
     tubes = table["context"].nunique()
     time, share = (by_context(table, policy, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit"))
     if len(rivals) == 1:

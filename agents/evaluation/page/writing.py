@@ -73,9 +73,9 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     table, task = done.table, done.setting.task
     described = done.record.policies if done.record else {}
     kinds = {method_and_seed(name)[0]: d.get("policy") for name, d in described.items()}
-    told = {name for name, kind in kinds.items() if kind in (Privileged.__name__, Planner.__name__)}
+    informed = {name for name, kind in kinds.items() if kind in (Privileged.__name__, Planner.__name__)}
     order = ranking(table)
-    verdicts = [verdict(table, policy, told, limit_of(task)) for policy in done.own or (done.against,)]
+    verdicts = [verdict(table, policy, informed, limit_of(task)) for policy in done.own or (done.against,)]
     offered, without = downloads(described, table, done.profile)
     return {
         "title": "Feed policies compared",
@@ -83,23 +83,23 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "own": {name: f"Your {'schedule' if kinds.get(name) == Scheduled.__name__ else 'policy'}" for name in done.own},
         "missing": done.missing,
         "facts": _facts(done),
-        "ranked": ranked(table, summary, done.own, told),
-        "told": sorted(told & set(order), key=order.index),
+        "ranked": ranked(table, summary, done.own, informed),
+        "told": sorted(informed & set(order), key=order.index),
         "against": done.against,
         "sentences": sentences(table, done.against),
-        "by_diameter": by_diameter(table, told),
-        "by_tube": by_tube(table, told),
+        "by_diameter": by_diameter(table, informed),
+        "by_tube": by_tube(table, informed),
         "downloads": offered,
         "without": without,
-        "traces": traces(table, done.profile, _shown(done, verdicts, told), _limit_mm(done)),
+        "traces": traces(table, done.profile, _shown(done, verdicts, informed), _limit_mm(done)),
         "record": _record(done),
         "settings": json.dumps(_shortened(described), indent=1),
     }
 
 
-def _shown(done: Evaluation, verdicts: list[Verdict], told: set[str]) -> list[str]:
+def _shown(done: Evaluation, verdicts: list[Verdict], informed: set[str]) -> list[str]:
     """The policies that are judged, what they are compared with, and the best."""
-    best = [name for name in ranking(done.table) if name not in told]
+    best = [name for name in ranking(done.table) if name not in informed]
     return list(dict.fromkeys([*(v.policy for v in verdicts), *best[:2], done.against, *best]))[:SHOWN]
 
 

@@ -35,7 +35,7 @@ def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     return tip, inner, inverse @ head.T @ stiffness @ tail, inverse @ tail.T @ stiffness @ head
 
 
-@register_jitable(inline="always")
+@register_jitable(inline="always")  # type: ignore[untyped-decorator]
 def linear_weights(damping_time: Any, time_step: float) -> tuple[Any, Any]:
     """Theta and tau of the linear part: w = d + tau v_theta, v_theta = (1 - theta) v* + theta v.
 

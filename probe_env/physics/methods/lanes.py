@@ -30,7 +30,7 @@ def lane_count(precision: npt.DTypeLike) -> int:
 class LanesType(types.Type):
     """Numba's type of a value with one number a lane."""
 
-    def __init__(self, element: types.Type) -> None:
+    def __init__(self, element: types.Float) -> None:
         self.element = element
         self.count = REGISTER * 8 // element.bitwidth
         self.vector = ir.VectorType(_IR[element], self.count)

@@ -1,5 +1,8 @@
 """The fast scheme, imex: linear part implicit with constant factors, contact, friction and drag explicit.
 
+Constants, states and inputs of some lanes enter; states a number of steps later leave. Imports the drive and what the
+methods share.
+
 One step, from displacements d and velocities v at its start:
 
 1. kick: v* = v + dt M^-1 f, f = contact, friction, drag, centrifugal and Coriolis force, the frame's

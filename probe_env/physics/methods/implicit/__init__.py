@@ -1,5 +1,8 @@
 """The method that does not diverge: contact, friction and walls solved within the step, over the TICM recursion.
 
+A chain, a state and inputs enter; the state a number of steps later leaves. Imports the TICM, the drive and what the
+methods share.
+
 The elastic part is a theta rule: with v_m = (1 - theta) v + theta v_new and w = d + tau v_m a step reads
 [M / (tau theta dt) + K] w = M (d / (tau theta dt) + v / (theta dt)) + f and d_new = d + dt v_m, with the weights of
 ``factors.implicit_weights``. So w is the solution of (17)-(18) without damping terms, and K w the elastic and
