@@ -82,5 +82,6 @@ def world() -> str:
         f"{markdown(worlds.HEADER, worlds.cells(summary))}\n\n"
         f"Mean rewards on {agreement['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; the order of the"
         f" policies agrees with a Kendall's tau of {agreement['tau']:.2f}. The noise was measured on"
-        f" {measured['periods']} seconds of {measured['tubes']} training tubes. Made by `{command(record)}` at commit {record['commit']}."
+        f" {measured['periods']} seconds of {measured['tubes']} training tubes."
+        f" Made by `{command(record)}` at commit {record['commit']}."
     )
