@@ -37,7 +37,7 @@ def options_of(page: str) -> tuple[str, ...]:
 
 
 def option_problem(given: str, known: Sequence[str], command: str) -> str:
-    """That an option is not known, and which may be meant: the most similar, else all of the same model.
+    """That an option is not known, and which may be meant: all of the same model, else the most similar.
 
     Args:
         given: the option, without a value.
@@ -48,7 +48,8 @@ def option_problem(given: str, known: Sequence[str], command: str) -> str:
     beside = [name for name in known if model and name.rpartition(".")[0] == model]
     similar = difflib.get_close_matches(given, known, LIKES)
     if beside:
-        names = ", ".join(name.rpartition(".")[2] for name in beside)
+        nearest = sorted(beside, key=lambda name: (-difflib.SequenceMatcher(None, given, name).ratio(), name))
+        names = ", ".join(name.rpartition(".")[2] for name in nearest)
         likely = f"; accepted behind {model}.: {names}"
     else:
         likely = f"; the closest: {', '.join(similar)}" if similar else ""

@@ -24,11 +24,11 @@ from agents.terminal.tyro_texts import joined_lines, message_of
         ("simulate fig11_l10 fig11_l20", "Unrecognized options: fig11_l20"),
         (
             "simulate fig11_l10 --scene.air.drag 1",
-            "no option --scene.air.drag; accepted behind --scene.air.: density, dr",
+            "no option --scene.air.drag; accepted behind --scene.air.: d",
         ),
         (
             "simulate fig11_l10 --scene.carrier-lenght 3",
-            "no option --scene.carrier-lenght; accepted behind --scene.: feed-speed, ",
+            "no option --scene.carrier-lenght; accepted behind --scene.: carrier-length, ",
         ),
         ("design --contexts 4 --limit 2", "contexts = 4 is not one of train, validation, test"),
     ],
