@@ -118,12 +118,12 @@ def ratios(table: pd.DataFrame, name: str) -> dict[str, dict[str, Interval]]:
 
     A statistic that is too small to matter (``errors.FLOORS``) is compared with what matters: both sides get the rest.
     """
-    found: dict[str, dict[str, Interval]] = {}
+    compared: dict[str, dict[str, Interval]] = {}
     for probe in other_probes():
         part, base = (_members(table, probe, FIDELITIES[fidelity]) for fidelity in (name, "converged"))
         if len(part) and len(base):
-            found[probe.name] = {statistic: _ratio(part[statistic], base[statistic], statistic) for statistic in SHOWN}
-    return found
+            compared[probe.name] = {statistic: _ratio(part[statistic], base[statistic], statistic) for statistic in SHOWN}
+    return compared
 
 
 def _members(table: pd.DataFrame, probe: OtherProbe, fidelity: Fidelity) -> pd.DataFrame:
@@ -141,11 +141,11 @@ def markdown(table: pd.DataFrame) -> str:
     """A row a probe: what it is, and the ratios of ``standard``; below it what they come to over the probes."""
     heads = ["probe", "what it is", "radial rms [mm]", *SHOWN.values(), "radial rms, a quarter of the step"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    found, finer = (ratios(table, name) for name in ("standard", "a quarter of the step"))
+    usual, finer = (ratios(table, name) for name in ("standard", "a quarter of the step"))
     for probe in other_probes():
-        if probe.name in found:
+        if probe.name in usual:
             reference = _members(table, probe, CONVERGED)["radial_rms_m"].mean()
-            shown = [*found[probe.name].values(), finer[probe.name]["radial_rms_m"]]
+            shown = [*usual[probe.name].values(), finer[probe.name]["radial_rms_m"]]
             cells = [f"{i.mean:.2f} [{i.low:.2f}, {i.high:.2f}]" for i in shown]
             lines.append(
                 f"| {probe.name} | {_words(probe.scene)} | {1e3 * reference:.3f} | " + " | ".join(cells) + " |"
@@ -157,18 +157,18 @@ def sentences(table: pd.DataFrame) -> list[str]:
     """Over the probes that ring, the geometric mean of every statistic's ratio, a fidelity a line; who diverged."""
     lines = []
     for name in list(FIDELITIES)[:-1]:
-        found = {probe: values for probe, values in ratios(table, name).items() if _rings(table, probe)}
+        ringing = {probe: values for probe, values in ratios(table, name).items() if _rings(table, probe)}
         means = [
-            f"{words} {np.exp(np.mean([np.log(values[statistic].mean) for values in found.values()])):.2f}"
+            f"{words} {np.exp(np.mean([np.log(values[statistic].mean) for values in ringing.values()])):.2f}"
             for statistic, words in SHOWN.items()
         ]
         called = f"`{name}`" if name in PRESETS else f"`standard` at {name}"
         lines.append(
-            f"{called}, geometric mean over the {len(found)} that ring (0.01 mm and more): {', '.join(means)}."
+            f"{called}, geometric mean over the {len(ringing)} that ring (0.01 mm and more): {', '.join(means)}."
         )
     lost = table[table["diverged"].astype(bool)].groupby("probe").size()
-    told = ", ".join(f"{count} of {probe}" for probe, count in lost.items()) or "none"
-    return [*lines, f"Of {len(table)} runs diverged: {told}."]
+    counts = ", ".join(f"{count} of {probe}" for probe, count in lost.items()) or "none"
+    return [*lines, f"Of {len(table)} runs diverged: {counts}."]
 
 
 def _rings(table: pd.DataFrame, name: str) -> bool:

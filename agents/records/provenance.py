@@ -13,9 +13,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from llvmlite.binding import get_host_cpu_name
-from threadpoolctl import threadpool_info
-
 from agents.records.atomic import write_atomically as write_atomically
 from agents.terminal.masking import masked_command
 from probe_env.machine import available_cores
@@ -57,6 +54,9 @@ def _kernels() -> str:
 
     Processors of one name need not agree, and environment variables change both.
     """
+    from llvmlite.binding import get_host_cpu_name
+    from threadpoolctl import threadpool_info
+
     blas = {
         f"{pool['internal_api']} {pool.get('architecture', '')}"
         for pool in threadpool_info()

@@ -38,15 +38,15 @@ def test_probes_are_those_of_their_seed_and_as_deep():
 
 
 def test_a_ratio_is_that_of_the_means():
-    found = others.ratios(table(1.25, radial=1.0), "standard")
-    assert set(found) == {probe.name for probe in others.other_probes()}
-    for values in found.values():
+    compared = others.ratios(table(1.25, radial=1.0), "standard")
+    assert set(compared) == {probe.name for probe in others.other_probes()}
+    for values in compared.values():
         assert [interval.mean for interval in values.values()] == pytest.approx([1.25] * len(SHOWN))
 
 
 def test_what_is_too_small_to_matter_is_compared_with_what_matters():
-    found = others.ratios(table(2.0, radial=1e-6), "standard")["improved"]["radial_rms_m"]
-    assert found.mean == pytest.approx(1.0 + 1e-6 / 1e-5)  # a micrometre more, of ten that would matter
+    compared = others.ratios(table(2.0, radial=1e-6), "standard")["improved"]["radial_rms_m"]
+    assert compared.mean == pytest.approx(1.0 + 1e-6 / 1e-5)  # a micrometre more, of ten that would matter
 
 
 def test_runs_go_on_where_they_stopped(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Scenes with pressure: how they are drawn, some of them run again, and what the stored tables say."""
+"""Scenes with pressure: how they are drawn, some of them run second, and what the stored tables say."""
 
 from pathlib import Path
 
@@ -67,20 +67,20 @@ def test_the_steps_are_within_the_named_limits_of_all_scenes():
 
 
 def test_a_scene_follows_from_its_number():
-    again = pressed_scene.__wrapped__(57)
-    assert again == DRAWN[57]
-    assert again != DRAWN[58]
+    second = pressed_scene.__wrapped__(57)
+    assert second == DRAWN[57]
+    assert second != DRAWN[58]
 
 
 @pytest.mark.parametrize("way", list(WAYS))
 def test_a_pressed_scene_ends_finite_and_is_repeated(way):
-    """The shortest weak cable of each way at the step of `standard`: finite, equal to the bit when run again."""
+    """The shortest weak cable of each way at the step of `standard`: finite, equal to the bit when run second."""
     weak = [pressed for pressed in DRAWN if pressed.way == way and pressed.probe == "weak cable"]
     shortest = min(weak, key=lambda pressed: pressed.scene.inserted_length)
-    (row,), (again,) = (run_group([shortest], FINE, 0, 1) for _ in range(2))
+    (row,), (second,) = (run_group([shortest], FINE, 0, 1) for _ in range(2))
     assert np.isnan(row["diverged_at_s"])
     assert np.isfinite([row["tension_mean_n"], row["radial_mean_m"], row["radial_rms_m"]]).all()
-    pd.testing.assert_series_equal(pd.Series(row), pd.Series(again), check_exact=True)
+    pd.testing.assert_series_equal(pd.Series(row), pd.Series(second), check_exact=True)
 
 
 def test_the_stored_scenes_are_complete_and_of_this_code():
@@ -103,16 +103,16 @@ def test_implicit_agrees_where_the_cable_is_pressed_and_the_pressure_has_bounds(
 
     Where weak cables are pulled shorter steps are needed for that than were stored (docs/simulation/return.md).
     """
-    found = 0
+    rows = 0
     for number in contested(TABLE):
         pressed = pressed_scene(number)
         if pressed.sliding_tensions()[1] < 0.0 and pressed.over_euler() <= BEYOND:
-            found += 1
+            rows += 1
             fast, slow = (members(TABLE, setting, "tension_mean_n").loc[number] for setting in (COARSE, IMPLICIT))
             scatter = np.hypot(fast.std(), slow.std()) / np.sqrt(MEMBERS)
             # two means of three starts each: Student's t with 4 degrees of freedom leaves 13 standard errors with 1e-4
             assert abs(fast.mean() - slow.mean()) <= max(0.01 * abs(slow.mean()), 13.0 * scatter)
-    assert found >= 4
+    assert rows >= 4
 
 
 def test_the_named_limits_hold_drawn_back():

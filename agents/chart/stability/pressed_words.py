@@ -39,14 +39,14 @@ def markdown(table: pd.DataFrame) -> str:
         parts = [part if way == "all" else part[part["way"] == way] for part in parts]
         finite = [str(int(part["diverged_at_s"].isna().sum())) for part in parts]
         lines.append(f"| {way} | {len(parts[0])} | " + " | ".join(finite) + " |")
-    told = "\n".join(f"* {sentence}" for sentence in sentences(table))
+    remarks = "\n".join(f"* {sentence}" for sentence in sentences(table))
     gap = len(set(lost(table, BARE)) - set(lost(table, COARSE)))
     beside = (
         f"Of the {gap} that only the cable's contact holds, the shortest of every way that is not stuck, the shortest"
         f" that is and one that is beyond all bounds, beside `implicit` at {IMPLICIT.time_step:g} s; mean and standard"
         f" deviation of {MEMBERS} starts, over the last second:"
     )
-    return "\n".join(lines) + f"\n\n{told}\n\n{beside}\n\n{beside_implicit(table)}"
+    return "\n".join(lines) + f"\n\n{remarks}\n\n{beside}\n\n{beside_implicit(table)}"
 
 
 def _words(setting: Setting) -> str:
@@ -59,7 +59,7 @@ def sentences(table: pd.DataFrame) -> list[str]:
     coarse = rows_of(table, COARSE)
     over = coarse["over_euler"]
     gone = lost(table, COARSE)
-    told = [
+    remarks = [
         f"In {int((over > 1.0).sum())} of {len(over)} scenes steady sliding would press the root beyond Euler's load"
         f" between two floats, in {int((over > STUCK).sum())} beyond {STUCK:g} times it: there the probe is stuck."
     ]
@@ -68,13 +68,13 @@ def sentences(table: pd.DataFrame) -> list[str]:
         most = max(force[number] for number in gone)
         short, fine = (len(set(gone) - set(lost(table, setting))) for setting in (SHORT, FINE))
         as_weak = sum(value <= most for value in force.values())
-        told.append(
+        remarks.append(
             f"The {len(gone)} that diverge on four nodes a pitch with the cable on the walls are weak cables, whose"
             f" bending is finer than that mesh from an axial force of {most:.1f} N or less on (EI/h²; {as_weak} scenes"
             f" have such). A quarter of the step holds {short} of them, eight nodes a pitch hold {fine}: it is the"
             " mesh, not the step."
         )
-    return told
+    return remarks
 
 
 def beside_implicit(table: pd.DataFrame) -> str:
