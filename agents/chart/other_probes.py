@@ -122,7 +122,9 @@ def ratios(table: pd.DataFrame, name: str) -> dict[str, dict[str, Interval]]:
     for probe in other_probes():
         part, base = (_members(table, probe, FIDELITIES[fidelity]) for fidelity in (name, "converged"))
         if len(part) and len(base):
-            compared[probe.name] = {statistic: _ratio(part[statistic], base[statistic], statistic) for statistic in SHOWN}
+            compared[probe.name] = {
+                statistic: _ratio(part[statistic], base[statistic], statistic) for statistic in SHOWN
+            }
     return compared
 
 
