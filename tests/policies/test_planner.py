@@ -165,15 +165,18 @@ def test_planners_play_by_name_and_say_what_they_cannot() -> None:
 
 
 @pytest.mark.processor
-def test_a_planner_beats_the_map_that_it_looks_beyond() -> None:
-    config = TaskConfig(scene={"tube": {"helix_length": 30.0}})
+def test_a_planner_beats_the_map_that_it_looks_beyond(seeds: Callable[[int], Sequence[int]]) -> None:
+    """Eight runs of both. Of 16 others the planner gained 2.98 +- 1.11 over the map's policy, of 7.1 against 4.1.
+
+    But for 1e-4 the mean of eight is not less by 2.6: a planner that gains nothing is noticed, and a half of the gain
+    one time in ten or less.
+    """
+    config, gain, deviation, runs = TaskConfig(scene={"tube": {"helix_length": 30.0}}), 2.98, 1.11, 8
     policies = {
         "planner": Planner(config.all_shown, candidates=4, periods=3, every=3),
         "by the map": make_policy("privileged", config.all_shown),
     }
-    table = run_plan(
-        Plan(policies, (TUBES[1],), (0,), config.all_shown, resolve_fidelity("fast")), None, progress=False
-    )
-    rewards = table.set_index("policy")["reward"]
-    # 16 runs with other seeds gave 7.4 with a standard deviation of 0.6, the map's policy 4.5: 4.8 of these away
-    assert rewards["planner"] > rewards["by the map"]
+    plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.all_shown, resolve_fidelity("fast"))
+    rewards = run_plan(plan, None, progress=False).pivot(index="seed", columns="policy", values="reward")
+    least = gain - of_another(deviation, 16, members=runs)
+    assert (rewards["planner"] - rewards["by the map"]).mean() > least > 0.0

@@ -159,8 +159,8 @@ def test_scatter_is_found_again(seeds: Seeds) -> None:
 def test_noise_is_found_in_the_world_that_it_makes(monkeypatch, seeds: Seeds) -> None:  # type: ignore[no-untyped-def]
     """24 insertions: what was put in comes out, but for what is known to be lost of it and the scatter of so many.
 
-    Mean and deviation are of 16 other draws. All eleven hold but for 1e-4: a deviation that is a quarter off would show,
-    a correlation of 0.96 for 0.9, or a bias left out.
+    Mean and deviation are of 16 other draws. All eleven hold but for 1e-4: a deviation that is a quarter off would
+    show, a correlation of 0.96 for 0.9, or a bias left out.
     """
     true = Noise(
         bias=-0.1, slow=Scatter(deviation=0.2, correlation=0.9), quick=0.15,
