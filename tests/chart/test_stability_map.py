@@ -63,9 +63,9 @@ def test_energy_over_a_hundred_thousand_steps():
     What double precision does without walls, and explicit between them, is the same to the five digits that are stored:
     of four starts that differ by 1e-15 it scatters by 1e-9 at most, explicit's by 2e-7. Single precision scatters by
     0.07 % where nothing damps (four starts at each of both steps), 0.75 % where it does (five): that leaves 1.1 % and
-    9 % to chance. Between walls the rest is not compared, for it is chaos: imex and imex32 diverged or held as stored in
-    five starts of five, and gained at 2e-4 s (both less than 1 by chance: 7e-5); of Newmark, Wilson and implicit there
-    no other start was tried.
+    9 % to chance. Between walls the rest is not compared, for it is chaos: imex and imex32 diverged or held as stored
+    in five starts of five, and gained at 2e-4 s (both less than 1 by chance: 7e-5); of Newmark, Wilson and implicit
+    there no other start was tried.
     """
     stored = pd.read_csv(FOLDER / "energy.csv")
     table = run_energy()
