@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from oracles.scatter import CHANCE, reach
 
 from agents.chart.stability import map as stability_map
 from agents.chart.stability.map import METHODS, cells, run_cell, verdicts
@@ -72,18 +73,35 @@ def test_cells_are_repeated(method):
         assert pd.isna(diverged) == (method == "implicit")
 
 
+@pytest.mark.processor
 def test_energy_over_a_hundred_thousand_steps():
-    """The stored table, made again: kept by Newmark on the linear chain, never gained by implicit nor where damped."""
+    """The stored table, made again: kept by Newmark on the linear chain, never gained by implicit nor where damped.
+
+    What double precision does without walls, and explicit between them, is the same to the five digits that are stored:
+    of four starts that differ by 1e-15 it scatters by 1e-9 at most, explicit's by 2e-7. Single precision scatters by
+    0.07 % where nothing damps (four starts at each of both steps), 0.75 % where it does (five): that leaves 1.1 % and
+    9 % to chance. Between walls the rest is not compared, for it is chaos: imex and imex32 diverged or held as stored
+    in five starts of five, and gained at 2e-4 s (both less than 1 by chance: 7e-5); of Newmark, Wilson and implicit
+    there no other start was tried.
+    """
     stored = pd.read_csv(FOLDER / "energy.csv")
     table = run_energy()
-    smooth = ~table["walls"]  # between walls rounding of another processor grows
-    assert np.allclose(table["ratio"][smooth], stored["ratio"][smooth], rtol=1e-3)
+    smooth, single, explicit = ~table["walls"], table["method"] == "imex32", table["method"] == "explicit"
+    damped = table["damping_time_s"] > 0.0
+    half_a_digit = 0.5e-4  # of 1.0000, relative
+    four, five = (reach((d, 1), (d, 1), chance=CHANCE / 4, measured=n) for d, n in ((0.0007, 7), (0.0075, 9)))
+    compared = (
+        ((smooth & ~single) | explicit, 1.01 * half_a_digit), (smooth & single & ~damped, four),
+        (smooth & single & damped, five),
+    )  # fmt: skip
+    for which, within in compared:
+        np.testing.assert_allclose(table["ratio"][which], stored["ratio"][which], rtol=within)
     assert (np.isfinite(table["ratio"]) == np.isfinite(stored["ratio"])).all()
-    linear = table[~table["walls"] & (table["damping_time_s"] == 0.0)].groupby("method")["ratio"]
-    assert linear.get_group("newmark").to_numpy() == pytest.approx(1.0, abs=1e-4)
-    assert (table[table["damping_time_s"] > 0.0]["ratio"] < 0.05).all()
+    linear = table[smooth & ~damped].groupby("method")["ratio"]
+    assert linear.get_group("newmark").to_numpy() == pytest.approx(1.0, abs=1e-9)  # 1e-11 of four starts
+    assert (table[damped]["ratio"] < 0.05).all()
     assert (table[table["method"] == "implicit"]["ratio"] < 1.0).all()
-    assert (table[table["walls"] & (table["damping_time_s"] == 0.0)]["ratio"] > 1.0).any()  # the lagged flag feeds
+    assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()  # the lagged flag feeds
 
 
 def test_the_transfer_matrix_loses_every_digit_on_a_metre():

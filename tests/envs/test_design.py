@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from oracles.scatter import of_another
 
 from agents.policies.fixed import Constant
 from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConfig, Tube
@@ -208,19 +209,30 @@ def test_whole_insertions_are_judged_over_the_same_span():
     assert info["kpis"]["inspection_time_s"] == pytest.approx(SPAN / 0.2, rel=0.01)
 
 
-@pytest.mark.processor
-def test_the_countermeasures_quieten_the_probe():
-    """Section 4.3 of the study: the improved probe against the original, on four training tubes.
+QUIETER = np.log([0.142, 0.066, 0.183, 0.153])
+"""Of the improved probe's rms over the original's, by tube: geometric means of 16 starts."""
+QUIETER_DEVIATIONS = np.array([0.283, 0.315, 0.247, 0.295])
+"""Of the logarithms of the 16."""
 
-    The ratio is 0.04 to 0.16, and of five starts that differ by 1e-15 m each scatters by 10 to 18 %: log(0.5 / 0.16) is
-    six of these standard deviations.
+
+@pytest.mark.processor
+def test_the_countermeasures_quieten_the_probe(seeds):
+    """Section 4.3 of the study: the improved probe against the original, on four training tubes, two starts each.
+
+    Together they are less than half as loud and each is quieter, further than chance reaches: no mean is above the
+    measured one by its bound, but for 1e-4. A ratio of 0.6 in a tube or 0.25 in all is noticed half of the time.
     """
-    tubes = [Context(friction=mu, helix_diameter=d) for mu in (0.15, 0.2) for d in (1.0, 1.4)]
-    both = [Design()] * 4 + [IMPROVED] * 4
-    tried = [Candidate(design, tube, STUDY_FEED) for design, tube in zip(both, tubes * 2, strict=True)]
+    tubes, starts = [Context(friction=mu, helix_diameter=d) for mu in (0.15, 0.2) for d in (1.0, 1.4)], 2
+    both = ([Design()] * 4 + [IMPROVED] * 4) * starts
+    places = zip(both, tubes * 2 * starts, np.repeat(seeds(starts), 8).tolist(), strict=True)
+    tried = [Candidate(design, tube, STUDY_FEED, seed) for design, tube, seed in places]
     _, kpis = judge(both, try_sections(tried, CONFIG), CONFIG)
-    original, improved = kpis["radial_rms_m"].reshape(2, 4)
-    assert (improved < 0.5 * original).all()
+    original, improved = np.log(kpis["radial_rms_m"].reshape(starts, 2, 4)).mean(axis=0)
+    each = np.array([of_another(d, 16, among=5, members=starts) for d in QUIETER_DEVIATIONS])
+    assert (QUIETER + each < 0.0).all()
+    assert (improved - original < QUIETER + each).all()
+    together = QUIETER.mean() + of_another(np.sqrt((QUIETER_DEVIATIONS**2).mean() / 4), 16, among=5, members=starts)
+    assert (improved - original).mean() < together < np.log(0.5)
 
 
 def test_ranges_name_the_fields():

@@ -48,6 +48,7 @@ def insertions():
 
 
 def test_a_full_insertion_ends_at_the_helix_s_end(insertions):
+    """Of twelve other starts the hard tube is 1690 times as loud (+- 3.5 %), 0.156 +- 0.007 of it within the limit."""
     kpis, terms, _ = insertions
     for k in (0, 1):
         assert kpis[k]["complete"] == 1.0
@@ -68,11 +69,12 @@ def test_crawling_to_the_time_limit_does_not_pay(insertions):
         assert terms[k].sum() < terms[constant].sum() - 100.0
 
 
+@pytest.mark.processor
 def test_contexts_leave_something_to_decide(insertions):
     """Racing beats the study's feed in a mild context and loses in a hard one.
 
-    Of four starts that differ by 1e-15 m, 40.2 against 26.5 to the digit shown, and -394 +- 6 against -312 +- 12: the
-    margin of 20 is 4.6 standard deviations of the difference away.
+    Of twelve other starts of each by 14.418 to six digits, and by 437 +- 9: the margin of 20 is 46 deviations away,
+    which Student's t of 11 reaches with 1e-13.
     """
     _, terms, _ = insertions
     (study_hard, study_mild), (race_hard, race_mild) = (terms[k : k + 2].sum(axis=1) for k in (0, 4))

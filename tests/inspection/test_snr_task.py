@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from oracles.scatter import apart, deviation, reach
+from oracles.scatter import reach
 from scipy.stats import spearmanr
 
 import probe_env
@@ -47,19 +47,24 @@ def test_the_sensor_changes_nothing_of_the_task_in_millimetres():
     assert second == pytest.approx(0.5 * first, rel=0.01)
 
 
-def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures():
+@pytest.mark.processor
+def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures(seeds):
     """As the study measured at 0.2 m/s, its figures 3 and 4: the ranks agree.
 
-    Nine scenes from 0.002 to 0.8 mm; two of those whose rms is within the scatter of 13 % of a run may change places,
-    each of which takes 0.017 of the correlation: 0.85 leaves room for nine of them.
+    Nine scenes from 0.002 to 0.5 mm, of which three and three are as loud as each other and change places by chance.
+    Means and covariances of the logarithms were taken from 16 starts of each; of 400,000 draws from what these leave
+    possible (Student's t of 15) 5e-5 were below 0.85 for means of four, half above 0.96. A scene of the quiet three
+    that sounds like one of the loud three takes 0.2 and more, and is noticed.
     """
     names = [f"fig11_l{length}" for length in (10, 20, 30, 40, 50)]
     names += ["fig12_l55", "fig17_dh2500", "fig18_q40", "fig20_improved"]
     paths = [f"{probe_env.__path__[0]}/../configs/scenes/{name}.toml" for name in names]
-    scenes = [Scene.from_toml(path) for path in paths]
-    batch = SimulatorBatch(scenes, "superelement32", threads=1, perturbation=1e-6)
-    batch.advance(None, None, 2.0)
+    starts = 4
+    scenes = [Scene.from_toml(path) for path in paths] * starts
     count = len(scenes)
+    each = np.repeat(seeds(starts), len(names)).tolist()
+    batch = SimulatorBatch(scenes, "superelement32", threads=1, perturbation=1e-6, seeds=each)
+    batch.advance(None, None, 2.0)
     meter, feed = Meter(Sensor(), count, 1e-3), np.array([scene.feed_speed for scene in scenes])
     noise, vibration = np.zeros(count), np.zeros(count)
     for _ in range(3):
@@ -67,22 +72,25 @@ def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures():
         told = meter.listen(np.arange(count), window.radial, feed)
         noise += 1.0 / told.snr
         vibration += window.statistics["radial_rms_m"]
-    assert spearmanr(noise, vibration).statistic >= 0.85
+    means = (np.log(values).reshape(starts, -1).mean(axis=0) for values in (noise, vibration))
+    assert spearmanr(*means).statistic >= 0.85
 
 
 @pytest.mark.processor
 def test_a_finer_step_hears_the_same(seeds):
-    """Noise at 30 m by the default and by half its step in double precision, within what chance leaves of six runs."""
-    noise = []
+    """Noise at 30 m by the default and by half its step in double precision, within what chance leaves of 16 runs.
+
+    Noise over signal of 4 s scatters by 21 % (of 16 starts each 0.196 and 0.208 of the logarithm): 39 % are noticed.
+    """
+    noise, members = [], 16
     for method, step in (("superelement32", 2e-4), ("superelement", 1e-4)):
         batch = SimulatorBatch(
-            [Scene(carrier_length=30.0)] * 6, method, step, seeds=seeds(6), threads=1, perturbation=1e-6
+            [Scene(carrier_length=30.0)] * members, method, step, seeds=seeds(members), threads=1, perturbation=1e-6
         )
         batch.advance(None, None, 3.0)
-        meter, heard = Meter(Sensor(), 6, 1e-3), np.zeros(6)
+        meter, heard = Meter(Sensor(), members, 1e-3), np.zeros(members)
         for _ in range(4):
             window = batch.advance(None, None, 1.0, keep_samples=True)
-            heard += 1.0 / meter.listen(np.arange(6), window.radial, np.full(6, 0.2)).snr
-        noise.append(heard)
-    spread = deviation("radial_rms_m", 30.0) * np.sqrt(6.0 / 4.0)  # of 4 s instead of 6 s
-    assert abs(apart(*noise)) < reach((spread, 6), (spread, 6))
+            heard += 1.0 / meter.listen(np.arange(members), window.radial, np.full(members, 0.2)).snr
+        noise.append(np.log(heard).mean())
+    assert abs(noise[0] - noise[1]) < reach((0.21, members), (0.21, members), measured=31)

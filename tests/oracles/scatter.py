@@ -35,15 +35,29 @@ def deviation(statistic: str, length: float) -> float:
     return DEVIATIONS[statistic][(30.0, 50.0).index(length)]
 
 
-def reach(*samples: tuple[float, int], chance: float = CHANCE) -> float:
+def reach(*samples: tuple[float, int], chance: float = CHANCE, measured: int = MEASURED) -> float:
     """Largest distance of the logarithms of two means that is left to chance.
 
     Args:
-        samples: relative deviation of one member, and number of members, of each mean.
+        samples: relative deviation of one member, and number of members, of each mean; or deviations of what the means
+            are of, in its own unit: then the distance is of the means.
         chance: that equal truths are further apart, in either direction.
+        measured: members that the deviation was taken from.
     """
     spread = math.sqrt(sum(relative**2 / members for relative, members in samples))
-    return float(t.isf(0.5 * chance, MEASURED - 1)) * spread
+    return float(t.isf(0.5 * chance, measured - 1)) * spread
+
+
+def of_another(deviation: float, measured: int = MEASURED, among: int = 1, members: int = 1) -> float:
+    """How far the mean of new members lies from the mean of the measured ones by chance.
+
+    Args:
+        deviation: of one member, taken from those measured.
+        measured: how many they were.
+        among: so many such bounds are in one test, which all hold but for ``CHANCE``.
+        members: new ones.
+    """
+    return reach((deviation, members), (deviation, measured), chance=CHANCE / among, measured=measured)
 
 
 def apart(first: np.ndarray, second: np.ndarray) -> float:

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from oracles.scatter import of_another
 
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.physics.chain import RISE, most_couple, outer_start
@@ -175,18 +176,25 @@ def test_probes_that_go_both_ways_side_by_side_equal_single_ones():
             assert (mine == theirs).all()
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize("method", ["newmark", "imex", "implicit"])
-def test_a_cable_that_buckles_lies_against_the_tube(method):
-    """A cable of Euler load 2 N between floats under 15 N: with floats alone it folds up, on the walls it is held."""
+def test_a_cable_that_buckles_lies_against_the_tube(method, seeds):
+    """A cable of Euler load 2 N between floats under 15 N: with floats alone it folds up, on the walls it is held.
+
+    At 10.525 mm, 5.2 mm and the 5.325 mm by which the cable is thinner than a float, and what it presses into 1e5 N/m.
+    Of eight starts of each method that was 10.531 to 10.534 mm, +- 0.017 mm at most, under 13.22 to 13.26 N at the root
+    over the last 0.1 s, +- 0.045 N: but for 1e-4 within 0.17 mm and 0.45 N, so a thirtieth of the force is noticed.
+    """
     for cable in (True, False):
         weak = {"carrier_length": 5.0, "contact": {"cable": cable}, "probe": {"flexural_rigidity": 2e-3}}
         scene = Scene.model_validate(BACK | weak | {"feed_speed": -0.4, "air_supply_rate": -130.0 / 3600.0})
-        simulator = Simulator(scene, method, 1e-4, start="outer")
+        simulator = Simulator(scene, method, 1e-4, start="outer", perturbation=1e-6, seed=seeds(1)[0])
         if cable or method == "implicit":  # which knows no other cable
             run = simulator.advance(duration=0.5, points=("root",))
-            # 5.2 mm and the 5.325 mm by which the cable is thinner than a float, and what 15 N press into 1e5 N/m
-            assert simulator.state.d[: simulator.root, 1].max() == pytest.approx(10.525e-3, abs=0.15e-3)
-            assert -25.0 < run.tension[-1, 0] < -5.0
+            deepest = simulator.state.d[: simulator.root, 1].max()
+            assert deepest == pytest.approx(10.5325e-3, abs=0.002e-3 + of_another(0.017e-3, 8, among=2))
+            pressed = run.tension[-100:, 0].mean()
+            assert pressed == pytest.approx(-13.24, abs=0.03 + of_another(0.045, 8, among=2))
         else:
             with pytest.raises(SimulationError):
                 simulator.advance(duration=0.5)

@@ -191,6 +191,7 @@ def test_explicit_limit_is_that_of_the_fastest_axial_mode():
     assert explicit_time_step(chain) == pytest.approx(chain.element_length / np.sqrt(1.1e5 / 0.111), rel=1e-6)
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize("method", ["imex", "imex32"])
 def test_a_hard_slow_start_does_not_feed_itself(method):
     """u = 0.05 m/s, friction 0.25, 130 m3/h: friction by the sign of v pumped this up to 700 N and more."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.stats import norm
 
@@ -55,17 +56,23 @@ def synthetic(episodes=64, seed=0):
     return table.assign(radial_rms_m=1e-4 * 10.0**logarithm), logarithm
 
 
-def test_a_known_law_is_found_again(monkeypatch):
-    """A fifth of the usual epochs. Of four seeds 0.0534 to 0.0554 decades are left, of which the deviation tells 0.0529
-    to 0.0558, and 99.4 %; with all of them 0.0485 to 0.0498."""
+@pytest.mark.processor
+def test_a_known_law_is_found_again(monkeypatch, seeds):
+    """A fifth of the usual epochs, and noise of 0.05 decades.
+
+    Of eight other tables and starts 0.0545 +- 0.0008 decades were left, of which the deviation told 0.0548 +- 0.0009,
+    and 99.47 +- 0.03 %: but for 1e-4 within 0.008, 0.009 and 0.3 %. (With all epochs 0.0485 to 0.0498 of four.)
+    """
     monkeypatch.setattr("agents.policies.maps.fit.EPOCHS", 60)
-    table, logarithm = synthetic()
-    fitted, quality = fit_map(table)
+    seed = seeds(1)[0]
+    table, logarithm = synthetic(seed=seed)
+    fitted, quality = fit_map(table, seed=seed)
     columns = [table[name].to_numpy() for name in ("inserted_length", "feed_speed", "air_supply_rate")]
     mean, deviation = fitted.distribution(features_of(*columns, table[list(CONTEXT)].to_numpy()))
-    assert np.sqrt(((mean - logarithm) ** 2).mean()) < 0.065  # the noise is 0.05
-    assert deviation.mean() == pytest.approx(0.05, rel=0.25)
-    assert quality["explained_variance"] > 0.97
+    left = float(np.sqrt(((mean - logarithm) ** 2).mean()))
+    assert left == pytest.approx(0.0545, abs=of_another(0.0008, 8, among=3))
+    assert deviation.mean() == pytest.approx(0.0548, abs=of_another(0.0009, 8, among=3))
+    assert quality["explained_variance"] == pytest.approx(0.9947, abs=of_another(0.0003, 8, among=3))
 
 
 @pytest.mark.parametrize(("mean", "deviation"), [(-1.0, 0.1), (-0.2, 0.2), (0.4, 0.15)])

@@ -1,9 +1,11 @@
 """Planners: what they try, that what they foresee comes true, and that looking leaves the episodes alone."""
 
 import copy
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from oracles.scatter import of_another
 
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import best_schedule_for, grid, knots
@@ -23,13 +25,16 @@ TUBES = (Context(friction=0.15, helix_diameter=2.0), Context(friction=0.24, heli
 EXACT = Estimate()
 
 
-def running(config: TaskConfig = CONFIG, periods: int = 4, feed: float = 0.3) -> Episodes:
-    """Two episodes on their way."""
-    episodes = Episodes(2, config, threads=1, fidelity="fast")
-    rngs = {k: np.random.default_rng(k) for k in range(2)}
-    episodes.reset(range(2), rngs, {k: {"context": tube} for k, tube in enumerate(TUBES)})
+def running(
+    config: TaskConfig = CONFIG, periods: int = 4, feed: float = 0.3, seeds: Sequence[int] = range(2)
+) -> Episodes:
+    """Two episodes on their way, or as many as there are seeds, of both tubes in turn."""
+    count = len(seeds)
+    episodes = Episodes(count, config, threads=1, fidelity="fast")
+    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds)}
+    episodes.reset(range(count), rngs, {k: {"context": TUBES[k % 2]} for k in range(count)})
     for _ in range(periods):
-        episodes.step(np.tile(config.action(feed, 0.02), (2, 1)))
+        episodes.step(np.tile(config.action(feed, 0.02), (count, 1)))
     return episodes
 
 
@@ -128,14 +133,19 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
 
 
 @pytest.mark.processor
-def test_an_estimated_tube_is_read_from_the_tension() -> None:
-    planner = Planner(CONFIG, tube="estimated", candidates=2, periods=1, average=1e-3)
-    episodes = running(periods=30, feed=0.2)
-    _, states = planner.decide(episodes, [0, 1], episodes.observation, [None, None])
-    # the closed form is of steady sliding and the load cell has 2 % of noise: a rough one, but no default
-    for state, tube in zip(states, TUBES, strict=True):
-        assert abs(state[3] - tube.friction) < 0.06
-        assert state[3] != planner.prior
+def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Sequence[int]]) -> None:
+    """By the closed form of steady sliding, through 2 % of noise of the load cell.
+
+    Of 32 other episodes in each tube the friction was 0.0016 and 0.0007 too high and scattered by 0.0055 and 0.0047.
+    The mean of eight is within 0.012 but for 1e-4: the prior, 0.025 from the nearer of both, would not pass.
+    """
+    planner, count = Planner(CONFIG, tube="estimated", candidates=2, periods=1, average=1e-3), 16
+    episodes = running(periods=30, feed=0.2, seeds=seeds(count))
+    _, states = planner.decide(episodes, range(count), episodes.observation, [None] * count)
+    within = 0.0016 + of_another(0.0055, among=len(TUBES), members=count // len(TUBES))
+    for k, tube in enumerate(TUBES):
+        friction = np.mean([state[3] for state in states[k :: len(TUBES)]])
+        assert abs(friction - tube.friction) < within < abs(planner.prior - tube.friction)
     blind = TaskConfig(observe_root_tension=False)
     with pytest.raises(ValueError, match="needs a task that shows the root tension"):
         Planner(blind, tube="estimated").decide(episodes, [0], np.zeros((1, len(blind.observations))), [None])
@@ -155,15 +165,17 @@ def test_planners_play_by_name_and_say_what_they_cannot() -> None:
 
 
 @pytest.mark.processor
-def test_a_planner_beats_the_map_that_it_looks_beyond() -> None:
-    config = TaskConfig(scene={"tube": {"helix_length": 30.0}})
+def test_a_planner_beats_the_map_that_it_looks_beyond(seeds: Callable[[int], Sequence[int]]) -> None:
+    """Eight runs of both. Of 16 others the planner gained 2.98 +- 1.11 over the map's policy, of 7.1 against 4.1.
+
+    But for 1e-4 the mean of eight is not less by 2.52: a planner that gains nothing is noticed nine times in ten.
+    """
+    config, gain, deviation, runs = TaskConfig(scene={"tube": {"helix_length": 30.0}}), 2.98, 1.11, 8
     policies = {
         "planner": Planner(config.all_shown, candidates=4, periods=3, every=3),
         "by the map": make_policy("privileged", config.all_shown),
     }
-    table = run_plan(
-        Plan(policies, (TUBES[1],), (0,), config.all_shown, resolve_fidelity("fast")), None, progress=False
-    )
-    rewards = table.set_index("policy")["reward"]
-    # 16 runs with other seeds gave 7.4 with a standard deviation of 0.6, the map's policy 4.5: 4.8 of these away
-    assert rewards["planner"] > rewards["by the map"]
+    plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.all_shown, resolve_fidelity("fast"))
+    rewards = run_plan(plan, None, progress=False).pivot(index="seed", columns="policy", values="reward")
+    least = gain - of_another(deviation, 16, members=runs)
+    assert (rewards["planner"] - rewards["by the map"]).mean() > least > 0.0
