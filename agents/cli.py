@@ -98,9 +98,10 @@ def _command(name: str, arguments: Sequence[str]) -> Any:
 
 
 def _fail(message: str, status: int = 2) -> int:
+    from agents.terminal.masking import masked
     from probe_env.files import one_line
 
-    print(f"probe-env: error: {one_line(message)}", file=sys.stderr)
+    print(f"probe-env: error: {one_line(masked(message))}", file=sys.stderr)
     return status
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
 from typing import Any, Final
 
 import tyro
@@ -40,6 +41,7 @@ def parsed(name: str, kind: type[Any], arguments: Sequence[str], example: str, d
         "prog": f"probe-env {name}", "description": f"{kind.__doc__}\n\nExample: {example}"
     }  # fmt: skip
     given |= {"default": default} if default is not None else {}
+    arguments = [_as_path(argument) for argument in arguments]
     command, stop, text = _silently(kind, given | {"args": arguments})
     if stop is None:
         return command
@@ -61,6 +63,16 @@ def _silently(kind: type[Any], given: dict[str, Any]) -> tuple[Any, SystemExit |
             return tyro.cli(kind, **given), None, printed.getvalue()
     except SystemExit as stop:
         return None, stop, printed.getvalue()
+
+
+def _as_path(argument: str) -> str:
+    """A file whose name begins with a dash, so that it does not read as an option; negative numbers do not."""
+    dashed = argument.startswith("-") and not argument.startswith("--") and len(argument) > 2
+    try:
+        float(argument)
+    except ValueError:
+        return f"./{argument}" if dashed and Path(argument).is_file() else argument
+    return argument
 
 
 def _flags(arguments: Sequence[str]) -> list[str]:

@@ -5,7 +5,9 @@ import re
 import pytest
 
 from agents.cli import main
+from agents.commands.feed import Evaluate
 from agents.commands.registry import COMMANDS
+from agents.commands.study import Simulate
 from agents.terminal.command_line import parsed
 from agents.terminal.tyro_texts import joined_lines, message_of
 
@@ -98,3 +100,19 @@ def test_the_stage_of_the_published_search_is_still_understood():
 
     assert parsed("design", DesignSearch, ["--contexts", "18"], "").contexts == 18
     assert parsed("design", DesignSearch, ["--contexts", "test"], "").contexts == "test"
+
+
+def test_a_file_whose_name_begins_with_a_dash_is_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("-x.csv", "-1"):
+        (tmp_path / name).write_text("")
+    assert parsed("evaluate", Evaluate, ["-x.csv"], "").policies == ("./-x.csv",)
+    with pytest.raises(ValueError, match=r"-y\.csv"):  # there is no such file
+        parsed("evaluate", Evaluate, ["-y.csv"], "")
+    assert parsed("simulate", Simulate, ["a.toml", "--time-step", "-1"], "").time_step == -1.0  # a number stays one
+
+
+@pytest.mark.parametrize("words", ["design --storge", "tune", "evaluate", "evaluate pi --storage"])
+def test_a_password_in_a_mistyped_line_is_not_shown(words, capsys):
+    assert main([*words.split(), "postgresql://u:hunter2@h/db"]) == 2
+    assert "hunter2" not in "".join(capsys.readouterr())
