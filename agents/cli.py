@@ -98,10 +98,13 @@ def _command(name: str, arguments: Sequence[str]) -> Any:
 
 
 def _fail(message: str, status: int = 2) -> int:
+    import re
+
     from agents.terminal.masking import masked
     from probe_env.files import one_line
 
-    print(f"probe-env: error: {one_line(masked(message))}", file=sys.stderr)
+    whole = re.sub(r"(\w:)/(?=[^/\s]*:[^/\s]*@)", r"\1//", message)  # an address that was taken for a path lost a slash
+    print(f"probe-env: error: {one_line(masked(whole))}", file=sys.stderr)
     return status
 
 

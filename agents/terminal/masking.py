@@ -8,15 +8,14 @@ from collections.abc import Sequence
 from typing import Final
 
 HIDDEN: Final = "***"
-_USER: Final = re.compile(r"(:/{1,2}[^:/?#@\s]*):.*@", re.DOTALL)
-"""From the colon behind the user to the last @: passwords are often written without escapes. One slash is left of an
-address that was taken for a path."""
+_USER: Final = re.compile(r"(://[^:/?#@]*):.*@", re.DOTALL)
+"""From the colon behind the user to the last @: passwords are often written without escapes."""
 _ARGUMENT: Final = re.compile(r"([?&][^=&]*(?:pass|pwd|secret|token|key)[^=&]*=)[^&\s]*", re.IGNORECASE)
 
 
 def masked(text: str) -> str:
     """An address, or an argument with one in it, with ``user:***@`` for ``user:password@``."""
-    return _ARGUMENT.sub(rf"\1{HIDDEN}", _USER.sub(rf"\1:{HIDDEN}@", text)) if ":/" in text else text
+    return _ARGUMENT.sub(rf"\1{HIDDEN}", _USER.sub(rf"\1:{HIDDEN}@", text)) if "://" in text else text
 
 
 def masked_command(arguments: Sequence[str]) -> str:
