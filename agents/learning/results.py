@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from agents.records.columns import KPIS
 from agents.records.reading import read_csv
 from agents.records.tables import CURVE
 from agents.rollouts.statistics import Interval, nested_interval, seeds_by_contexts
 
 RESAMPLES = 2000
-SHOWN = ("reward", "inspection_time_s", "share_within_limit")
+SHOWN = ("reward", "inspection_time_s", "share_within_limit", "a90_percent_wall")
+"""KPIs of the table, as far as the evaluation has them."""
 
 
 def verdicts(table: pd.DataFrame, agent: str, others: Sequence[str], top: str) -> list[str]:
@@ -73,13 +75,12 @@ def _percent(change: Interval) -> str:
 
 def markdown(table: pd.DataFrame, methods: Sequence[str]) -> str:
     """Interquartile means over training seeds of the means over tubes, with intervals over both."""
-    lines = [
-        "| method | training seeds | reward | inspection time [s] | length within the limit [%] |",
-        "|---" * 5 + "|",
-    ]
+    shown = {kpi: KPIS[kpi] for kpi in SHOWN if kpi in table}
+    heads = [f"{name} [{unit}]" if unit else name for name, _, unit in shown.values()]
+    lines = ["| method | training seeds | " + " | ".join(heads) + " |", "|---" * (2 + len(heads)) + "|"]
     for method in methods:
         seeds = table.loc[table["policy"] == method, "agent"].nunique()
-        cells = [over_seeds(table, method, kpi).text(100.0 if kpi == "share_within_limit" else 1.0) for kpi in SHOWN]
+        cells = [over_seeds(table, method, kpi).text(factor) for kpi, (_, factor, _) in shown.items()]
         lines.append(f"| `{method}` | {seeds} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
