@@ -11,18 +11,18 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
-from tqdm import tqdm
 
 from agents.calibration.calibration import Recorded, calibrate
 from agents.calibration.response import stored_response
+from agents.calibration.simulated.groups import run_groups
 from agents.calibration.simulated.insertions import Program, insert
 from agents.calibration.simulated.trials import TUBES, Trial, trials
 from agents.policies.catalogue import DATA
 from agents.processes.workers import Workers
 from agents.recommendation.search import recommended
 from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.tables import Columns
 from agents.terminal.tables import print_terms
-from agents.terminal.work import Work, announce
 from probe_env import Context, Plant, StabilityWarning
 from probe_env.arrays import FloatArray
 from probe_env.envs.plants.tables import Tubes
@@ -42,16 +42,13 @@ def run_study(tubes: int, fidelity: str, output: Path, workers: Workers) -> dict
 
     Raises:
         ValueError: not a whole number of groups.
+        FileError: a stored group is damaged or of another fidelity.
     """
     if tubes < TUBES or tubes % TUBES:
         raise ValueError(f"tubes = {tubes!r} must be a multiple of {TUBES}, which are simulated side by side")
-    files = {group: output / f"group-{group}.csv" for group in range(tubes // TUBES)}
-    announce(Work("group", len(files), lambda: sum(file.exists() for file in files.values()), output))
-    missing = [group for group, file in files.items() if not file.exists()]
-    made = workers.stream(partial(_group, fidelity), missing)
-    for group, rows in tqdm(made, total=len(missing), desc="recommend", unit="group"):
-        write_atomically(files[group], pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
-    table = pd.concat([pd.read_csv(file) for file in files.values()], ignore_index=True)
+    columns: Columns = dict.fromkeys(FEEDS, "number")
+    make = partial(_group, fidelity)
+    table = run_groups(make, tubes // TUBES, fidelity, output, columns, workers, "recommend")
     summary = summarised(table)
     write_atomically(output / "recommendations.csv", table.to_csv(index=False, float_format="%.6g"))
     write_json(output / "summary.json", summary | {"provenance": provenance()})

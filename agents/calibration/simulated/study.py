@@ -10,18 +10,18 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from scipy.stats import kstest
-from tqdm import tqdm
 
 from agents.calibration.calibration import Recorded, calibrate
 from agents.calibration.metres import CHANNELS
 from agents.calibration.response import Response, stored_response
+from agents.calibration.simulated.groups import run_groups
 from agents.calibration.simulated.trials import TUBES, Trial, trials
 from agents.calibration.unknowns import UNKNOWNS
 from agents.logs.log import Log
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.tables import Columns
 from agents.terminal.tables import print_terms
-from agents.terminal.work import Work, announce
 from probe_env import Plant
 from probe_env.envs.plants.tables import Tubes
 
@@ -42,24 +42,23 @@ def run_study(logs: int, fidelity: str, output: Path, workers: Workers) -> dict[
 
     Raises:
         ValueError: not a whole number of groups.
+        FileError: a stored group is damaged or of another fidelity.
     """
     if logs < TUBES or logs % TUBES:
         raise ValueError(f"logs = {logs!r} must be a multiple of {TUBES}, which are simulated side by side")
-    groups = list(range(logs // TUBES))
-    files = [output / f"group-{group}.csv" for group in groups]
-    announce(Work("group", len(groups), lambda: sum(file.exists() for file in files), output))
-    missing = [group for group, file in zip(groups, files, strict=True) if not file.exists()]
-    made = workers.stream(partial(_rows, fidelity), missing)
-    for _, rows in tqdm(made, total=len(missing), desc="calibrate", unit="group"):
-        table = pd.DataFrame(rows)
-        target = output / f"group-{table['group'][0]}.csv"
-        write_atomically(target, table.to_csv(index=False, float_format="%.6g"))
-    table = pd.concat([pd.read_csv(file) for file in files], ignore_index=True)
+    columns: Columns = {"set": "text", "misspecified": "truth", "refused": "truth", "alone_mean": "maybe"}
+    columns = {**columns, **dict.fromkeys((name for unknown in UNKNOWNS for name in _columns_of(unknown)), "number")}
+    make = partial(_rows, fidelity)
+    table = run_groups(make, logs // TUBES, fidelity, output, columns, workers, "calibrate")
     summary = summarised(table)
     write_atomically(output / "calibrations.csv", table.to_csv(index=False, float_format="%.6g"))
     write_json(output / "summary.json", summary | {"provenance": provenance()})
     print_terms({name: f"{value:.4g}" for name, value in summary.items()})
     return summary
+
+
+def _columns_of(unknown: str) -> tuple[str, ...]:
+    return unknown, *(f"{unknown}_{part}" for part in ("mean", "low", "high", "rank"))
 
 
 def summarised(table: pd.DataFrame) -> dict[str, Any]:
