@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,8 +48,8 @@ def run_groups(
         if file.exists():
             _stored(file, fidelity, columns)
     announce(Work("group", count, lambda: sum(file.exists() for file in files), folder))
-    made: Sequence[int] | Any = workers.stream(make, missing)
-    for group, rows in tqdm(made, total=len(missing), desc=words, unit="group"):
+    stream = workers.stream(make, missing)
+    for group, rows in tqdm(stream, total=len(missing), desc=words, unit="group"):
         table = pd.DataFrame(rows).assign(**{FIDELITY: fidelity})
         write_atomically(files[group], table.to_csv(index=False, float_format="%.6g"))
     return pd.concat([_stored(file, fidelity, columns) for file in files], ignore_index=True)
