@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from agents.calibration.gauge import LIMIT, Gain, gain_of
 from agents.calibration.inference import Case, Posterior, check_cases, sampled
 from agents.calibration.metres import CHANNELS, metres_of
 from agents.calibration.response import Response
@@ -51,6 +52,8 @@ class Calibration:
         posterior: draws and misfit.
         sliding: by the tension alone, of each tube; None without one.
         beyond: what of each log lies beyond what the response was learnt from.
+        limits: greatest misfit of each channel, and of all, that is held possible.
+        gains: of each log how its gauge of tension seems to read; None without one.
     """
 
     prior: Prior
@@ -60,6 +63,7 @@ class Calibration:
     sliding: tuple[Sliding | None, ...]
     beyond: tuple[tuple[str, ...], ...]
     limits: FloatArray
+    gains: tuple[Gain | None, ...]
 
     def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
         """Mean and 90 % interval of an unknown, of one tube or over all of them."""
@@ -72,7 +76,13 @@ class Calibration:
     def misfits(self) -> list[str]:
         """Why the model cannot have made these logs, one sentence each; none where it can."""
         told = []
-        for case, found in zip(self.cases, self.posterior.misfit, strict=True):
+        for case, found, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
+            if gauge and gauge.ratio > LIMIT:
+                told.append(
+                    f"{case.name}: root tension fits the rest and what was held possible only if the gauge reads"
+                    f" {gauge.gain:.2f} times what it should (twice the log of the likelihoods' ratio is"
+                    f" {gauge.ratio:.1f}, one log in thirty: {LIMIT:g})"
+                )
             for k, name in enumerate((*CHANNELS, "all channels together")):
                 if found[k] > self.limits[k]:
                     told.append(
@@ -159,7 +169,8 @@ def calibrate(
     beyond = tuple(tuple(f"{c.name}: {text}" for text in response.outside(c.metres, c.scene)) for c in cases)
     sliding = tuple(by_sliding([c for c in cases if c.tube == k], prior) for k in range(len(tubes)))
     posterior = sampled(response, cases, prior, progress=progress)
-    return Calibration(prior, tuple(cases), tubes, posterior, sliding, beyond, response.misfit)
+    gains = tuple(gain_of(posterior.likelihood, number, prior) for number in range(len(cases)))
+    return Calibration(prior, tuple(cases), tubes, posterior, sliding, beyond, response.misfit, gains)
 
 
 def _sliding(found: Sliding | None) -> dict[str, dict[str, float]] | None:

@@ -31,7 +31,7 @@ SCALED: Final = 1.5
 SHIFT: Final = 60.0
 """[s] that what was felt is behind what was fed."""
 SEED: Final = 22
-"""Apart from that of the bank, and from 21, whose logs ``inference.TRUSTED`` was found on."""
+"""Apart from that of the bank, and from 21, whose logs ``inference`` was found on."""
 FOREIGN: Final = 4
 """Logs of a group that are made foreign."""
 Row = dict[str, Any]
@@ -110,6 +110,8 @@ def _row(response: Response, trial: Trial, name: str, log: Log) -> Row:
         row[f"{unknown}_rank"] = float((draws < trial.truth[k]).mean())
     alone = found.sliding[0].friction if found.sliding[0] else (np.nan,) * 3
     row |= dict(zip(("alone_mean", "alone_low", "alone_high"), alone, strict=True))
+    gauge = found.gains[0]
+    row |= {"gain": gauge.gain if gauge else np.nan, "gain_ratio": gauge.ratio if gauge else np.nan}
     misfit = found.posterior.misfit[0]
     return row | {f"misfit_{channel}": value for channel, value in zip((*CHANNELS, "all"), misfit, strict=True)}
 
