@@ -18,7 +18,7 @@ PARTS = {"what enters": r"\benters?\b", "what leaves": r"\bleaves?\b", "what it 
 """What the ``__init__`` of a room says: "... enter(s)", "... leave(s)", and "Imports ..."."""
 MOST_FILES, MOST_LINES, MOST_PARAMETERS = 12, 60, 7
 MOST_BYTES = 5_000_000
-VAGUE = {"told": 98, "made": 23, "was": 0, "again": 24, "found": 126}
+VAGUE = {"told": 98, "made": 23, "was": 0, "again": 24, "found": 124}
 """Names that do not say what they stand for, and how many definitions have them still: maxima, which only fall."""
 
 

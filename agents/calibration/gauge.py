@@ -51,11 +51,11 @@ def gain_of(likelihood: Likelihood, number: int, prior: Prior) -> Gain | None:
         drawn = np.random.default_rng(0).normal(size=(DRAWN, 1 + len(prior.shared))).clip(-BOX, BOX)
         parts = np.array_split(drawn, DRAWN // 32)
         order = np.argsort(np.concatenate([objective.logarithm(part)[0] for part in parts]))[::-1]
-        found = [
+        results = [
             minimize(objective, drawn[k], jac=True, method="L-BFGS-B", bounds=[(-BOX, BOX)] * drawn.shape[1])
             for k in order[:STARTS]
         ]
-        best.append((objective, min(found, key=lambda result: result.fun)))
+        best.append((objective, min(results, key=lambda result: result.fun)))
     (_, without), (objective, with_gain) = best
     gain = float(np.exp(objective.logarithm(with_gain.x[None])[1][0]))
     return Gain(max(2.0 * float(without.fun - with_gain.fun), 0.0), gain)

@@ -65,9 +65,9 @@ def test_a_gauge_that_reads_too_much_is_found(response: Response, prior: Prior) 
 
 def test_what_drag_may_be_is_no_gain(response: Response, prior: Prior) -> None:
     """A tenth more is within the 15 %: told by the bend alone, it is nobody's fault."""
-    found = gain_of(likelihood_of(response, 1.1), 0, prior)
-    assert found is not None
-    assert found.ratio < LIMIT
+    gain = gain_of(likelihood_of(response, 1.1), 0, prior)
+    assert gain is not None
+    assert gain.ratio < LIMIT
 
 
 def test_without_a_tension_there_is_none(response: Response, prior: Prior) -> None:
