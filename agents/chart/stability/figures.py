@@ -27,7 +27,7 @@ def stability_map(table: pd.DataFrame, path: Path) -> None:
         axis.imshow(
             grid.to_numpy(), aspect="auto", cmap=ListedColormap(list(VERDICTS.values())), vmin=0, vmax=2, origin="lower"
         )
-        axis.set_xticks(range(grid.shape[1]), [f"{ratio:g}" for ratio in grid.columns], fontsize=8)
+        axis.set_xticks(range(grid.shape[1]), [f"{ratio:g}" for ratio in grid.columns], fontsize=8, rotation=90)
         labels = [f"{k:.0e} N/m, {length:.0f} m, friction {mu:g}" for k, length, mu in grid.index]
         axis.set_yticks(range(grid.shape[0]), labels, fontsize=8)
         axis.set_xlabel("step / named limit")
