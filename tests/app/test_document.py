@@ -73,9 +73,11 @@ def test_curves_of_detection_are_those_of_the_report(office):
     least = min(a90_95(table, name) for name in policies)
     assert f"<b>{least:.1f} %</b>" in shown.told.text
     page = page_of(office)
-    page.compare.open.value = "results/evaluation"  # an evaluation of before there was a sensor
+    page.compare.open.value = "results/any-probe"  # an evaluation of before there was a sensor
     assert page.compare.wrong.text == ""
     assert "No curves of detection" in page.compare.detection.told.text
+    page.compare.open.value = "results/evaluation"
+    assert "No curves of detection" not in page.compare.detection.told.text
 
 
 def test_a_dragged_flaw_stays_within_the_second_and_comes_back(office):
