@@ -25,7 +25,8 @@ ALIKE: Final = 15.0, 0.8
 and each by itself so much as a share. Their likelihood is greatest at 15 m and 0.4; the rest is left to gauges."""
 LIMIT: Final = 4.5
 """Of twice the logarithm of the likelihoods' ratio: one in thirty by Wilks, and none of the 32 logs that the likelihood
-was found on (greatest: 4.3); of these with 1.5 times the tension all but two were beyond."""
+was found on (greatest: 4.3); of these with 1.5 times the tension all but two were beyond. Taken before the posterior's
+own tension block got its present form, which moves the settled scatter a little, and not taken again."""
 DRAWN, STARTS, STEP = 2048, 4, 1e-4
 
 
