@@ -3,6 +3,7 @@
 # the packages behind the commands take seconds to load, during which interrupts must be heard: they are loaded in _run
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -12,14 +13,13 @@ from agents.processes.interrupts import heard, tell
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
     with heard(own=arguments is None):
         try:
             return _run(sys.argv[1:] if arguments is None else list(arguments))
         except KeyboardInterrupt as error:
             return tell(error)
         except BrokenPipeError:  # whoever read what is printed has enough, as head does
-            import os
-
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
             return 1
 

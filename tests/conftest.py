@@ -1,7 +1,7 @@
 """Seeds that a run can shift, rounding of another processor, and what is left out unless asked for or installed."""
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from importlib.util import find_spec
 
 import numpy as np
@@ -78,12 +78,14 @@ if find_spec("torch") is None:  # the physics and the environments are tested al
             report.longrepr = (str(collector.path), 0, "Skipped: torch is not installed")
         return report
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_call() -> Iterator[None]:
-        """So is a test that comes to need it."""
+    def skipping() -> Generator[None, object, object]:
+        """So is a test that comes to need it, itself or by what is set up for it."""
         try:
             return (yield)
         except ModuleNotFoundError as error:
             if (error.name or "").split(".")[0] in AGENT_LIBRARIES:
                 pytest.skip("torch is not installed")
             raise
+
+    pytest_runtest_setup = pytest.hookimpl(wrapper=True)(skipping)
+    pytest_runtest_call = pytest.hookimpl(wrapper=True)(skipping)

@@ -13,6 +13,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -58,7 +59,8 @@ def heard(own: bool) -> Iterator[None]:
     _told.clear()
     work.forget()
     before = {number: signal.getsignal(number) for number in (*SIGNALS, *([signal.SIGALRM] if TIMED else []))}
-    hook, sys.unraisablehook = sys.unraisablehook, _unraisable
+    hook = sys.unraisablehook
+    sys.unraisablehook = partial(_unraisable, hook)
     for number in SIGNALS:
         if before[number] is not signal.SIG_IGN:  # nohup, or a job in the background of a script
             signal.signal(number, _hear)
@@ -103,11 +105,11 @@ def _importing(frame: FrameType | None) -> bool:
     return False
 
 
-def _unraisable(problem: Any) -> None:
-    """An interrupt that was swallowed where nothing can be raised."""
+def _unraisable(before: Callable[[Any], object], problem: Any) -> None:
+    """An interrupt that was swallowed where nothing can be raised; what else comes is for the hook from before."""
     if problem.exc_type is not None and issubclass(problem.exc_type, KeyboardInterrupt):
         _leave(_heard[0] if _heard else signal.SIGINT)
-    sys.__unraisablehook__(problem)
+    before(problem)
 
 
 def _leave(number: int) -> NoReturn:

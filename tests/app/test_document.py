@@ -1,5 +1,6 @@
 """The page without a browser: it is built, its screens take in a run, and it loads nothing from elsewhere."""
 
+import asyncio
 import json
 from pathlib import Path
 
@@ -52,6 +53,7 @@ def test_text_from_files_is_shown_as_text(office, tmp_path):
 
 
 def test_only_this_machine_is_let_in(office):
+    asyncio.set_event_loop(asyncio.new_event_loop())  # since 3.12 Python says so where none was made
     server = server_of(office, None, 0)
     try:
         origins = server._tornado.websocket_origins

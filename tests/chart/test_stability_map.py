@@ -1,5 +1,6 @@
 """The stored stability results say what theory says, and their edges are run again."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,16 @@ from oracles.scatter import CHANCE, reach
 
 from agents.chart.stability import map as stability_map
 from agents.chart.stability.map import METHODS, cells, run_cell, verdicts
+from agents.chart.stability.passive import METHODS as ENERGY_STEPS
 from agents.chart.stability.passive import run_digits, run_energy
 from probe_env.physics.methods import EXPLICIT
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
 MAP = pd.read_csv(FOLDER / "map.csv")
 HELD = verdicts(MAP).assign(held=MAP["diverged_at_s"].isna())
+USUAL_STEP = {method: steps[0] for method, steps in ENERGY_STEPS.items()}
+BETWEEN_WALLS = {"newmark": 0.049, "wilson": 0.89, "imex": 0.09, "imex32": 0.087, "implicit": 0.33}
+"""Standard deviation of the logarithm of the undamped chain's energy after 100,000 steps, over 16 starts."""
 STORED = tuple(MAP["method"].unique())
 """A method that is newer is put into the map by `probe-env results stability`, and then held here like the others."""
 
@@ -61,8 +66,10 @@ def test_cells_are_repeated(method):
     """At l = 10 m, for two stiffnesses and frictions: the named limit holds, and the longest step breaks.
 
     Steps in between hold or break by the last digit: of twelve starts that differ by 1e-15 m, Newmark broke in two at
-    1.67 times its limit, Wilson in eleven at 2.2 times, imex in three at 1.33 times; none of twelve at the limit, all
-    at the longest step.
+    1.67 times its limit, Wilson in eleven at 2.2 times, imex in three at 1.33 times. Of 16 at the limit all held: the
+    largest of the velocities that they ended with scatters by a factor of e^0.6 at most and is e^2.2 m/s or less, e^8
+    short of the metre a step that ends a run. Of 16 at the longest step all but ``implicit`` broke, and no one late:
+    Newmark, the last, in e^(3.47 +- 0.29) steps of e^5.94. Either is left to chance with less than 1e-6.
     """
     for stiffness, friction in ((1e5, 0.3), (1e6, 0.05)):
         row = HELD[(HELD["method"] == method) & (HELD["stiffness_n_per_m"] == stiffness) & (HELD["length_m"] == 10.0)]
@@ -80,9 +87,9 @@ def test_energy_over_a_hundred_thousand_steps():
     What double precision does without walls, and explicit between them, is the same to the five digits that are stored:
     of four starts that differ by 1e-15 it scatters by 1e-9 at most, explicit's by 2e-7. Single precision scatters by
     0.07 % where nothing damps (four starts at each of both steps), 0.75 % where it does (five): that leaves 1.1 % and
-    9 % to chance. Between walls the rest is not compared, for it is chaos: imex and imex32 diverged or held as stored
-    in five starts of five, and gained at 2e-4 s (both less than 1 by chance: 7e-5); of Newmark, Wilson and implicit
-    there no other start was tried.
+    9 % to chance. Between walls it is chaos, and what is left of the energy at the usual step scatters as
+    ``BETWEEN_WALLS`` says. Whether a run held is what is stored, but for Newmark's and imex32's largest step: undamped
+    they break late, in e^(11.18 +- 0.10) and e^(10.49 +- 0.21) steps of e^11.51, imex's in e^(10.43 +- 0.14).
     """
     stored = pd.read_csv(FOLDER / "energy.csv")
     table = run_energy()
@@ -90,13 +97,19 @@ def test_energy_over_a_hundred_thousand_steps():
     damped = table["damping_time_s"] > 0.0
     half_a_digit = 0.5e-4  # of 1.0000, relative
     four, five = (reach((d, 1), (d, 1), chance=CHANCE / 4, measured=n) for d, n in ((0.0007, 7), (0.0075, 9)))
+    chaotic = ~smooth & ~damped & (table["time_step_s"] == table["method"].map(USUAL_STEP))
+    for method, scatter in BETWEEN_WALLS.items():
+        ratios = [part["ratio"][chaotic & (table["method"] == method)].item() for part in (table, stored)]
+        within = reach((scatter, 1), (scatter, 1), chance=CHANCE / len(BETWEEN_WALLS), measured=16)
+        assert abs(math.log(ratios[0] / ratios[1])) < within
     compared = (
         ((smooth & ~single) | explicit, 1.01 * half_a_digit), (smooth & single & ~damped, four),
         (smooth & single & damped, five),
     )  # fmt: skip
     for which, within in compared:
         np.testing.assert_allclose(table["ratio"][which], stored["ratio"][which], rtol=within)
-    assert (np.isfinite(table["ratio"]) == np.isfinite(stored["ratio"])).all()
+    late = ~smooth & ~damped & table["method"].isin(["newmark", "imex32"]) & ~chaotic
+    assert (np.isfinite(table["ratio"]) == np.isfinite(stored["ratio"]))[~late].all()
     linear = table[smooth & ~damped].groupby("method")["ratio"]
     assert linear.get_group("newmark").to_numpy() == pytest.approx(1.0, abs=1e-9)  # 1e-11 of four starts
     assert (table[damped]["ratio"] < 0.05).all()

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from oracles.scatter import hits_within
+from oracles.scatter import hits_within, of_another
 from scipy.special import logit
-from scipy.stats import norm, poisson
+from scipy.stats import multivariate_t, norm, poisson
 from statsmodels.discrete.discrete_model import Logit
 
 from probe_env import Scene, SimulatorBatch
@@ -146,12 +146,15 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
     fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), told])).fit(
         disp=0, cov_type="cluster", cov_kwds={"groups": place}
     )
-    draws = rng.multivariate_normal(fit.params, fit.cov_params(), size=40_000)
+    law = multivariate_t(fit.params, fit.cov_params(), df=len(motion) - 1)  # t: the variance is that of the clusters
+    draws = law.rvs(40_000, random_state=rng)
     logits = (math.log(9.0) - draws[:, 0]) / draws[:, 1]  # of the formula's curve where the fit says 90 %
     low, high = np.quantile(logits, [0.5 * CHANCE, 1.0 - 0.5 * CHANCE])
     assert low <= math.log(9.0) <= high
     a90 = [depth_found(curve, 1.0 / (1.0 + math.exp(-end))) for end in np.quantile(logits, [0.025, 0.975])]
-    assert a90[1] / a90[0] < 1.25  # so the interval says something
+    # so the interval says something: log a90 is 0.105 wide, and the logarithm of that scatters by 0.22 over 16 sets of
+    # seeds, which leaves 0.32 to chance
+    assert a90[1] / a90[0] < math.exp(0.105 * math.exp(of_another(0.22, 16)))
 
 
 def _called(motion, spectrum, depth, feed, z, rng):

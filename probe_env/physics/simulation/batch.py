@@ -24,6 +24,7 @@ from probe_env.physics.saved import FORMAT, check_format, check_names, check_typ
 from probe_env.physics.signals import window_statistics
 from probe_env.physics.simulation.options import Options
 from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator
+from probe_env.physics.simulation.targets import check_active, check_which
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
 
@@ -145,10 +146,11 @@ class SimulatorBatch:
             scenes: of probes that go on in another scene with the same mesh.
 
         Raises:
-            ValueError: ``which`` is empty, or a state does not fit its scene.
+            ValueError: ``which`` is empty or names no probe of these, or a state does not fit its scene.
         """
         if not len(which):
             raise ValueError("which is empty: name at least one probe")
+        check_which(which, len(self))
         new = copy.copy(self)
         first = {k: self.simulators[k].branch((scenes or {}).get(k)) for k in set(which)}
         object.__setattr__(new, "simulators", [first[k].branch() for k in which])
@@ -192,6 +194,7 @@ class SimulatorBatch:
         speeds, airs = _targets(feed_speed, count), _targets(air_supply_rate, count)
         for simulator, speed, air in zip(self.simulators, speeds, airs, strict=True):
             simulator.check_targets(speed, air)
+        check_active(active, count)
         chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
         running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
         for k in running:  # all before any: the kernels check no bounds

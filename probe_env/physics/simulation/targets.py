@@ -1,8 +1,11 @@
-"""Which feed speeds and air supplies a probe can be asked for."""
+"""Which feed speeds, air supplies and probes of a batch can be asked for."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+
+import numpy as np
 
 from probe_env.errors import StabilityWarning
 from probe_env.physics.methods import METHODS, method_named
@@ -21,6 +24,20 @@ def check_targets(scene: Scene, method: str, feed_speed: float | None, air_suppl
     if air_supply_rate is not None:
         within("air_supply_rate", air_supply_rate, -0.2, 0.2, "m3/s")
         _check_return(scene, method, "air_supply_rate", air_supply_rate, "m3/s")
+
+
+def check_which(which: Sequence[int], count: int) -> None:
+    """Raise ValueError if not every one of ``which`` is a probe of so many."""
+    for place, k in enumerate(which):
+        if not isinstance(k, int | np.integer) or not -count <= k < count:
+            raise ValueError(f"which[{place}] = {k!r} is none of {count} probes, counted from 0")
+
+
+def check_active(active: object, count: int) -> None:
+    """Raise ValueError if ``active`` is neither None nor one truth value for each of so many probes."""
+    given = (count,) if active is None else np.asarray(active).shape
+    if given != (count,):
+        raise ValueError(f"active of shape {given}: one truth value for each of {count} probes")
 
 
 def _check_return(scene: Scene, method: str, name: str, value: float, unit: str) -> None:

@@ -53,6 +53,10 @@ def test_what_does_not_fit_is_refused() -> None:
         batch.branch([0], {0: longer})
     with pytest.raises(ValueError, match="which is empty"):
         batch.branch([])
+    with pytest.raises(ValueError, match=r"which\[1\] = 99 is none of \d probes"):
+        batch.branch([0, 99])
+    with pytest.raises(ValueError, match=r"active of shape \(9,\): one truth value for each of \d probes"):
+        batch.advance(active=np.ones(9, dtype=bool))
 
 
 def test_a_copy_of_one_that_diverged_has_diverged() -> None:
