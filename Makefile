@@ -53,7 +53,7 @@ test-bounds: setup
 # that need it or an agent library are skipped there, and the run says so
 PYTHON3.12 ?= python3.12
 PYTHON3.13 ?= python3.13
-WITHOUT_TORCH := cmaes emcee moocore openpyxl optuna pint
+WITHOUT_TORCH := cmaes corner emcee moocore openpyxl optuna pint
 test-pythons: $(PYTHONS:%=test-python-%)
 
 test-python-%:

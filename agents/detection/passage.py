@@ -10,11 +10,11 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.rollouts.plan import Policy
+from agents.rollouts.playing import periods_of
 from probe_env import Context, Fidelity
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.gauges import SAMPLE_PERIOD
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
-from probe_env.envs.trials import Players
 from probe_env.inspection.channels import Passage
 from probe_env.settings import within
 
@@ -52,15 +52,12 @@ def insert(
     if until is not None:
         within("until", until, 5.0, length, "m")
     episodes = Episodes(1, config, threads=1, may_stand=True, fidelity=fidelity)
-    players = Players(1)
-    players.begin(0, policy)
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     places, periods, radial, spectra = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), [], []
     with tqdm(desc="sensor at", initial=places[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
-        while episodes.running[0] and (until is None or places[-1] + guide < until - END_TOLERANCE):
-            step = episodes.step(players.act(observation, episodes.running))
-            observation, info = step.observation, step.infos[0]
+        for step, _ in periods_of(episodes, [policy], observation):
+            info = step.infos[0]
             if info["diverged"]:
                 raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m: nothing is shown")
             assert episodes.window is not None
@@ -70,6 +67,8 @@ def insert(
             bar.update(info["inserted_length"] - guide - places[-1])
             places.append(info["inserted_length"] - guide)
             periods.append(info)
+            if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
+                break
     found = episodes.tally[0].found.kpis(episodes.tally[0].inspected, length)
     return Insertion(_passage(places, periods, radial, spectra), tuple(periods), found)
 

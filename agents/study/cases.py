@@ -75,7 +75,7 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
             perturbation=PERTURBATION if member else 0.0,
             seed=member,
         )
-    simulator.root += case.root_offset  # a chain that could grow has the nodes; it keeps its length
+    simulator.move_root(case.root_offset)  # a chain that could grow has the nodes; it keeps its length
     simulator.hold_length()
     row: dict[str, object] = {
         "case": case.name,

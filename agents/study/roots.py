@@ -94,7 +94,7 @@ def run_root(
     )  # fmt: skip
     for simulator in batch.simulators:
         if not case.grows:
-            simulator.root += round(case.place * case.nodes_per_pitch)  # a chain that could grow has the nodes
+            simulator.move_root(round(case.place * case.nodes_per_pitch))  # a chain that could grow has the nodes
             simulator.hold_length()
     batch.advance(duration=before)
     window = batch.advance(duration=duration - before)

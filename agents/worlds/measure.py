@@ -17,12 +17,12 @@ from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import read_csv
+from agents.rollouts.playing import periods_of
 from agents.rollouts.statistics import mean_interval
 from agents.worlds.map_episodes import MapEpisodes
 from agents.worlds.noise import STORED, Noise, Scatter, features
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.trials import Players
 from probe_env.physics.closed_forms import sliding_tension
 
 RECORDED: Final = (
@@ -46,14 +46,9 @@ def record_insertions(limit: int) -> pd.DataFrame:
     episodes = Episodes(limit, config, fidelity="fast")
     options = {k: {"context": context} for k, context in enumerate(place.contexts)}
     observation, _ = episodes.reset(range(limit), {k: np.random.default_rng([7, k]) for k in range(limit)}, options)
-    players = Players(limit)
-    for k in range(limit):
-        players.begin(k, Wandering(config, seed=7))
+    policies = [Wandering(config, seed=7) for _ in range(limit)]
     with tqdm(total=limit, desc="insertions") as bar:
-        while episodes.running.any():
-            active = episodes.running.copy()
-            step = episodes.step(players.act(observation, active), active)
-            observation = step.observation
+        for step, active in periods_of(episodes, policies, observation):
             assert episodes.window is not None
             axial = episodes.window.statistics[RECORDED[5]]
             for k in np.flatnonzero(active).tolist():
@@ -107,12 +102,8 @@ def rewards_in_the_map(names: tuple[str, ...], noise: Noise | None = None, limit
         options = {k: {"context": context} for k, context in enumerate(place.contexts)}
         rngs = {k: np.random.default_rng([0, k]) for k in range(count)}
         observation, _ = episodes.reset(range(count), rngs, options)
-        players = Players(count)
-        for k in range(count):
-            players.begin(k, policy)
-        while episodes.running.any():
-            active = episodes.running.copy()
-            observation = episodes.step(players.act(observation, active), active).observation
+        for _ in periods_of(episodes, [policy] * count, observation):
+            pass
         rows += [{"policy": name, "context": k, "reward": episodes.tally["reward"][k]} for k in range(count)]
     return pd.DataFrame(rows)
 

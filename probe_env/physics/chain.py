@@ -42,6 +42,7 @@ class Chain(NamedTuple):
     cable_radius: float  # d_c / 2, where the cable itself touches the wall
     cable_stiffness: float  # of the wall under it; 0 where only floats touch
     most_pressure: float  # [N] that acts in the couple; infinite where only floats touch
+    most_tension: float  # likewise: beyond it bending is finer than the mesh
     couple_turn: float  # by how much the tube's tangent turns along it, where the couple counts from there, else 0
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
@@ -91,6 +92,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         cable_radius=probe.cable_diameter / 2.0,
         cable_stiffness=contact.stiffness if contact.cable else 0.0,
         most_pressure=most_couple(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
+        most_tension=3.0 * probe.flexural_rigidity / h**2 if contact.cable else math.inf,
         couple_turn=curvature if scene.couple == "tangent" else 0.0,
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,

@@ -24,9 +24,9 @@ from probe_env.physics.state import State
 (
     ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
     GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK, TURN, TURN_FORCE, CABLE, CABLE_RADIUS,
-    PRESSURE,
-) = range(23)  # fmt: skip
-PARAMETERS = 23
+    PRESSURE, TENSION,
+) = range(24)  # fmt: skip
+PARAMETERS = 24
 # fields of a node, rows of its state: displacement, velocity, partial solution, axial force
 X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
 FIELDS = 10
@@ -163,7 +163,7 @@ class Lane:
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(23,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
+    """(24,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
     values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor
@@ -180,5 +180,5 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[DAMPING] = chain.damping_time
     values[[TURN, TURN_FORCE]] = chain.couple_turn, chain.couple_turn * chain.inertia / chain.mass
     values[[CABLE, CABLE_RADIUS]] = chain.cable_stiffness / chain.mass, chain.cable_radius
-    values[PRESSURE] = chain.most_pressure
+    values[[PRESSURE, TENSION]] = chain.most_pressure, chain.most_tension
     return values

@@ -158,6 +158,14 @@ class SimulatorBatch:
         new.kernel_seconds = 0.0
         return new
 
+    def cost(self, duration: float) -> float:
+        """Processor time [s] that ``duration`` [s] of all will take about, over all threads, see ``Simulator.cost``.
+
+        A group costs what its longest probe does.
+        """
+        groups = self._groups([k for k in range(len(self)) if not self.simulators[k].diverged])
+        return sum(max(self.simulators[k].cost(duration) for k in group) for group in groups)
+
     def replace(self, index: int, simulator: Simulator) -> None:
         """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
         for name in ("method", "time_step", "nodes_per_pitch"):

@@ -161,6 +161,15 @@ class Simulator(Saved):
         """Feed without the length growing, until ``feed_length``: a probe that settles inspects nothing."""
         self.drive.growth = 0.0
 
+    def move_root(self, elements: int) -> None:
+        """Hold the probe so many elements further in, at a place between two floats: nodes at rest come in there.
+
+        Raises:
+            ValueError: the chain has no such node; one that may grow has more.
+        """
+        within("root", self.root + elements, 1, self.chain.node_count - 1, "elements")
+        self.root += elements
+
     def feed_length(self) -> None:
         """Let the length grow with the feed, where the probe is a growing one."""
         self.drive.growth = self.time_lapse if self.growing else 0.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
+from probe_env.physics.methods import METHODS
 
 OPTIONS = {"growing": True, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
 
@@ -159,3 +160,13 @@ def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
 def test_bad_arguments(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_batch_costs_what_its_groups_do():
+    """Probes that fill one group of lanes cost what the longest of them does; one more makes a second group."""
+    scenes = [Scene(carrier_length=length) for length in (20.0, 40.0)]
+    alone = Simulator(scenes[1], "imex32", 2e-4).cost(10.0)
+    width = METHODS["imex32"].width
+    assert SimulatorBatch(scenes * (width // 2), "imex32", 2e-4).cost(10.0) == alone
+    more = SimulatorBatch([*scenes * (width // 2), scenes[0]], "imex32", 2e-4)
+    assert more.cost(10.0) == 2.0 * alone

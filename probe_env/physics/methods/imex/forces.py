@@ -19,6 +19,7 @@ from probe_env.physics.methods.lane_group import (
     PRESSURE,
     SENSOR,
     STIFFNESS,
+    TENSION,
     TURN,
     TURN_FORCE,
 )
@@ -48,7 +49,8 @@ def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
 @njit(nogil=True, error_model="numpy", inline="always")
 def loaded_pressed(parameters):
     """What ``pressed_forces`` and ``cable_forces`` need: the couple's figures, and the cable's."""
-    couple = load(parameters, COUPLE), load(parameters, TURN), load(parameters, TURN_FORCE), load(parameters, PRESSURE)
+    limits = load(parameters, PRESSURE), load(parameters, TENSION)
+    couple = load(parameters, COUPLE), load(parameters, TURN), load(parameters, TURN_FORCE), limits
     radius, stiffness = load(parameters, CABLE_RADIUS), load(parameters, CABLE)
     return couple, (radius, stiffness, load(parameters, FRICTION) * stiffness, radius * load(parameters, MASS_RATIO))
 
@@ -58,12 +60,14 @@ def pressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
     """``inertia_forces`` of a cable that may be pressed.
 
     The couple may count from the tube's tangent where the node is, V l (theta + x / r), and does work on x then. Where
-    the cable touches the walls, pressure acts in it up to ``chain.couple_limits``.
+    the cable touches the walls, pressure and tension act in it up to ``chain.most_pressure`` and ``most_tension``: a
+    cable that bounces is pulled as hard as it is pressed.
     """
-    couple, tangent, work, pressure = coupling
+    couple, tangent, work, (pressure, tension) = coupling
     zero = splat(t, 0.0)
     most = zero - pressure
-    spring = couple * where_less(axial_force, most, most, axial_force)
+    pulled = where_less(tension, axial_force, tension, axial_force)
+    spring = couple * where_less(pulled, most, most, pulled)
     stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
     moment = zero - spring * (t + tangent * x) / stiff
     return work * moment - 2.0 * kappa * forward * vy, kappa * forward * forward, moment

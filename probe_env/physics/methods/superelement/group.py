@@ -19,14 +19,15 @@ from probe_env.physics.methods.lane_group import (
     GUIDE_DRAG,
     INPUTS,
     MASS_RATIO,
+    PARAMETERS,
     ROOT,
     SENSOR,
     STIFFNESS,
+    TENSION,
     Lane,
     LaneKernel,
     lane_parameters,
 )  # fmt: skip
-from probe_env.physics.methods.superelement.kernel import MOST_TENSION, PARAMETERS
 from probe_env.physics.methods.superelement.pitch import ENDS
 from probe_env.physics.methods.superelement.roots import (
     MODES,
@@ -73,10 +74,9 @@ class PieceKernel(LaneKernel):
         if chain.couple_turn > 0.0:
             raise ValueError(f'couple = "tangent": superelement knows "frame" only; {INSTEAD}')
         own = tables(chain, nodes_per_pitch, time_step)
-        values = np.zeros(PARAMETERS)
-        values[: PARAMETERS - 1] = lane_parameters(chain, sensor, nodes_per_pitch)
+        values = lane_parameters(chain, sensor, nodes_per_pitch)
         values[[GUIDE_DRAG, CARRIER_DRAG]] *= chain.mass  # forces, not per mass
-        values[STIFFNESS], values[MASS_RATIO], values[MOST_TENSION] = own.stiffness, 1.0, own.most_tension
+        values[STIFFNESS], values[MASS_RATIO], values[TENSION] = own.stiffness, 1.0, own.most_tension
         values[SENSOR] = sensor // nodes_per_pitch
         return values, own
 

@@ -24,7 +24,7 @@ from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex.elimination import less_product
 from probe_env.physics.methods.imex.forces import float_at, float_forces, loaded_floats, loaded_wall, magnitude
-from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, INPUTS, PEAK, ROOT
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, INPUTS, PEAK, ROOT, TENSION
 from probe_env.physics.methods.lanes import load, splat, store, where_less
 from probe_env.physics.methods.superelement.roots import (
     MODES,
@@ -60,10 +60,6 @@ from probe_env.physics.methods.superelement.tables import (
     ODD,
     TO_MODES,
 )
-
-MOST_TENSION = 23
-"""Row of the parameters after those of the other kernels in lanes."""
-PARAMETERS = 24
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
@@ -177,7 +173,7 @@ def superelement_advance(
     fields = MODES + 2 * (even + odd)
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now = tau - dt, tau  # p = (p* + before K d_before) - now K d
-    curvature, limit = load(parameters, CURVATURE), load(parameters, MOST_TENSION)
+    curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
     floats, wall = loaded_floats(parameters), loaded_wall(parameters)
     pitch_half = load(constants, HALF_MASS)
     weight = theta * dt

@@ -113,8 +113,9 @@ def _linear(chain: Chain) -> tuple[float, ...]:
 
 def _cable(linear: tuple[float, ...]) -> Chain:
     none = np.zeros((2, 3))
-    rest = (0.0, 0.0, 0.0, 0.0, 0.0, none[:, 0], none[:, 0], none[:, 0], none[:, 0], none, none)
-    return Chain(*linear, *rest)  # type: ignore[arg-type, call-arg]
+    arrays = (*[none[:, 0]] * 4, none, none)  # from contact_stiffness on
+    contact = [0.0] * (len(Chain._fields) - len(linear) - len(arrays))
+    return Chain(*linear, *contact, *arrays)  # type: ignore[arg-type]
 
 
 def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: int) -> tuple[int, int]:
