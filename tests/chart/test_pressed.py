@@ -99,12 +99,10 @@ def test_the_stored_scenes_are_complete_and_of_this_code():
     assert compared(TABLE) == contested(TABLE)
 
 
-def test_all_scenes_end_finite_at_standard_and_most_at_fast():
-    """With the cable on the walls; what a mesh of four nodes loses are weak cables, and floats alone lose more."""
-    assert lost_scenes(TABLE, FINE) == []
-    coarse, bare = lost_scenes(TABLE, COARSE), lost_scenes(TABLE, BARE)
-    assert {DRAWN[number].probe for number in coarse} <= {"weak cable"}
-    assert len(coarse) < len(bare)
+def test_all_scenes_end_finite_with_the_cable_on_the_walls():
+    """At the steps and meshes of `standard` and of `fast`; with floats alone half of them do not."""
+    assert lost_scenes(TABLE, FINE) == lost_scenes(TABLE, COARSE) == []
+    assert len(lost_scenes(TABLE, BARE)) > SCENES // 4
 
 
 def test_implicit_agrees_where_the_cable_is_pressed_and_the_pressure_has_bounds():
