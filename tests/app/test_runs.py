@@ -100,7 +100,7 @@ def test_a_stopped_run_keeps_what_was_finished_and_goes_on(queue, tube, tmp_path
     queue.order(run, Order("stop"))
     assert queue.wait(run, LONG)
     assert run.state == "stopped"
-    assert described(whole.output).told == "interrupted: 0 of 4 insertions are stored"
+    assert described(whole.output).outcome == "interrupted: 0 of 4 insertions are stored"
     again = unfinished(whole.output)
     assert again == whole
     run = queue.add(again)
