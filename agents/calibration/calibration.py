@@ -75,26 +75,26 @@ class Calibration:
     @property
     def misfits(self) -> list[str]:
         """Why the model cannot have made these logs, one sentence each; none where it can."""
-        told = []
-        for case, found, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
+        reasons = []
+        for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
             if gauge and gauge.ratio > LIMIT:
-                told.append(
+                reasons.append(
                     f"{case.name}: root tension fits the rest and what was held possible only if the gauge reads"
                     f" {gauge.gain:.2f} times what it should (twice the log of the likelihoods' ratio is"
                     f" {gauge.ratio:.1f}, one log in thirty: {LIMIT:g})"
                 )
             for k, name in enumerate((*CHANNELS, "all channels together")):
-                if found[k] > self.limits[k]:
-                    told.append(
-                        f"{case.name}: {name.replace('_', ' ')} strays {np.sqrt(found[k]):.1f} times as far from the"
+                if misfit[k] > self.limits[k]:
+                    reasons.append(
+                        f"{case.name}: {name.replace('_', ' ')} strays {np.sqrt(misfit[k]):.1f} times as far from the"
                         f" model as simulated logs do (one in a hundred: {np.sqrt(self.limits[k]):.1f})"
                     )
-        return told
+        return reasons
 
     @property
     def leaning(self) -> list[str]:
         """Unknowns that want to leave what was held possible, in words."""
-        told = []
+        sentences = []
         width, share = AT_EDGE
         for column, name in enumerate(UNKNOWNS):
             if name in self.prior.known:
@@ -103,8 +103,8 @@ class Calibration:
             at = (self.posterior.draws[:, :, column] - low) / (high - low)
             for side, near in (("least", at < width), ("greatest", at > 1.0 - width)):
                 if near.mean() > share:
-                    told.append(f"{UNKNOWNS[name].text} leans against the {side} value held possible")
-        return told
+                    sentences.append(f"{UNKNOWNS[name].text} leans against the {side} value held possible")
+        return sentences
 
     @property
     def verdict(self) -> str:
@@ -173,10 +173,10 @@ def calibrate(
     return Calibration(prior, tuple(cases), tubes, posterior, sliding, beyond, response.misfit, gains)
 
 
-def _sliding(found: Sliding | None) -> dict[str, dict[str, float]] | None:
-    if found is None:
+def _sliding(fit: Sliding | None) -> dict[str, dict[str, float]] | None:
+    if fit is None:
         return None
     return {
-        name: dict(zip(("mean", "low", "high"), getattr(found, name), strict=True))
+        name: dict(zip(("mean", "low", "high"), getattr(fit, name), strict=True))
         for name in ("friction", "drag_coefficient")
     }

@@ -22,21 +22,21 @@ UNITS: Final = {
 DRAWN: Final = 64
 
 
-def draw_corner(found: Calibration, path: Path) -> Path:
+def draw_corner(calibration: Calibration, path: Path) -> Path:
     """Draws of every tube's friction and of what all share, one against the other."""
     import corner
 
     from agents.records.drawing import BLUE, plain, save
 
-    draws, columns, labels = found.posterior.draws, [], []
+    draws, columns, labels = calibration.posterior.draws, [], []
     for column, name in enumerate(UNKNOWNS):
-        if name in found.prior.known:
+        if name in calibration.prior.known:
             continue
-        several = name == "friction" and len(found.tubes) > 1
-        for tube in range(len(found.tubes) if several else 1):
+        several = name == "friction" and len(calibration.tubes) > 1
+        for tube in range(len(calibration.tubes) if several else 1):
             columns.append(draws[tube, :, column])
             unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
-            labels.append(UNKNOWNS[name].text + (f"\n{plain(found.tubes[tube])}" if several else "") + unit)
+            labels.append(UNKNOWNS[name].text + (f"\n{plain(calibration.tubes[tube])}" if several else "") + unit)
     figure = corner.corner(
         np.column_stack(columns), labels=labels, quantiles=(0.05, 0.5, 0.95), show_titles=True, title_fmt=".3g",
         color=BLUE, label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9},
@@ -45,19 +45,19 @@ def draw_corner(found: Calibration, path: Path) -> Path:
     return save(figure, path)
 
 
-def draw_bands(found: Calibration, response: Response, path: Path) -> Path:
+def draw_bands(calibration: Calibration, response: Response, path: Path) -> Path:
     """Every channel of every log over length, with the band in which nine of ten metres are expected."""
     from matplotlib.figure import Figure
 
     from agents.records.drawing import BLUE, GREY, GRID, plain, save
 
-    likelihood = Likelihood(response, found.cases)
-    present = [name for name in CHANNELS if any(name in case.metres.felt for case in found.cases)]
-    figure = Figure(figsize=(4.6 * len(found.cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
-    axes = figure.subplots(len(present), len(found.cases), squeeze=False, sharex="col", sharey="row")
+    likelihood = Likelihood(response, calibration.cases)
+    present = [name for name in CHANNELS if any(name in case.metres.felt for case in calibration.cases)]
+    figure = Figure(figsize=(4.6 * len(calibration.cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
+    axes = figure.subplots(len(present), len(calibration.cases), squeeze=False, sharex="col", sharey="row")
     rng = np.random.default_rng(0)
-    for place, case in enumerate(found.cases):
-        draws = found.posterior.draws[case.tube]
+    for place, case in enumerate(calibration.cases):
+        draws = calibration.posterior.draws[case.tube]
         table = draws[rng.choice(len(draws), min(DRAWN, len(draws)), replace=False)]
         strays, spread = likelihood.strays(place, table)
         mean = likelihood.seen[place] - strays * spread

@@ -88,22 +88,24 @@ class Response:
 
     def outside(self, metres: Metres, scene: Scene) -> list[str]:
         """What of a log lies beyond what it was learnt from, one sentence each."""
-        told = []
-        found = (metres.length, metres.feed, _pull(metres, scene), *(np.array([v]) for v in _geometry(scene)))
+        sentences = []
+        inputs = (metres.length, metres.feed, _pull(metres, scene), *(np.array([v]) for v in _geometry(scene)))
         names = (
             ("inserted length", "m"), ("feed speed", "m/s"), ("pull of the air", "N/m"), ("helix diameter", "m"),
             ("radial room of the floats", "m"),
         )  # fmt: skip
-        for (name, unit), values, low, high in zip(names, found, *self.ranges, strict=True):
+        for (name, unit), values, low, high in zip(names, inputs, *self.ranges, strict=True):
             if len(values) and (values.min() < low * (1.0 - 1e-3) or values.max() > high * (1.0 + 1e-3)):
-                told.append(f"{name} {values.min():.4g} to {values.max():.4g} {unit}, beyond {low:.4g} to {high:.4g}")
+                sentences.append(
+                    f"{name} {values.min():.4g} to {values.max():.4g} {unit}, beyond {low:.4g} to {high:.4g}"
+                )
         standard = Scene().probe
         others = [
             name
             for name in type(standard).model_fields
             if name != "damping_time" and getattr(scene.probe, name) != getattr(standard, name)
         ]
-        return told + ([f"a probe of another {', '.join(others)}"] if others else [])
+        return sentences + ([f"a probe of another {', '.join(others)}"] if others else [])
 
     def covariance(self, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(m c, m c) of the standardised strays of metres at inserted lengths (m,) [m], for some channels."""
@@ -121,13 +123,13 @@ class Response:
             chosen: which channels; of the others it is NaN.
         """
         strays = np.clip(strays, -FAREST, FAREST)
-        found = np.full(len(CHANNELS) + 1, np.nan)
+        misfit = np.full(len(CHANNELS) + 1, np.nan)
         for column, k in enumerate(chosen):
             own = np.linalg.cholesky(self.covariance(length, [k]))
-            found[k] = (solve_triangular(own, strays[:, column], lower=True) ** 2).mean()
+            misfit[k] = (solve_triangular(own, strays[:, column], lower=True) ** 2).mean()
         whole = np.linalg.cholesky(self.covariance(length, chosen))
-        found[-1] = (solve_triangular(whole, strays.ravel(), lower=True) ** 2).mean()
-        return found
+        misfit[-1] = (solve_triangular(whole, strays.ravel(), lower=True) ** 2).mean()
+        return misfit
 
     @classmethod
     def load(cls, path: Path = STORED) -> Response:

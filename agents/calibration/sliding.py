@@ -46,9 +46,9 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
                 "inserted_length": m.length, "feed_speed": m.feed, "air_supply_rate": m.air,
                 "helix_diameter": np.full(len(m), case.scene.tube.helix_diameter),
             }  # fmt: skip
-            told = sliding_tension(np.full((1, 1), np.exp(x[0])), seen, case.scene)[0] * np.exp(x[1])
+            predicted = sliding_tension(np.full((1, 1), np.exp(x[0])), seen, case.scene)[0] * np.exp(x[1])
             scale = middle / case.scene.air.drag_coefficient
-            parts.append(np.log(np.maximum(m.felt["root_tension"], 1e-2) / (told * scale)))
+            parts.append(np.log(np.maximum(m.felt["root_tension"], 1e-2) / (predicted * scale)))
         return np.concatenate(parts)
 
     def held(x: FloatArray, weight: float) -> FloatArray:
@@ -56,12 +56,12 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
 
     low_mu, high_mu = UNKNOWNS["friction"].low / 2.0, 1.0
     bounds = ([np.log(low_mu), -1.0], [np.log(high_mu), 1.0])
-    found = least_squares(held, [np.log(0.15), 0.0], bounds=bounds, loss="soft_l1", args=(10.0,))
-    left = strays(found.x)
+    fit = least_squares(held, [np.log(0.15), 0.0], bounds=bounds, loss="soft_l1", args=(10.0,))
+    left = strays(fit.x)
     alike = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
     weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + alike) / (1.0 - alike))
-    found = least_squares(held, found.x, bounds=bounds, loss="soft_l1", args=(float(weight),))
-    jacobian = np.asarray(found.jac)
+    fit = least_squares(held, fit.x, bounds=bounds, loss="soft_l1", args=(float(weight),))
+    jacobian = np.asarray(fit.jac)
     covariance = np.linalg.inv(jacobian.T @ jacobian + 1e-12 * np.eye(2))
     deviation = np.sqrt(np.diag(covariance) + TRUST**2)
 
@@ -69,6 +69,6 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
         return centre, centre * float(np.exp(-Z90 * relative)), centre * float(np.exp(Z90 * relative))
 
     return Sliding(
-        interval(float(np.exp(found.x[0])), float(deviation[0])),
-        interval(middle * float(np.exp(found.x[1])), float(deviation[1])),
+        interval(float(np.exp(fit.x[0])), float(deviation[0])),
+        interval(middle * float(np.exp(fit.x[1])), float(deviation[1])),
     )

@@ -41,9 +41,9 @@ def recorded_of(
         if problem := name_problem(name):
             raise ValueError(f"--tubes: {name[:100]!r} {problem}")
     for name in dict.fromkeys(names):
-        found = {diameter for diameter, other in zip(diameters, names, strict=True) if other == name}
-        if len(found) > 1:
-            listed = " and ".join(f"{d:g}" for d in sorted(found))
+        distinct = {diameter for diameter, other in zip(diameters, names, strict=True) if other == name}
+        if len(distinct) > 1:
+            listed = " and ".join(f"{d:g}" for d in sorted(distinct))
             raise ValueError(f"--tubes: {name!r} has helix diameters of {listed} m: a tube has one")
     files = [file_or_shipped("logs", path) for path in paths]
     labels = [name_of(file) for file in files]

@@ -7,39 +7,41 @@ from agents.calibration.unknowns import UNKNOWNS
 from agents.terminal.tables import print_table, print_terms
 
 
-def print_calibration(found: Calibration) -> None:
+def print_calibration(calibration: Calibration) -> None:
     """Print figures, intervals and the verdict."""
     rows = []
-    for k, name in enumerate(found.tubes):
-        where = f" in {name}" if len(found.tubes) > 1 else ""
-        rows.append((f"friction{where}", *_cells(found.summary("friction", k)), ""))
-        if sliding := found.sliding[k]:
+    for k, name in enumerate(calibration.tubes):
+        where = f" in {name}" if len(calibration.tubes) > 1 else ""
+        rows.append((f"friction{where}", *_cells(calibration.summary("friction", k)), ""))
+        if sliding := calibration.sliding[k]:
             mean, low, high = sliding.friction
             rows.append(
                 (f"friction{where} by the tension alone", *_cells({"mean": mean, "low": low, "high": high}), "")
             )
     for name in UNKNOWNS:
-        if name in found.prior.quantile and name != "friction":
-            rows.append((UNKNOWNS[name].text, *_cells(found.summary(name)), UNKNOWNS[name].unit))
+        if name in calibration.prior.quantile and name != "friction":
+            rows.append((UNKNOWNS[name].text, *_cells(calibration.summary(name)), UNKNOWNS[name].unit))
     print_table("What the logs tell: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
     terms = {
         "logs": "; ".join(
             f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.felt)}"
-            for case in found.cases
+            for case in calibration.cases
         )
     }
-    if found.prior.told:
-        terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(found.prior.told)
-    if found.prior.known:
-        known = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in found.prior.known.items())
+    if calibration.prior.assumed:
+        terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(calibration.prior.assumed)
+    if calibration.prior.known:
+        known = (
+            f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in calibration.prior.known.items()
+        )
         terms["known"] = "by the file: " + "; ".join(text.strip() for text in known)
     print_terms(terms)
-    for texts in found.beyond:
+    for texts in calibration.beyond:
         for text in texts:
             print_terms({"note": f"beyond what the response was learnt from: {text}"})
-    for text in (*found.misfits, *found.leaning):
+    for text in (*calibration.misfits, *calibration.leaning):
         print_terms({"note": text})
-    print_terms({"verdict": found.verdict})
+    print_terms({"verdict": calibration.verdict})
 
 
 def _cells(summary: dict[str, float]) -> tuple[str, str, str]:

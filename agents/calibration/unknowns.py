@@ -58,13 +58,13 @@ class Prior:
         known: name -> value of what is not looked for.
         quantile: name -> quantile function of what is.
         ranges: name -> least and greatest value that is held possible.
-        told: what was assumed, in words.
+        assumed: what was assumed, in words.
     """
 
     known: dict[str, float]
     quantile: dict[str, Quantile]
     ranges: dict[str, tuple[float, float]]
-    told: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -98,9 +98,9 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
         FileError: a figure that lies beyond what the response was learnt for; names field, value and range.
     """
     known: dict[str, float] = {}
-    found: dict[str, Quantile] = {}
+    quantile: dict[str, Quantile] = {}
     ranges: dict[str, tuple[float, float]] = {}
-    told = []
+    assumed = []
     for name, unknown in UNKNOWNS.items():
         table = getattr(plant, unknown.table)
         figure: Figure = getattr(table, unknown.field)
@@ -108,7 +108,7 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
         low, high = unknown.low, unknown.high
         if isinstance(figure, Between | Normal):
             ranges[name] = _within(figure, unknown, file)
-            found[name] = _quantile(figure, *ranges[name])
+            quantile[name] = _quantile(figure, *ranges[name])
             continue
         if said and name != "friction":
             known[name] = _checked(figure, unknown, file)
@@ -116,9 +116,9 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
         if name == "drag_coefficient":
             low, high = (share * figure for share in DRAG)
         ranges[name] = (low, high)
-        found[name] = _quantile(Between(low=low, high=high), low, high, geometric=low > 0.0 and name != "friction")
-        told.append(f"{unknown.text} {low:g} to {high:g}{' ' if unknown.unit else ''}{unknown.unit}")
-    return Prior(known, found, ranges, tuple(told))
+        quantile[name] = _quantile(Between(low=low, high=high), low, high, geometric=low > 0.0 and name != "friction")
+        assumed.append(f"{unknown.text} {low:g} to {high:g}{' ' if unknown.unit else ''}{unknown.unit}")
+    return Prior(known, quantile, ranges, tuple(assumed))
 
 
 def _quantile(figure: Figure, low: float, high: float, geometric: bool = False) -> Quantile:

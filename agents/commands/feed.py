@@ -309,9 +309,9 @@ class Render:
         of = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
         if self.view == "strip":
             look = Look(self.at, self.length, self.duration)
-            told = render_strip(self.env_id, self.output, self.policy, self.seed, look, **of)
+            figures = render_strip(self.env_id, self.output, self.policy, self.seed, look, **of)
         else:
-            told = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **of)
-        for name, value in told.items():
+            figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **of)
+        for name, value in figures.items():
             print(f"{name:40s} {value:.6g}")
         print(f"written: {self.output}")

@@ -48,13 +48,14 @@ class Calibrate:
         plant = plant_at(self.tube) or Plant()
         recorded = recorded_of(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
         response = stored_response()
-        found = calibrate(recorded, plant, response, str(self.tube or "tube"))
+        calibration = calibrate(recorded, plant, response, str(self.tube or "tube"))
         target = self.output / "calibration.json"
-        write_json(target, found.to_json() | {"provenance": provenance()})
+        write_json(target, calibration.to_json() | {"provenance": provenance()})
         pictures = [
-            draw_corner(found, self.output / "corner.png"), draw_bands(found, response, self.output / "bands.png")
-        ]  # fmt: skip
-        print_calibration(found)
+            draw_corner(calibration, self.output / "corner.png"),
+            draw_bands(calibration, response, self.output / "bands.png"),
+        ]
+        print_calibration(calibration)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 

@@ -113,11 +113,11 @@ class Study:
             return
         if self.way == "back":
             table = back.run_back(*wanted, back.SUBSET if self.subset else (), self.jobs)
-            found, file = back_findings(table, scenes), "back.csv"
+            outcomes, file = back_findings(table, scenes), "back.csv"
         else:
             table = cases.run_study(*wanted, cases.SUBSET if self.subset else (), self.jobs)
-            found, file = findings(table, scenes), "ensemble.csv"
-        print_findings(found, table)
+            outcomes, file = findings(table, scenes), "ensemble.csv"
+        print_findings(outcomes, table)
         print(f"written: {self.output}/{file}")
 
 
@@ -194,7 +194,7 @@ class Pressed:
         if "map" in self.parts:
             print(returns.markdown(returns.run_returns(self.output, self.limit)))
         if "insertions" in self.parts:
-            print(lost.markdown(lost.run_again(self.episodes, self.output, self.limit, self.jobs)))
+            print(lost.markdown(lost.rerun(self.episodes, self.output, self.limit, self.jobs)))
         print(f"written: {self.output}/ ({', '.join(f'{part}.csv' for part in self.parts)})")
 
 

@@ -82,10 +82,10 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
 
 def agreement(summary: pd.DataFrame) -> dict[str, float]:
     """Kendall's tau of the ranking by a90/95 as the anchors are with the others, and with the one in millimetres."""
-    found = summary[f"{A90}, {USUAL}"]
+    usual = summary[f"{A90}, {USUAL}"]
     others = {what: summary[f"{A90}, {what}"] for what in ANCHORS if what != USUAL}
     others |= {"reward in millimetres": -summary["reward"]}
-    return {what: float(kendalltau(found, values).statistic) for what, values in others.items()}
+    return {what: float(kendalltau(usual, values).statistic) for what, values in others.items()}
 
 
 HEADER: Final = (
@@ -114,11 +114,11 @@ def sentences(summary: pd.DataFrame) -> list[str]:
     by_reward = summary.sort_values("reward", ascending=False)["policy"].tolist()
     by_depth = summary.sort_values([f"{A90}, {USUAL}", "inspection_time_s"])["policy"].tolist()
     moved = [name for name in by_depth if abs(by_depth.index(name) - by_reward.index(name)) >= 2]
-    told = agreement(summary)
-    moved_anchors = ", ".join(f"{what} {told[what]:.2f}" for what in ANCHORS if what != USUAL)
+    tau = agreement(summary)
+    moved_anchors = ", ".join(f"{what} {tau[what]:.2f}" for what in ANCHORS if what != USUAL)
     return [
         f"By the depth that is found with 90 % the first is {by_depth[0]}, by the reward in millimetres {by_reward[0]};"
         f" {', '.join(moved) or 'none'} stand two places or more apart.",
         f"Kendall's tau with the ranking by anchors as they are: {moved_anchors}; with that by the reward in"
-        f" millimetres {told['reward in millimetres']:.2f}.",
+        f" millimetres {tau['reward in millimetres']:.2f}.",
     ]

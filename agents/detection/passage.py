@@ -26,12 +26,12 @@ class Insertion:
     Attributes:
         passage: what the sensor went through.
         periods: a mapping of a period each: what ``Episodes`` tells of it, SI units.
-        found: figures by name of what would be found in the length that was inspected, see ``inspection.found``.
+        detection: figures by name of what would be found in the length that was inspected, see ``inspection.found``.
     """
 
     passage: Passage
     periods: tuple[dict[str, Any], ...]
-    found: dict[str, float]
+    detection: dict[str, float]
 
 
 def insert(
@@ -69,8 +69,8 @@ def insert(
             periods.append(info)
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
-    found = episodes.tally[0].found.kpis(episodes.tally[0].inspected, length)
-    return Insertion(_passage(places, periods, radial, spectra), tuple(periods), found)
+    detection = episodes.tally[0].detection.kpis(episodes.tally[0].inspected, length)
+    return Insertion(_passage(places, periods, radial, spectra), tuple(periods), detection)
 
 
 def _passage(

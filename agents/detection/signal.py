@@ -144,7 +144,7 @@ def chart_of(
     voltages = channels(sensor, passage, tube.inner_diameter, flaws, supports, rng)
     seen = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
     place, values = passage.place, filtered(sensor, passage, seen)
-    z = run.found["call_threshold"]
+    z = run.detection["call_threshold"]
     called = calls(values, place, z, sensor.flaw_width)
     ends = np.array([period["inserted_length"] for period in run.periods])
     ends += passage.place[-1] - ends[-1]
@@ -182,7 +182,7 @@ def _record(run: Insertion, config: TaskConfig, chart: Chart) -> dict[str, Any]:
         "threshold": chart.threshold,
         "false_calls": chart.false_calls,
         "noise_and_vibration_correlation": correlation(run, chart),
-        "found": run.found,
+        "found": run.detection,
     }
 
 

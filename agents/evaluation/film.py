@@ -127,19 +127,19 @@ def render_strip(env_id: str, output: Path, policy: str, seed: int, look: Look, 
     shown = range(len(motion.time)) if output.suffix != ".png" else [len(motion.time) - 1]
     frames = [strip.picture(k) for k in tqdm(shown, desc="pictures", unit="")]
     write_film(output, frames, SLOW_FRAMES_PER_SECOND)
-    return _told(motion)
+    return _figures(motion)
 
 
-def _told(motion: Motion) -> dict[str, float]:
+def _figures(motion: Motion) -> dict[str, float]:
     """Figures of a motion, SI units."""
-    told = {"inserted_length_m": float(motion.inserted_length[0]), "shown_s": float(motion.time[-1])}
-    told["times_slowed"] = SLOWED
+    figures = {"inserted_length_m": float(motion.inserted_length[0]), "shown_s": float(motion.time[-1])}
+    figures["times_slowed"] = SLOWED
     for name, values in (("axial", motion.signal_axial), ("radial", motion.signal_radial)):
         during = values[motion.signal_time >= 0.0]
-        told[f"sensor_{name}_rms_m"] = float(during.std())
+        figures[f"sensor_{name}_rms_m"] = float(during.std())
         peaks = dominant_frequencies(during, SAMPLE_PERIOD, 1) if motion.time[-1] >= RESOLVED else ()
-        told |= {f"sensor_{name}_peak_hz": frequency for frequency in peaks}
-    return told
+        figures |= {f"sensor_{name}_peak_hz": frequency for frequency in peaks}
+    return figures
 
 
 def _motion(play: _Play, at: float, look: Look) -> Motion:

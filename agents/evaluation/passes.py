@@ -50,8 +50,8 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
         for (policy, inspects), part in of_probe.groupby(["policy", "inspects"], sort=False):
             row: dict[str, Any] = {"probe": probe, "policy": policy, "inspects": inspects, "tubes": len(part)}
             for kpi in KPIS:
-                found = mean_interval(part[kpi].to_numpy())
-                row |= {kpi: found.mean, f"{kpi}_low": found.low, f"{kpi}_high": found.high}
+                interval = mean_interval(part[kpi].to_numpy())
+                row |= {kpi: interval.mean, f"{kpi}_low": interval.low, f"{kpi}_high": interval.high}
             gain = paired_difference(paired, f"{policy}/{inspects}", f"{POLICIES[1]}/in", "reward")
             rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
     summary = pd.DataFrame(rows)

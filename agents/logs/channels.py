@@ -71,10 +71,10 @@ def channels_of(table: Table, given: Sequence[Given], decimal: str, air: float |
             return seconds_of(table, k, cells[k])
         return np.asarray(numbers(table, k, cells[k], sign) * factors[name])
 
-    found = {name: _in_range(table, k, QUANTITIES[name], values(name)) for name, k in places.items()}
-    if "air_supply" not in found and air is not None:
-        found["air_supply"] = np.full(len(table.lines), air)
-    return Channels(table, found.pop("time"), found, places)
+    quantities = {name: _in_range(table, k, QUANTITIES[name], values(name)) for name, k in places.items()}
+    if "air_supply" not in quantities and air is not None:
+        quantities["air_supply"] = np.full(len(table.lines), air)
+    return Channels(table, quantities.pop("time"), quantities, places)
 
 
 def _chosen(table: Table, given: Sequence[Given]) -> tuple[dict[str, int], dict[str, str]]:

@@ -82,9 +82,9 @@ def numbers(table: Table, column: int, cells: Any, sign: str) -> FloatArray:
     plain = pc.replace_substring_regex(cells, rf"^\+|{g}|{_SPACES}", "")
     plain = pc.replace_substring(plain, sign, ".")
     values = pc.if_else(missing, pa.scalar("nan", pa.large_string()), plain).cast(pa.float64())
-    found = np.asarray(values, dtype=float)
-    _refuse(table, column, cells, np.isinf(found), sign)
-    return found
+    parsed = np.asarray(values, dtype=float)
+    _refuse(table, column, cells, np.isinf(parsed), sign)
+    return parsed
 
 
 def _refuse(table: Table, column: int, cells: Any, wrong: Any, sign: str) -> None:
@@ -115,13 +115,13 @@ def _proof(d: str) -> str:
 def _first(columns: Mapping[int, Any], shape: str) -> tuple[int, int] | None:
     """Row and column of the first text of a shape, row by row."""
     for begin, count in ((0, PROOF_WITHIN), (PROOF_WITHIN, None)):  # most files show it at once
-        found = []
+        matches = []
         for k, cells in columns.items():
             match = np.asarray(pc.match_substring_regex(cells.slice(begin, count), shape))
             if match.any():
-                found.append((begin + int(match.argmax()), k))
-        if found:
-            return min(found)
+                matches.append((begin + int(match.argmax()), k))
+        if matches:
+            return min(matches)
     return None
 
 
@@ -131,5 +131,5 @@ def _written_plainly(cells: Any, sign: str) -> FloatArray | None:
         values = (cells if sign == "." else pc.replace_substring(cells, sign, ".")).cast(pa.float64())
     except pa.ArrowInvalid:
         return None
-    found = np.asarray(values, dtype=float)
-    return found if np.isfinite(found).all() else None
+    parsed = np.asarray(values, dtype=float)
+    return parsed if np.isfinite(parsed).all() else None

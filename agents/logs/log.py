@@ -66,11 +66,11 @@ class Log:
     def dwells(self) -> tuple[Dwell, ...]:
         """Standstills of a second and more."""
         edges = np.flatnonzero(np.diff((self.feed_speed[:-1] == 0.0).astype(np.int8), prepend=0, append=0))
-        found = (
+        standstills = (
             Dwell(float(self.time[a]), float(self.inserted_length[a]), float(self.time[b] - self.time[a]))
             for a, b in zip(edges[::2], edges[1::2], strict=True)
         )
-        return tuple(dwell for dwell in found if dwell.duration >= DWELL)
+        return tuple(dwell for dwell in standstills if dwell.duration >= DWELL)
 
     def to_csv(self) -> str:
         """The log as CSV text, in the units that its columns name; ``Schedule.read`` and ``read_log`` take it."""

@@ -94,9 +94,9 @@ _CAPITALS: Final = {"n": "N", "kn": "kN"}
 
 def split_head(head: str) -> tuple[str, str]:
     """Words and unit of a head: "Vorschub [mm/s]", "flow (m3/h)", "Weg in mm", "feed_speed_mm_per_s"."""
-    found = _UNIT.search(head)
-    if found and found.start():
-        return head[: found.start()].strip(), next(group for group in found.groups() if group is not None).strip()
+    match = _UNIT.search(head)
+    if match and match.start():
+        return head[: match.start()].strip(), next(group for group in match.groups() if group is not None).strip()
     suffix = _SUFFIX.fullmatch(head.strip().lower())
     if suffix:
         unit = suffix[2].replace("_per_", "/")

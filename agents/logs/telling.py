@@ -60,7 +60,7 @@ def print_log(log: Log, path: Path) -> None:
 def beyond_task(log: Log, config: TaskConfig | None = None) -> tuple[str, ...]:
     """Sentences about what the task's feed device and air supply do not give."""
     config = config or TaskConfig()
-    told = []
+    sentences = []
     for name, values, (low, high) in (
         ("feed speed", log.feed_speed, config.feed_speeds),
         ("air supply", log.air_supply_rate, config.air_supply_rates),
@@ -68,7 +68,7 @@ def beyond_task(log: Log, config: TaskConfig | None = None) -> tuple[str, ...]:
         unit, scale = ("m/s", 1.0) if name == "feed speed" else ("m3/h", HOUR)
         below, above = (values < low * (1.0 - 1e-6)).sum(), (values > high * (1.0 + 1e-6)).sum()
         if below or above:
-            told.append(
+            sentences.append(
                 f"The {name} leaves the task's range of {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
                 f" below and {above} above it. "
                 + (
@@ -77,7 +77,7 @@ def beyond_task(log: Log, config: TaskConfig | None = None) -> tuple[str, ...]:
                     else "A replay takes the nearest of these."
                 )
             )
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _counted(count: int, text: str) -> str:

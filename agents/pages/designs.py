@@ -25,16 +25,16 @@ DRIVEN = (
 
 def search() -> str:
     """What the search for designs found under the study's feed, and what vibration depends on."""
-    return _found(RESULTS / "design" / "search")
+    return _search_summary(RESULTS / "design" / "search")
 
 
 def codesign() -> str:
     """What the search found under an agent's feed, and how the designs compare when the agent drives them."""
     folder = RESULTS / "design"
-    return f"{_found(folder / 'codesign')}\n\n{_compared(folder / 'driven', DRIVEN)}"
+    return f"{_search_summary(folder / 'codesign')}\n\n{_compared(folder / 'driven', DRIVEN)}"
 
 
-def _found(folder: Path) -> str:
+def _search_summary(folder: Path) -> str:
     influence, record = read_csv(folder / "sensitivity.csv"), read_json(folder / "provenance.json", Record).model_dump()
     front = read_csv(folder / "front.csv")
     rows = influence[influence["objective"] == "mean_square_ratio"].to_dict("records")

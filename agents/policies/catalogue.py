@@ -137,12 +137,12 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
 
 def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str, Domain | None]:
     """What each of ``named_policies`` was made for; None: nothing in particular."""
-    found: dict[str, Domain | None] = {}
+    domains: dict[str, Domain | None] = {}
     for name, spec in map(name_and_spec, specs):
         policy = policies[name]
         shipped = policy_file(unshielded(spec)) in (*STORED, BY_DIAMETER)
-        found[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
-    return found
+        domains[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
+    return domains
 
 
 def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:

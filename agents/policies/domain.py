@@ -51,21 +51,23 @@ class Domain:
 
     def outside(self, config: TaskConfig, contexts: Iterable[Context]) -> list[str]:
         """What of a task and its tubes lies beyond: field, value and range, one each."""
-        scene, told = config.scene, []
+        scene, deviations = config.scene, []
         if not math.isclose(scene.tube.inner_diameter, self.inner_diameter, rel_tol=1e-3):
-            told.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
+            deviations.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
         if scene.tube.helix_length > self.helix_length * (1.0 + 1e-9):
-            told.append(f"helix_length = {scene.tube.helix_length:g} m, beyond {self.helix_length:g} m")
+            deviations.append(f"helix_length = {scene.tube.helix_length:g} m, beyond {self.helix_length:g} m")
         if self.probe is not None and scene.probe != self.probe:
             names = (name for name in Probe.model_fields if getattr(scene.probe, name) != getattr(self.probe, name))
-            told.append(f"probe: another {', '.join(names)}")
+            deviations.append(f"probe: another {', '.join(names)}")
         tubes = list(contexts)
         for name, (low, high) in self.ranges.items():
             values = [getattr(tube, name) for tube in tubes]
             least, most = min(values), max(values)
             if least < low * (1.0 - 1e-3) or most > high * (1.0 + 1e-3):
-                told.append(f"{name} = {least:g} to {most:g}{UNITS[name]}, beyond {low:g} to {high:g}{UNITS[name]}")
-        return told
+                deviations.append(
+                    f"{name} = {least:g} to {most:g}{UNITS[name]}, beyond {low:g} to {high:g}{UNITS[name]}"
+                )
+        return deviations
 
 
 def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
@@ -86,9 +88,9 @@ def check_domains(
         ValueError: ``strict``, and there is one.
     """
     for name, domain in domains.items():
-        told = domain.outside(config, contexts) if domain else []
-        if told:
-            text = f"{name} was not made for these tubes: {'; '.join(told)}"
+        deviations = domain.outside(config, contexts) if domain else []
+        if deviations:
+            text = f"{name} was not made for these tubes: {'; '.join(deviations)}"
             if strict:
                 raise ValueError(f"{text}. Make a map of them (probe-env map --tube), or leave out --strict")
             warnings.warn(text, OutsideDomain, stacklevel=2)

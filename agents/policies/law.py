@@ -95,13 +95,13 @@ class Law(Model):
             diameter: (n,) of the helix [m].
         """
         known = np.array([table.helix_diameter for table in self.tables])
-        found = np.empty((2, len(friction)))
+        targets = np.empty((2, len(friction)))
         for k, (mu, place, d) in enumerate(zip(friction, length, diameter, strict=True)):
             table = self.tables[int(np.abs(known - d).argmin())]
             for row, values in enumerate((table.feed_speed, table.air_supply_rate)):
                 column = [np.interp(place, self.inserted_length, line) for line in values]
-                found[row, k] = np.interp(mu, self.friction, column)
-        return found[0], found[1]
+                targets[row, k] = np.interp(mu, self.friction, column)
+        return targets[0], targets[1]
 
 
 @dataclass

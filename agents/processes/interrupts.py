@@ -41,7 +41,7 @@ class Interrupt(KeyboardInterrupt):
 
 
 _heard: list[int] = []
-_told: list[str] = []
+_reported: list[str] = []
 
 
 @contextmanager
@@ -56,7 +56,7 @@ def heard(own: bool) -> Iterator[None]:
         yield  # only the main thread can set handlers
         return
     _heard.clear()
-    _told.clear()
+    _reported.clear()
     work.forget()
     before = {number: signal.getsignal(number) for number in (*SIGNALS, *([signal.SIGALRM] if TIMED else []))}
     hook = sys.unraisablehook
@@ -76,10 +76,10 @@ def heard(own: bool) -> Iterator[None]:
 
 def tell(error: KeyboardInterrupt) -> int:
     """Say what is stored, once, on stderr; returns the exit status."""
-    if not _told:
-        _told.append(work.account())
+    if not _reported:
+        _reported.append(work.account())
         with suppress(OSError):  # the terminal may be gone
-            print(f"probe-env: interrupted: {_told[0]}", file=sys.stderr, flush=True)
+            print(f"probe-env: interrupted: {_reported[0]}", file=sys.stderr, flush=True)
     return getattr(error, "status", 128 + signal.SIGINT)
 
 
@@ -116,7 +116,7 @@ def _leave(number: int) -> NoReturn:
     """End here and now, with the line if it has not been said."""
     _after(TELLING, lambda *_: os._exit(128 + number))  # counting may need a lock that is held
     with suppress(BaseException):
-        if not _told and sys.stderr.isatty():
+        if not _reported and sys.stderr.isatty():
             print(file=sys.stderr)  # below a progress bar
         tell(Interrupt(number))
     os._exit(128 + number)

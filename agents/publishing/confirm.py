@@ -183,15 +183,15 @@ def _holds(table: pd.DataFrame, part: pd.DataFrame) -> bool:
 
 def additions(before: Path, now: Path) -> list[str]:
     """What the tables of ``now`` have besides, a line a table."""
-    told = []
+    lines = []
     for path in sorted(before.rglob("*.csv")):
         old, new = _rows(path), _rows(now / path.relative_to(before))
         columns, rows = [name for name in new.columns if name not in old.columns], len(new) - len(old)
         if columns or rows:
             parts = [f"{len(columns)} new columns ({columns[0]}, ...)"] if columns else []
             parts += [f"{rows} new rows"] if rows else []
-            told.append(f"{path.relative_to(before)}: {', '.join(parts)}")
-    return told
+            lines.append(f"{path.relative_to(before)}: {', '.join(parts)}")
+    return lines
 
 
 def _rows(path: Path) -> pd.DataFrame:

@@ -33,16 +33,16 @@ def check_measure(config: TaskConfig) -> None:
 
 def beyond(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
     """What of a task's tubes lies beyond what the response was learnt from, one sentence each."""
-    nothing, told = np.zeros(0), dict[str, None]()
+    nothing, lines = np.zeros(0), dict[str, None]()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         scene = config.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        told |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), scene))
+        lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), scene))
     table = np.concatenate([_table(tube, config.scene) for tube in tubes])
     for values, unknown in zip(table.T, UNKNOWNS.values(), strict=True):
         if values.min() < unknown.low or values.max() > unknown.high:
-            found = f"{values.min():.4g} to {values.max():.4g}"
-            told[f"{unknown.text} {found}, beyond {unknown.low:g} to {unknown.high:g} {unknown.unit}".strip()] = None
-    return list(told)
+            span = f"{values.min():.4g} to {values.max():.4g}"
+            lines[f"{unknown.text} {span}, beyond {unknown.low:g} to {unknown.high:g} {unknown.unit}".strip()] = None
+    return list(lines)
 
 
 def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:

@@ -57,8 +57,8 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
         table = _episodes(plant, limit, fidelity, output / name, workers)
         episodes.append(table.assign(plant=name))
         for policy in (*DECIDING, "best-schedule"):
-            found = paired_difference(table, policy, FIXED, "reward")
-            rows.append({"plant": name, "policy": policy, "gain": found.mean, "low": found.low, "high": found.high})
+            gain = paired_difference(table, policy, FIXED, "reward")
+            rows.append({"plant": name, "policy": policy, "gain": gain.mean, "low": gain.low, "high": gain.high})
     write_atomically(output / "episodes.csv", pd.concat(episodes).to_csv(index=False, float_format="%.6g"))
     summary = pd.DataFrame(rows)
     write_atomically(output / "gains.csv", summary.to_csv(index=False, float_format="%.4g"))
@@ -74,8 +74,8 @@ def cells(summary: pd.DataFrame) -> list[tuple[Any, ...]]:
     """A row a plant: the gains with their 95 % intervals."""
     rows = []
     for plant, part in summary.groupby("plant", sort=False):
-        told = {row.policy: f"{row.gain:+.1f} [{row.low:.1f}, {row.high:.1f}]" for row in part.itertuples()}
-        rows.append((plant, *(told[policy] for policy in HEADER[1:])))
+        gains = {row.policy: f"{row.gain:+.1f} [{row.low:.1f}, {row.high:.1f}]" for row in part.itertuples()}
+        rows.append((plant, *(gains[policy] for policy in HEADER[1:])))
     return rows
 
 

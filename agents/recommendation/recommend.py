@@ -70,22 +70,22 @@ def recommend(
     specs = (*confirmation.own, *OURS)
     if confirmation.limit:
         plan_of(specs, unseen, 1, confirmation.fidelity)  # what cannot be compared is refused before the search
-    found = recommended(seen.contexts, response, seen.config)
-    write_atomically(output, found.schedule.to_csv())
-    write_json(output.with_suffix(".json"), _record(found, plant, seen) | provenance())
+    recommendation = recommended(seen.contexts, response, seen.config)
+    write_atomically(output, recommendation.schedule.to_csv())
+    write_json(output.with_suffix(".json"), _record(recommendation, plant, seen) | provenance())
     specs = (f"{NAME}={output}", *specs)
     if law:
-        made = recommended_law(seen.contexts, response, seen.config)
-        write_atomically(law, made.model_dump_json(indent=1))
+        feedback = recommended_law(seen.contexts, response, seen.config)
+        write_atomically(law, feedback.model_dump_json(indent=1))
         specs = (specs[0], f"{LAW}={law}", *specs[1:])
     print(
-        f"{output}: expected reward {found.reward:.1f} over {len(seen.contexts)} draws of what is known,"
-        f" root tension at least {found.tension:.2g} N in 95 % of them"
+        f"{output}: expected reward {recommendation.reward:.1f} over {len(seen.contexts)} draws of what is known,"
+        f" root tension at least {recommendation.tension:.2g} N in 95 % of them"
     )
     if confirmation.limit:
         print(f"simulated on {confirmation.limit} other draws at {confirmation.fidelity}:")
         _confirm(specs, unseen, confirmation, workers)
-    return found
+    return recommendation
 
 
 def _confirm(specs: tuple[str, ...], place: Place, confirmation: Confirmation, workers: Workers) -> pd.DataFrame:
@@ -94,11 +94,11 @@ def _confirm(specs: tuple[str, ...], place: Place, confirmation: Confirmation, w
     return evaluate(plan, confirmation.folder, against=NAME, workers=workers, own=own)
 
 
-def _record(found: Found, plant: Plant | None, place: Place) -> dict[str, Any]:
+def _record(recommendation: Found, plant: Plant | None, place: Place) -> dict[str, Any]:
     return {
         "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
         "calibrated": plant is not None and plant.posterior is not None,
         "draws": len(place.contexts),
-        "expected_reward": found.reward,
-        "least_root_tension_n": found.tension,
+        "expected_reward": recommendation.reward,
+        "least_root_tension_n": recommendation.tension,
     }

@@ -84,8 +84,8 @@ def _group(fidelity: str, group: int) -> list[list[dict[str, float]]]:
         warnings.simplefilter("ignore", StabilityWarning)
         for name in FEEDS:
             specimens = [trial.specimen for trial in tubes]
-            made = insert(specimens, _by(chosen[name]), config, PRESETS[fidelity], [SEED, group])
-            for row, insertion in zip(rows, made, strict=True):
+            insertions = insert(specimens, _by(chosen[name]), config, PRESETS[fidelity], [SEED, group])
+            for row, insertion in zip(rows, insertions, strict=True):
                 row[name] = insertion.reward
     return [rows]
 
@@ -94,8 +94,8 @@ def _after_log(trial: Trial, config: TaskConfig) -> Schedule:
     """What is recommended for a tube once a log of it was calibrated."""
     diameter = trial.scene.tube.helix_diameter
     plant = Plant(tube=Tubes(**trial.scene.tube.model_dump(exclude={"ovality"})))
-    found = calibrate([Recorded("log", trial.log, "tube", diameter)], plant, stored_response(), progress=False)
-    draws = found.posterior.draws[0]
+    calibration = calibrate([Recorded("log", trial.log, "tube", diameter)], plant, stored_response(), progress=False)
+    draws = calibration.posterior.draws[0]
     rows = np.linspace(0, len(draws) - 1, DRAWS).round().astype(int)
     return _for(_draws(draws[rows], trial), float(np.median(draws[:, 3])), config)
 

@@ -12,7 +12,7 @@ from typing import Final
 Kpis = dict[str, tuple[str, float, str]]
 """KPI -> name, factor and unit for people."""
 
-FOUND: Final[Kpis] = {
+DETECTION: Final[Kpis] = {
     "a90_percent_wall": ("a90", 1.0, "% wall"),
     "length_with_snr_over_3_m": ("length with S/N over 3", 1.0, "m"),
     "noise_peak_to_peak_v": ("noise peak to peak", 1.0, "V"),
@@ -27,7 +27,7 @@ KPIS: Final[Kpis] = {
     "radial_p99_m": ("radial p99", 1e3, "mm"),
     "radial_acceleration_rms_m_per_s2": ("radial acceleration rms", 1.0, "m/s2"),
     "air_m3": ("air used", 1.0, "m3"),
-    **FOUND,
+    **DETECTION,
 }
 """All that tables of episodes show, in their order."""
 CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_m")

@@ -56,10 +56,12 @@ def disturbed(config: TaskConfig, axes: tuple[str, ...] = tuple(AXES)) -> list[D
     unknown = [axis for axis in axes if axis not in AXES]
     if unknown or len(set(axes)) < len(axes):
         raise ValueError(f"axes = {', '.join(axes)}: accepted, once each, are {', '.join(AXES)}")
-    found = [Disturbed(NOMINAL, "", config)]
+    settings = [Disturbed(NOMINAL, "", config)]
     for axis in axes:
-        found += [Disturbed(axis, value, config.model_copy(update=changes)) for value, changes in _values(axis, config)]
-    return found
+        settings += [
+            Disturbed(axis, value, config.model_copy(update=changes)) for value, changes in _values(axis, config)
+        ]
+    return settings
 
 
 def _values(axis: str, config: TaskConfig) -> list[tuple[str, dict[str, Any]]]:

@@ -74,9 +74,9 @@ def folder_of(setting: Disturbed) -> str:
 
 def summary_of(episodes: pd.DataFrame) -> pd.DataFrame:
     """A row a policy and setting, ``COLUMNS``, of the episodes of all of them (``axis`` and ``value`` in columns)."""
-    told = episodes["axis"].str.cat(episodes["value"], sep=" ")
+    settings = episodes["axis"].str.cat(episodes["value"], sep=" ")
     # the same tubes and starts whatever is disturbed: paired as policies are
-    paired = episodes.assign(policy=episodes["policy"] + "/" + told)
+    paired = episodes.assign(policy=episodes["policy"] + "/" + settings)
     rows = []
     for (policy, axis, value), part in episodes.groupby(["policy", "axis", "value"], sort=False):
         change = paired_difference(paired, f"{policy}/{axis} {value}", f"{policy}/{NOMINAL} ", "reward")
@@ -114,11 +114,11 @@ def cost_cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
 
 def worst_of(summary: pd.DataFrame) -> dict[str, tuple[str, Interval]]:
     """By policy the setting in which it loses most, and how much."""
-    found = {}
+    worst = {}
     for policy, part in summary[summary["axis"] != NOMINAL].groupby("policy", sort=False):
         row = part.sort_values("change").iloc[0]
-        found[str(policy)] = (f"{row['axis']} {row['value']}", Interval(row["change"], row["low"], row["high"]))
-    return found
+        worst[str(policy)] = (f"{row['axis']} {row['value']}", Interval(row["change"], row["low"], row["high"]))
+    return worst
 
 
 def _by_setting(summary: pd.DataFrame, cell: Callable[[Any], str]) -> list[tuple[str, ...]]:
@@ -126,4 +126,4 @@ def _by_setting(summary: pd.DataFrame, cell: Callable[[Any], str]) -> list[tuple
     for row in summary.itertuples():
         name = str(row.axis) if row.axis == NOMINAL else f"{row.axis}, {row.value}"
         rows.setdefault(name, []).append(cell(row))
-    return [(name, *told) for name, told in rows.items()]
+    return [(name, *texts) for name, texts in rows.items()]

@@ -178,10 +178,10 @@ def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str =
     def share(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
         return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
 
-    found = float(share(values - least, most - least))
+    estimate = float(share(values - least, most - least))
     if len(values) < 2 or np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
-        return Interval(found, found, found)
-    return Interval(found, *map(float, bootstrap_ends(share, values - least, most - least, paired=True)))
+        return Interval(estimate, estimate, estimate)
+    return Interval(estimate, *map(float, bootstrap_ends(share, values - least, most - least, paired=True)))
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:

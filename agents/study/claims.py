@@ -194,18 +194,18 @@ def findings(table: pd.DataFrame, scenes: Path = Path("configs/scenes")) -> list
     ]
 
 
-def print_findings(found: list[Finding], table: pd.DataFrame) -> None:
+def print_findings(outcomes: list[Finding], table: pd.DataFrame) -> None:
     """Findings as a table on the terminal; ``table`` has the runs that they are from."""
     members = int(table.groupby("case").size().max())
     duration = float(table["duration_s"].iloc[0])
     title = f"The study's claims: {members} run(s) a case, {duration:g} s each"
     header = ("claim", "figure", "found: mean (range)", "holds")
-    rows = ((finding.claim, finding.figure, finding.result, finding.verdict) for finding in found)
+    rows = ((finding.claim, finding.figure, finding.result, finding.verdict) for finding in outcomes)
     print_table(title, header, rows, left=4, lines=True)
 
 
-def markdown(found: list[Finding]) -> str:
+def markdown(outcomes: list[Finding]) -> str:
     """Findings as a Markdown table."""
     lines = ["| the study's claim | figure | found: mean (range) | holds |", "|---|---|---|---|"]
-    lines += [f"| {f.claim} | {f.figure} | {f.result} | {f.verdict} |" for f in found]
+    lines += [f"| {f.claim} | {f.figure} | {f.result} | {f.verdict} |" for f in outcomes]
     return "\n".join(lines)

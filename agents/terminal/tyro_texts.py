@@ -33,7 +33,7 @@ def options_of(page: str) -> tuple[str, ...]:
     """The options that a page of help lists."""
     lines = [line.strip(FRAME) for line in page.splitlines()]
     names = [_OPTION.findall(re.split(r"\s{2,}", line)[0]) for line in lines if line.startswith("-")]
-    return tuple(dict.fromkeys(name for found in names for name in found))
+    return tuple(dict.fromkeys(name for matches in names for name in matches))
 
 
 def option_problem(given: str, known: Sequence[str], command: str) -> str:

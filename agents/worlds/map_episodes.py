@@ -101,9 +101,9 @@ class MapEpisodes:
         for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
             scatter = getattr(self.noise, f"{name}_scatter" if name.endswith("ial") else name)
             self.scatter[name] = np.where(every, scatter.deviation * normal[:, row], self.scatter[name])
-        told = self._felt(every, normal, move=False)
-        self.observed[every] = observe(self.config, told, normal[:, 5:])[every, None]
-        infos = {k: self._info(k, told) | {"context": self.context[k].model_dump()} for k in chosen}
+        measured = self._felt(every, normal, move=False)
+        self.observed[every] = observe(self.config, measured, normal[:, 5:])[every, None]
+        infos = {k: self._info(k, measured) | {"context": self.context[k].model_dump()} for k in chosen}
         return self.observed[:, 0].copy(), infos
 
     def step(self, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
@@ -124,10 +124,10 @@ class MapEpisodes:
         air_before = self.air.copy()
         travel = self._drive(targets, chosen)
         normal = self._drawn(chosen)
-        told = self._felt(chosen, normal)
-        ratio = told["radial_rms_m"] / config.limit
+        measured = self._felt(chosen, normal)
+        ratio = measured["radial_rms_m"] / config.limit
         used = np.where(chosen, air_used(config, air_before, self.air), 0.0)
-        hanging = slack(config, told["tension_mean_n"], self.length)
+        hanging = slack(config, measured["tension_mean_n"], self.length)
         self.time = np.where(chosen, self.time + dt, self.time)
         self.slack_periods = np.where(chosen, np.where(hanging, self.slack_periods + 1, 0), self.slack_periods)
         end, never = config.scene.tube.helix_length, np.zeros(len(self), dtype=bool)
@@ -146,9 +146,9 @@ class MapEpisodes:
         )
         for name, values in parts:
             self.tally[name] += np.where(chosen, values, 0.0)
-        row = observe(config, told, normal[:, 5:])[:, None]
+        row = observe(config, measured, normal[:, 5:])[:, None]
         self.observed[chosen] = np.concatenate([self.observed[:, 1:], row], axis=1)[chosen]
-        infos = [self._info(k, told) | self._kpis(k, over, ended) if chosen[k] else {} for k in range(len(self))]
+        infos = [self._info(k, measured) | self._kpis(k, over, ended) if chosen[k] else {} for k in range(len(self))]
         return Step(self.observed[:, 0].copy(), reward, ended.terminated, ended.truncated, infos)
 
     def _drive(self, targets: FloatArray, chosen: BoolArray) -> FloatArray:
@@ -211,9 +211,9 @@ class MapEpisodes:
                     " simulate with fidelity fast or finer"
                 )
 
-    def _info(self, k: int, told: Mapping[str, FloatArray]) -> dict[str, Any]:
+    def _info(self, k: int, measured: Mapping[str, FloatArray]) -> dict[str, Any]:
         names = ("inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
-        return {"time": float(self.time[k]), **{name: float(told[name][k]) for name in names}}
+        return {"time": float(self.time[k]), **{name: float(measured[name][k]) for name in names}}
 
     def _kpis(self, k: int, over: BoolArray, ended: Any) -> dict[str, Any]:
         """Of an episode that ends, the task's rewards and lengths."""

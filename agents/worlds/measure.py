@@ -52,9 +52,9 @@ def record_insertions(limit: int) -> pd.DataFrame:
             assert episodes.window is not None
             axial = episodes.window.statistics[RECORDED[5]]
             for k in np.flatnonzero(active).tolist():
-                told = step.infos[k] | {RECORDED[5]: float(axial[k])}
+                info = step.infos[k] | {RECORDED[5]: float(axial[k])}
                 tube = {name: getattr(place.contexts[k], name) for name in CONTEXT}
-                rows.append({"episode": k} | {name: told[name] for name in RECORDED} | tube)
+                rows.append({"episode": k} | {name: info[name] for name in RECORDED} | tube)
             bar.update(int((active & ~episodes.running).sum()))
     return pd.DataFrame(rows)
 
@@ -118,9 +118,9 @@ def compared(table: pd.DataFrame, simulated: pd.DataFrame) -> tuple[pd.DataFrame
         error = mean_interval((own[both] - true[both]).to_numpy())
         columns = {"error": error.mean, "error_low": error.low, "error_high": error.high}
         rows.append({"policy": name, "map": own[both].mean(), "simulated": true[both].mean(), **columns})
-    found = pd.DataFrame(rows)
-    tau = float(kendalltau(found["map"], found["simulated"]).statistic)
-    return found, {"tau": tau, "tubes": float(len(both))}
+    comparison = pd.DataFrame(rows)
+    tau = float(kendalltau(comparison["map"], comparison["simulated"]).statistic)
+    return comparison, {"tau": tau, "tubes": float(len(both))}
 
 
 def run_world(limit: int, simulated: Path, output: Path) -> pd.DataFrame:
@@ -136,14 +136,14 @@ def run_world(limit: int, simulated: Path, output: Path) -> pd.DataFrame:
     """
     truth = read_csv(simulated, {"policy": "name", "context": "count", "reward": "number"})
     rows = record_insertions(limit)
-    found = noise_of(rows, stored_map())
+    noise = noise_of(rows, stored_map())
     path = output / STORED.name
-    record = {"noise": found.model_dump(), "tubes": limit, "periods": len(rows), "provenance": provenance()}
+    record = {"noise": noise.model_dump(), "tubes": limit, "periods": len(rows), "provenance": provenance()}
     write_json(path, record)
     known = tuple(name for name in POLICIES if name in set(truth["policy"].str.split("@").str[0]))
     truth = truth[~truth["policy"].str.contains("@") | truth["policy"].str.endswith("@0")]
     truth = truth.assign(policy=truth["policy"].str.split("@").str[0])
-    summary, agreement = compared(rewards_in_the_map(known, found), truth)
+    summary, agreement = compared(rewards_in_the_map(known, noise), truth)
     write_json(path, record | {"agreement": dict(agreement)})
     write_atomically(output / "map-world.csv", summary.to_csv(index=False, float_format="%.5g"))
     return summary

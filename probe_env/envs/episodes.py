@@ -149,7 +149,7 @@ class Episodes:
             self.batch.replace(k, simulator)
             self.start[k] = simulator.inserted_length
             self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.tally[k] = Tally(found=Found(self.config.sensor))
+            self.tally[k] = Tally(detection=Found(self.config.sensor))
             self.gauges.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
@@ -315,7 +315,7 @@ class Episodes:
             back = self.passes.way[k] < 0.0
             rest = float(window.radial[:, k].mean()) if back else 0.0  # on the outer wall, or on its way there
             tally.add_signals(counted.measures[k].tolist(), window.radial[:, k], SAMPLE_PERIOD, rest)
-            tally.found.add(inspected, *self.gauges.meter.of(int(k)))
+            tally.detection.add(inspected, *self.gauges.meter.of(int(k)))
 
     def _options(self) -> dict[str, Any]:
         return {

@@ -54,7 +54,7 @@ class Tally:
     greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
     last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
-    found: Found = field(default_factory=Found)
+    detection: Found = field(default_factory=Found)
 
     def add_period(self, inspected: float, within_limit: float, air: float) -> None:
         """Length inspected [m], how much of it within the limit [m], and air [m3] of a period."""
@@ -102,4 +102,4 @@ class Tally:
             values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))
             values[f"{name}_p99_{unit}"] = self.samples[name].percentile(99.0)
             values[f"{name}_max_{unit}"] = self.greatest[name]
-        return values | self.found.kpis(length, tube_length)
+        return values | self.detection.kpis(length, tube_length)

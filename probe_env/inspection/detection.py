@@ -99,8 +99,8 @@ def depths_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> 
     rows = np.arange(len(pod))
     low, high = probit[rows, after - 1], probit[rows, after]
     share = np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0)
-    found = depths[after - 1] + share * (depths[after] - depths[after - 1])
-    return np.asarray(np.where(probit[:, -1] < 0.0, WORST, found))
+    interpolated = depths[after - 1] + share * (depths[after] - depths[after - 1])
+    return np.asarray(np.where(probit[:, -1] < 0.0, WORST, interpolated))
 
 
 def depth_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> float:

@@ -61,10 +61,10 @@ class Meter:
         passed = len(radial) * self.sample_period
         gain = np.maximum(1.0 - np.exp(-passed / MEMORY), passed / known)[:, None]
         self.spectrum[which] += np.minimum(gain, 1.0) * (density(motion) - self.spectrum[which])
-        told = heard(self.sensor, feed, motion, self.spectrum[which])
+        reading = heard(self.sensor, feed, motion, self.spectrum[which])
         for row, k in enumerate(which.tolist()):
-            self._last[k] = (*(float(values[row]) for values in told[:3]), told.excursions[row])
-        return told
+            self._last[k] = (*(float(values[row]) for values in reading[:3]), reading.excursions[row])
+        return reading
 
     def _take(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray) -> None:
         size = self._kept.shape[1]

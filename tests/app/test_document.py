@@ -73,13 +73,13 @@ def test_curves_of_detection_are_those_of_the_report(office):
     for name, pod in zip(policies, shown.lines.data["pod"], strict=True):
         assert pod == expected.loc[expected["policy"] == name, "pod"].to_list()
     least = min(a90_95(table, name) for name in policies)
-    assert f"<b>{least:.1f} %</b>" in shown.told.text
+    assert f"<b>{least:.1f} %</b>" in shown.caption.text
     page = page_of(office)
     page.compare.open.value = "results/any-probe"  # an evaluation of before there was a sensor
     assert page.compare.wrong.text == ""
-    assert "No curves of detection" in page.compare.detection.told.text
+    assert "No curves of detection" in page.compare.detection.caption.text
     page.compare.open.value = "results/evaluation"
-    assert "No curves of detection" not in page.compare.detection.told.text
+    assert "No curves of detection" not in page.compare.detection.caption.text
 
 
 def test_a_dragged_flaw_stays_within_the_second_and_comes_back(office):

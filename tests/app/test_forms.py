@@ -51,11 +51,11 @@ def test_a_default_can_be_typed_and_changes_nothing(field):
     if field.default:
         form.change(field, field.default)
         assert set(form.given) == {field.table}
-        made, usual = form.plant.configured(), Plant().configured()
+        configured, usual = form.plant.configured(), Plant().configured()
         numbers = [name for name, value in usual if isinstance(value, int | float | tuple)]
         assert len(numbers) > 20
         for name in numbers:
-            assert getattr(made, name) == pytest.approx(getattr(usual, name), rel=1e-3)
+            assert getattr(configured, name) == pytest.approx(getattr(usual, name), rel=1e-3)
     form.change(field, "")
     assert form.given == {}
 
@@ -101,23 +101,23 @@ def test_a_refused_change_is_told_in_the_words_of_the_command_and_changes_nothin
     form = TubeForm()
     form.open(EXAMPLE)
     before = form.given, form.plant
-    with pytest.raises(ValueError, match="accepted range 0 to 1") as told:
+    with pytest.raises(ValueError, match="accepted range 0 to 1") as error:
         form.change(field_named("contact.friction"), "1.5")
     assert (form.given, form.plant) == before
     path = tmp_path / "bad.toml"
     path.write_text(EXAMPLE.read_text().replace("friction = { low = 0.12, high = 0.22 }", "friction = 1.5"))
     assert main(["evaluate", "pi", "--tube", str(path), "--output", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err == f"probe-env: error: {path}: {told.value}\n"
+    assert capsys.readouterr().err == f"probe-env: error: {path}: {error.value}\n"
 
 
 def test_points_are_a_schedule_file_and_come_back():
     schedule = Schedule.read("configs/schedules/example.csv")
     points = points_of(schedule)
-    again = schedule_of(points)
-    assert points_of(again) == points
-    assert again.position == schedule.position
-    assert again.feed_speed == schedule.feed_speed
-    assert again.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-6)  # six digits
+    restored = schedule_of(points)
+    assert points_of(restored) == points
+    assert restored.position == schedule.position
+    assert restored.feed_speed == schedule.feed_speed
+    assert restored.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-6)  # six digits
     assert csv_of(points).startswith("# interpolation: linear\n")
 
 
@@ -135,29 +135,29 @@ def test_points_are_tidied_after_a_drag():
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "told"),
+    ("column", "value", "message"),
     [
         (FEED, 9.0, "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
         (AIR, "much", "schedule: line 3, air_supply_m3_per_h = 'much' is not a number"),
         (LENGTH, -1.0, "schedule: line 3, inserted_length_m = -1.0 is outside the accepted range 0 to 1000 m"),
     ],
 )
-def test_points_that_are_no_schedule_are_refused_as_their_file_is(column, value, told):
+def test_points_that_are_no_schedule_are_refused_as_their_file_is(column, value, message):
     points = points_of(Schedule.read("configs/schedules/example.csv"))
     points[column][0] = value
     with pytest.raises(ValueError, match="line 3") as refused:
         schedule_of(points)
-    assert str(refused.value) == told
+    assert str(refused.value) == message
 
 
 def test_what_is_expected_is_what_the_search_for_schedules_goes_by():
     place, schedule = place_at(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
-    told = expected(schedule, place)
+    prediction = expected(schedule, place)
     by_search = MapCost(place.contexts, place.config, place.vibration).reward(schedule)
-    assert told.reward == pytest.approx(by_search, rel=1e-9)  # sums in another order
-    assert (told.low < told.middle).all()
-    assert (told.middle < told.high).all()
-    assert told.length[0] == 5.5
+    assert prediction.reward == pytest.approx(by_search, rel=1e-9)  # sums in another order
+    assert (prediction.low < prediction.middle).all()
+    assert (prediction.middle < prediction.high).all()
+    assert prediction.length[0] == 5.5
     with pytest.raises(ValueError, match="goes by time"):
         expected(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
 

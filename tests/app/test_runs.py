@@ -100,10 +100,10 @@ def test_a_stopped_run_keeps_what_was_finished_and_goes_on(queue, tube, tmp_path
     queue.order(run, Order("stop"))
     assert queue.wait(run, LONG)
     assert run.state == "stopped"
-    assert described(whole.output).told == "interrupted: 0 of 4 insertions are stored"
-    again = unfinished(whole.output)
-    assert again == whole
-    run = queue.add(again)
+    assert described(whole.output).outcome == "interrupted: 0 of 4 insertions are stored"
+    resumed = unfinished(whole.output)
+    assert resumed == whole
+    run = queue.add(resumed)
     assert queue.wait(run, LONG)
     assert described(whole.output).whole
     assert [entry.folder for entry in stored_runs(tmp_path)] == [whole.output]
@@ -147,7 +147,7 @@ def test_what_a_hand_drives_is_a_policy_of_the_evaluation(queue, tube, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"policies": ("nobody",)}, "policy = 'nobody' is not one of"),
         ({"policies": ("pi", "pi")}, "no name twice"),
@@ -157,11 +157,11 @@ def test_what_a_hand_drives_is_a_policy_of_the_evaluation(queue, tube, tmp_path)
         ({"tube": "nowhere.toml"}, "no such file: nowhere.toml"),
     ],
 )
-def test_what_the_command_refuses_is_told_in_its_words(queue, tube, tmp_path, changes, told):
+def test_what_the_command_refuses_is_told_in_its_words(queue, tube, tmp_path, changes, message):
     run = queue.add(wanted(tmp_path / "refused", tube, **changes))
     assert queue.wait(run, LONG)
     assert run.state == "failed"
-    assert told in run.problem
+    assert message in run.problem
     assert not (tmp_path / "refused").exists()
 
 
@@ -173,13 +173,13 @@ def test_folders_are_numbered_and_never_used_twice(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "message"),
     [
         ("probe-env app", "not one that goes on here"),
         ("probe-env evaluate pi --finer study", "--finer is an option that this page does not have"),
         ("probe-env evaluate --limit 2", "it names no policy"),
     ],
 )
-def test_only_what_the_page_can_run_goes_on(command, told, tmp_path):
-    with pytest.raises(ValueError, match=told):
+def test_only_what_the_page_can_run_goes_on(command, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
         Wanted.of_command(command, tmp_path)

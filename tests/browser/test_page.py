@@ -40,10 +40,10 @@ def points(page):
                          ".map(([name, values]) => [name, Array.from(values)]))")  # fmt: skip
 
 
-def seconds(told):
+def seconds(status):
     """That an insertion has lasted by now."""
-    found = re.search(r"after (\d+) s", told.inner_text())
-    return int(found[1]) if found else 0
+    match = re.search(r"after (\d+) s", status.inner_text())
+    return int(match[1]) if match else 0
 
 
 def fill(page, label, text):
@@ -97,11 +97,11 @@ def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp
     page.get_by_role("button", name="Run", exact=True).click()
     page.locator("[data-state=running]").wait_for()
     page.get_by_role("button", name="pause", exact=True).click()
-    told = page.locator("[data-state=running]")
-    told.filter(has_text="paused").wait_for()
-    before = seconds(told)
+    status = page.locator("[data-state=running]")
+    status.filter(has_text="paused").wait_for()
+    before = seconds(status)
     page.get_by_role("button", name="step", exact=True).click()
-    told.filter(has_text="paused").filter(has_text=f"after {before + 1} s").wait_for()
+    status.filter(has_text="paused").filter(has_text=f"after {before + 1} s").wait_for()
     page.get_by_role("button", name="slow motion").click()
     page.get_by_text("What comes next").wait_for()
     page.get_by_text("as fast as it goes").click()
@@ -188,27 +188,27 @@ BROKEN = [
 def test_broken_input_is_refused_at_its_field_in_the_words_of_the_command(page):
     screen(page, 1)
     page.get_by_text("Your own tube").wait_for()
-    for label, text, told in BROKEN:
+    for label, text, message in BROKEN:
         given = page.get_by_label(label, exact=True).first
         before = given.input_value()
         given.fill(text)
         given.press("Enter")
-        page.get_by_role("alert").filter(has_text=told).wait_for()
+        page.get_by_role("alert").filter(has_text=message).wait_for()
         given.fill(before)
         given.press("Enter")
         if label not in ("open a tube", "save as", "calibration"):
-            page.get_by_role("alert").filter(has_text=told).wait_for(state="detached")
+            page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
 
 
 def test_a_schedule_file_that_is_none_is_refused(page, tmp_path):
     (tmp_path / "bad.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,9,60\n")
-    for text, told in (
+    for text, message in (
         (str(tmp_path / "bad.csv"), "line 2, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
         (str(tmp_path / "none.csv"), "no such file"),
         ("shift", "a schedule over time cannot be dragged"),
     ):
         fill(page, "open a schedule file", text)
-        page.get_by_role("alert").filter(has_text=told).wait_for()
+        page.get_by_role("alert").filter(has_text=message).wait_for()
 
 
 def test_a_killed_server_keeps_what_was_finished_and_goes_on_with_the_rest(browser, tube, tmp_path):

@@ -17,19 +17,19 @@ KEYS = ("friction", "contact_stiffness", "drag_coefficient", "damping_time")
 def test_the_shipped_log_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
     assert main(["calibrate", "example-rig", "--output", str(tmp_path)]) == 0
-    found = json.loads((tmp_path / "calibration.json").read_text())
+    record = json.loads((tmp_path / "calibration.json").read_text())
     for name in KEYS:
-        assert found[name]["low"] < found[name]["mean"] < found[name]["high"]
-        assert len(found["draws"][name]) == len(found["draws"]["friction"])
-    assert found["friction"]["low"] <= 0.2 <= found["friction"]["high"]
-    (tube,) = found["tubes"].values()
+        assert record[name]["low"] < record[name]["mean"] < record[name]["high"]
+        assert len(record["draws"][name]) == len(record["draws"]["friction"])
+    assert record["friction"]["low"] <= 0.2 <= record["friction"]["high"]
+    (tube,) = record["tubes"].values()
     assert tube["by_tension_alone"]["friction"]["mean"] == pytest.approx(0.2, abs=0.02)
-    assert not found["misspecified"], found["reasons"]
+    assert not record["misspecified"], record["reasons"]
     assert {p.name for p in tmp_path.iterdir()} == {"calibration.json", "corner.png", "bands.png"}
     assert "verdict" in capsys.readouterr().out
     (tmp_path / "tube.toml").write_text('posterior = "calibration.json"\n')
     plant = Plant.from_toml(tmp_path / "tube.toml")
-    assert plant.scene.contact.friction == pytest.approx(found["friction"]["mean"], abs=0.01)
+    assert plant.scene.contact.friction == pytest.approx(record["friction"]["mean"], abs=0.01)
 
 
 @pytest.mark.parametrize(

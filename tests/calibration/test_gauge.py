@@ -37,9 +37,9 @@ def likelihood_of(response: Response, gain: float, channels: tuple[str, ...] = C
     felt = 10.0 ** response.tells(TRUTH[None], blank, scene)[0][0]
     felt[:, 0] *= gain
     measured = {name: felt[:, CHANNELS.index(name)] for name in channels}
-    made = Likelihood(response, [Case("log", 0, scene, Metres(LENGTH, feed, air, measured))])
-    made.settle(TRUTH[None, None])
-    return made
+    likelihood = Likelihood(response, [Case("log", 0, scene, Metres(LENGTH, feed, air, measured))])
+    likelihood.settle(TRUTH[None, None])
+    return likelihood
 
 
 def test_the_best_gain_is_exact(response: Response, prior: Prior) -> None:

@@ -31,7 +31,9 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inference, "STEPS", 200)
 
 
-def made(response: Response, truth: FloatArray, rng: np.random.Generator, diameter: float = 1.3, tube: int = 0) -> Case:
+def drawn_log(
+    response: Response, truth: FloatArray, rng: np.random.Generator, diameter: float = 1.3, tube: int = 0
+) -> Case:
     """A log drawn from the response at a truth (4,)."""
     scene = Scene.fitted({"tube": {"helix_diameter": diameter}})
     feed = np.interp(LENGTH, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
@@ -58,7 +60,7 @@ def test_truths_are_where_the_posterior_says(response: Response, short: None) ->
     prior, logs = prior_of(Plant()), 10
     ranks = np.empty((logs, 4))
     for k, truth in enumerate(truths(prior, logs)):
-        case = made(response, truth, np.random.default_rng([4, k]))
+        case = drawn_log(response, truth, np.random.default_rng([4, k]))
         draws = sampled(response, [case], prior, seed=k).draws[0]
         ranks[k] = ((draws < truth).sum(axis=0) + 0.5) / (len(draws) + 1)
     scores = norm.ppf(ranks)
@@ -74,23 +76,23 @@ def test_logs_of_one_tube_share_its_friction(response: Response, short: None) ->
     ratios, worlds = [], 4
     for seed in range(worlds):
         rng = np.random.default_rng([2, seed])
-        logs = [made(response, truth, rng) for _ in range(3)]
+        logs = [drawn_log(response, truth, rng) for _ in range(3)]
         one, three = (sampled(response, logs[:n], prior, seed).draws[0, :, 0].std() for n in (1, 3))
         ratios.append(np.log(three / one))
     # exp(-0.32), for drag, which acts alike, is known no better; scatters by 0.095 over 16 worlds
     assert np.mean(ratios) < -0.32 + of_another(0.095, 16, members=worlds)
-    other = made(response, np.array([0.12, 9e4, 0.44, 6e-5]), rng, tube=1)
-    found = sampled(response, [logs[0], other], prior).draws
-    assert found.shape[0] == 2
-    np.testing.assert_array_equal(found[0, :, 1:], found[1, :, 1:])
+    other = drawn_log(response, np.array([0.12, 9e4, 0.44, 6e-5]), rng, tube=1)
+    draws = sampled(response, [logs[0], other], prior).draws
+    assert draws.shape[0] == 2
+    np.testing.assert_array_equal(draws[0, :, 1:], draws[1, :, 1:])
     # 0.185 and 0.124, each +- 0.0044 over 16 worlds
-    assert np.median(found[0, :, 0]) > 0.185 - of_another(0.0044, 16, among=2) > 0.15
-    assert np.median(found[1, :, 0]) < 0.124 + of_another(0.0044, 16, among=2) < 0.15
+    assert np.median(draws[0, :, 0]) > 0.185 - of_another(0.0044, 16, among=2) > 0.15
+    assert np.median(draws[1, :, 0]) < 0.124 + of_another(0.0044, 16, among=2) < 0.15
 
 
 def test_the_same_logs_give_the_same_draws(response: Response, short: None) -> None:
     """By the seed."""
-    case = made(response, np.array([0.2, 1e5, 0.44, 5e-5]), np.random.default_rng(0))
+    case = drawn_log(response, np.array([0.2, 1e5, 0.44, 5e-5]), np.random.default_rng(0))
     first, second = (sampled(response, [case], prior_of(Plant())).draws for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
@@ -98,7 +100,7 @@ def test_the_same_logs_give_the_same_draws(response: Response, short: None) -> N
 def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(response: Response) -> None:
     """The mean square of its own strays is 1 within its scatter; numbers that follow nothing are far beyond."""
     truth, rng = np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1)
-    case = made(response, truth, rng)
+    case = drawn_log(response, truth, rng)
     own = Likelihood(response, [case]).misfit(0, truth)
     # of 44 numbers: 1 +- 4.5 sqrt(2 / 44); the sensors' scatter, which was not drawn, makes it smaller
     assert (own[:4] < 1.0 + 4.5 * np.sqrt(2.0 / len(LENGTH))).all()
@@ -109,7 +111,7 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(response:
 
 def test_too_short_or_silent_a_log_is_refused(response: Response) -> None:
     """Before anything is sampled, by its name."""
-    case = made(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
+    case = drawn_log(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
     few = case._replace(metres=case.metres.where(np.arange(len(LENGTH)) < 5))
     with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8"):
         sampled(response, [few], prior_of(Plant()))
@@ -120,7 +122,7 @@ def test_too_short_or_silent_a_log_is_refused(response: Response) -> None:
 
 def test_a_missing_channel_is_left_out(response: Response) -> None:
     """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
-    case = made(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
+    case = drawn_log(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
     m = case.metres
     part = case._replace(metres=Metres(m.length, m.feed, m.air, {n: m.felt[n] for n in CHANNELS[1:]}))
     assert Likelihood(response, [part]).chosen == [[1, 2, 3]]

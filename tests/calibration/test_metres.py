@@ -21,11 +21,11 @@ def log_of(feed: list[float], tension: list[float], noise: list[float]) -> Log:
 
 def test_means_over_time_and_squares() -> None:
     """Tension is averaged, an rms channel by its squares."""
-    found = metres_of(log_of([0.25] * 8, [1, 2, 3, 4, 5, 5, 5, 5], [3e-5, 4e-5, 3e-5, 4e-5, 1e-5, 1e-5, 1e-5, 1e-5]))
-    np.testing.assert_allclose(found.length, [5.5, 6.5])
-    np.testing.assert_allclose(found.feed, 0.25)
-    np.testing.assert_allclose(found.felt["root_tension"], [2.5, 5.0])
-    np.testing.assert_allclose(found.felt["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
+    averaged = metres_of(log_of([0.25] * 8, [1, 2, 3, 4, 5, 5, 5, 5], [3e-5, 4e-5, 3e-5, 4e-5, 1e-5, 1e-5, 1e-5, 1e-5]))
+    np.testing.assert_allclose(averaged.length, [5.5, 6.5])
+    np.testing.assert_allclose(averaged.feed, 0.25)
+    np.testing.assert_allclose(averaged.felt["root_tension"], [2.5, 5.0])
+    np.testing.assert_allclose(averaged.felt["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
 
 
 def test_a_standstill_and_its_restart_do_not_count() -> None:

@@ -31,10 +31,10 @@ def case_of(friction: float, drag: float, bore: float, noise: FloatArray | float
 @pytest.mark.parametrize("friction", [0.08, 0.2, 0.33])
 def test_it_is_the_inverse_of_the_closed_form(friction: float, bore: float) -> None:
     """Without scatter the friction comes back: drag is table 2's, and so is what is held likely of it."""
-    found = by_sliding([case_of(friction, 1.0, bore)], prior_of(Plant()))
-    assert found is not None
-    assert found.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
-    assert found.friction[1] < friction < found.friction[2]
+    fit = by_sliding([case_of(friction, 1.0, bore)], prior_of(Plant()))
+    assert fit is not None
+    assert fit.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
+    assert fit.friction[1] < friction < fit.friction[2]
 
 
 def test_the_tension_is_that_of_the_scene() -> None:
@@ -55,9 +55,9 @@ def test_drag_is_told_apart_from_friction() -> None:
 
     With table 2's drag taken for true the friction would be 9 % off.
     """
-    found = by_sliding([case_of(0.2, 1.1, 0.0242)], prior_of(Plant()))
-    assert found is not None
-    for (mean, low, high), true in ((found.friction, 0.2), (found.drag_coefficient, 1.1 * 0.44)):
+    fit = by_sliding([case_of(0.2, 1.1, 0.0242)], prior_of(Plant()))
+    assert fit is not None
+    for (mean, low, high), true in ((fit.friction, 0.2), (fit.drag_coefficient, 1.1 * 0.44)):
         assert low < true < high
         assert mean == pytest.approx(true, rel=0.05)
 
@@ -73,9 +73,9 @@ def test_intervals_cover_under_alike_scatter() -> None:
         apart = np.abs(np.subtract.outer(np.arange(50.0), np.arange(50.0)))
         noise = np.linalg.cholesky(np.exp(-apart / 3.0) + 1e-9 * np.eye(50)) @ rng.normal(size=50) * 0.05
         friction = float(rng.uniform(0.08, 0.3))
-        found = by_sliding([case_of(friction, 1.0, 0.0242, noise)], prior_of(Plant()))
-        assert found is not None
-        covered += found.friction[1] <= friction <= found.friction[2]
+        fit = by_sliding([case_of(friction, 1.0, 0.0242, noise)], prior_of(Plant()))
+        assert fit is not None
+        covered += fit.friction[1] <= friction <= fit.friction[2]
     assert covered >= 27
 
 

@@ -20,7 +20,7 @@ def test_silence_leaves_all_open() -> None:
     assert prior.ranges["contact_stiffness"] == STIFFNESS
     assert prior.ranges["damping_time"] == DAMPING
     assert prior.ranges["drag_coefficient"] == pytest.approx([share * 0.44 for share in DRAG])
-    assert len(prior.told) == 4
+    assert len(prior.assumed) == 4
 
 
 def test_a_number_is_known_but_for_the_friction() -> None:

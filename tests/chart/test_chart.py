@@ -35,8 +35,8 @@ def test_modal_closed_form_equals_the_matrix_exponential():
     system = np.block([[np.zeros((18, 18)), np.eye(18)], [-flow, -5e-5 * flow]])
     rest, start = (np.linalg.solve(K, force.ravel()) for force in (load, before))
     moved = expm(system * 0.003) @ np.concatenate([start - rest, np.zeros(18)])
-    found = closed_forms.linear_chain(chain, np.array([0.003]), before, load)[0].ravel()
-    assert np.abs(found - (rest + moved[:18])).max() <= 1e-9 * np.abs(rest).max()
+    closed = closed_forms.linear_chain(chain, np.array([0.003]), before, load)[0].ravel()
+    assert np.abs(closed - (rest + moved[:18])).max() <= 1e-9 * np.abs(rest).max()
 
 
 def test_impact_keeps_speed_and_lasts_half_a_period():
@@ -124,13 +124,13 @@ def test_stored_members_are_found_again():
     noticed, and any change of a mean.
     """
     setting = Setting(time_step=2.5e-4, length=10.0, members=4)
-    again = pd.DataFrame(run_setting(setting))
+    repeated = pd.DataFrame(run_setting(setting))
     stored = stored_rows(FOLDER / "ensembles.csv")
     stored = stored[(stored[list(setting.key)] == list(setting.key.values())).all(axis=1) & (stored["member"] < 4)]
     deviations = {"axial_mean_m": 1e-4, "tension_mean_n": 5e-5, "radial_rms_m": 0.018, "axial_rms_m": 0.017}
     for name, deviation in deviations.items():
         chance = reach((deviation, 1), (deviation, 1), chance=CHANCE / 16)  # four members, four names
-        assert np.allclose(again[name], stored[name], rtol=chance)
+        assert np.allclose(repeated[name], stored[name], rtol=chance)
 
 
 @pytest.mark.processor

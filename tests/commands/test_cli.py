@@ -71,8 +71,8 @@ def test_errors_are_one_line_and_leave_nothing_behind(arguments, message, tmp_pa
 
 def test_a_bad_scene_option_names_the_field_and_the_range(capsys):
     assert main(["simulate", SCENE, "--scene.contact.friction", "1.2"]) == 2
-    told = "--scene.contact.friction: 1.2 is outside the accepted range 0 to 1 (given: 1.2)"
-    assert capsys.readouterr() == ("", f"probe-env: error: {told}\n")
+    message = "--scene.contact.friction: 1.2 is outside the accepted range 0 to 1 (given: 1.2)"
+    assert capsys.readouterr() == ("", f"probe-env: error: {message}\n")
 
 
 def test_study_stores_rows_and_does_not_repeat_them(tmp_path, capsys, monkeypatch):
@@ -140,10 +140,10 @@ def test_slow_motion_begins_where_it_is_asked_to(tmp_path, capsys):
     output = tmp_path / "strip.png"
     where = ["--at", "6.5", "--length", "4", "--duration", "0.6", "--tube", "example"]
     assert main(["render", "--view", "strip", "--fidelity", "fast", "--output", str(output), *where]) == 0
-    told = dict(line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("written"))
-    assert 6.5 <= float(told["inserted_length_m"]) <= 6.5 + 0.35  # at the first control period of 1 s behind it
-    assert float(told["shown_s"]) == pytest.approx(0.6)  # over three periods of 0.25 s of the dynamics
-    assert {"sensor_axial_rms_m", "sensor_radial_rms_m", "sensor_axial_peak_hz"} <= set(told)
+    figures = dict(line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("written"))
+    assert 6.5 <= float(figures["inserted_length_m"]) <= 6.5 + 0.35  # at the first control period of 1 s behind it
+    assert float(figures["shown_s"]) == pytest.approx(0.6)  # over three periods of 0.25 s of the dynamics
+    assert {"sensor_axial_rms_m", "sensor_radial_rms_m", "sensor_axial_peak_hz"} <= set(figures)
 
 
 def test_slow_motion_that_is_not_reached_is_told(tmp_path, capsys):

@@ -85,16 +85,16 @@ def test_what_is_no_command_is_told_with_those_that_are(capsys):
 
 def test_the_agents_are_told_with_what_they_know(capsys):
     assert main(["agents"]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "ppo-no-tension seeds 0, 1, 2, 3, 4" in told
-    assert "not the root tension" in told
-    assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in told
-    assert "tension-scheduled first" in told
-    assert "schedules example, fast-in, shift" in told
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "ppo-no-tension seeds 0, 1, 2, 3, 4" in printed
+    assert "not the root tension" in printed
+    assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in printed
+    assert "tension-scheduled first" in printed
+    assert "schedules example, fast-in, shift" in printed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "found"),
+    ("arguments", "scene"),
     [
         (["fig11_l10", "--duration", "1"], "fig11_l10"),
         (["--duration", "1", "--output=x", "-h", "fig11_l10"], "fig11_l10"),
@@ -103,5 +103,5 @@ def test_the_agents_are_told_with_what_they_know(capsys):
         (["--duration"], None),
     ],
 )
-def test_the_scene_is_found_among_the_options(arguments, found):
-    assert positional(arguments) == found
+def test_the_scene_is_found_among_the_options(arguments, scene):
+    assert positional(arguments) == scene

@@ -86,11 +86,11 @@ def test_sensitivity_finds_what_matters():
     table["mean_square_ratio"] = np.exp(-table["guide_length"]) + 1e-6 * rng.normal(size=200)
     table["inspection_time_s"] = table["line_density"] * 100.0
     table["drive_margin_n"] = rng.normal(size=200)
-    found = sensitivity(table, AXES).set_index(["objective", "parameter"])
-    assert found.loc[("mean_square_ratio", "guide_length"), "coefficient"] < -0.95
-    assert found.loc[("inspection_time_s", "line_density"), "low"] > 0.95
+    influence = sensitivity(table, AXES).set_index(["objective", "parameter"])
+    assert influence.loc[("mean_square_ratio", "guide_length"), "coefficient"] < -0.95
+    assert influence.loc[("inspection_time_s", "line_density"), "low"] > 0.95
     for name in AXES:
-        nothing = found.loc[("drive_margin_n", name)]
+        nothing = influence.loc[("drive_margin_n", name)]
         assert nothing["low"] - 0.1 < 0.0 < nothing["high"] + 0.1
 
 
@@ -147,8 +147,8 @@ def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, ca
     compare(Comparison({"original": Design()}, tubes), tmp_path / "parts")
     parts = compare(Comparison(designs, tubes), tmp_path / "parts")
     assert parts.equals(whole)
-    again = compare(Comparison(designs, tubes), tmp_path / "whole")
-    assert again["reward"].to_numpy() == pytest.approx(whole["reward"].to_numpy(), rel=1e-12)
+    repeated = compare(Comparison(designs, tubes), tmp_path / "whole")
+    assert repeated["reward"].to_numpy() == pytest.approx(whole["reward"].to_numpy(), rel=1e-12)
     print_comparison(whole)
     assert "time [s]" in capsys.readouterr().out  # a unit is no markup
     rows = summarise(whole).set_index(["design", "kpi"])

@@ -83,8 +83,8 @@ def test_trials_of_table_2_are_not_mixed_with_a_plant_s(capsys):
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_before_any_work(plant, arguments, message, tmp_path, capsys):
     (tmp_path / "mine.toml").write_text(plant)
-    told = refused(capsys, *arguments, "--tube", "mine.toml", "--limit", "1", "--output", "out")
-    assert message in told
+    error = refused(capsys, *arguments, "--tube", "mine.toml", "--limit", "1", "--output", "out")
+    assert message in error
     assert not (tmp_path / "out").exists()
 
 

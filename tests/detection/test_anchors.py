@@ -59,9 +59,9 @@ def test_a_table_has_every_policy_with_every_anchor(tmp_path, monkeypatch, capsy
     summary = run_anchors(tuple(noises), place_of(None, "test", 2), "fast", tmp_path, HERE)
     assert [entry[1:] for entry in seen] == [(7.5 * quiet, 3.0 * shaken) for quiet, shaken in ANCHORS.values()]
     assert len({name for name, _, _ in seen}) == len(ANCHORS)
-    found = summary.set_index("policy")
-    assert found[f"{A90}, {USUAL}"].idxmin() == "pi"
-    assert (found[f"{A90}, quiet doubled"] < found[f"{A90}, {USUAL}"]).all()
+    by_policy = summary.set_index("policy")
+    assert by_policy[f"{A90}, {USUAL}"].idxmin() == "pi"
+    assert (by_policy[f"{A90}, quiet doubled"] < by_policy[f"{A90}, {USUAL}"]).all()
     assert [row[0] for row in cells(summary)] == ["pi", "slow", "constant"]
     others = (*list(ANCHORS)[1:], "reward in millimetres")
     assert agreement(summary) == {what: pytest.approx(1.0) for what in others}

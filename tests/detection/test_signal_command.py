@@ -86,7 +86,7 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         (["--flaws", "30"], "flaws: '30' is not PLACE:DEPTH"),
         (["--flaws", "70:20"], "flaws: place of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
@@ -96,7 +96,7 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
         (["--fidelity", "fast"], "fidelity.time_lapse = 4 leaves out metres"),
     ],
 )
-def test_what_is_wrong_is_named_before_anything_is_done(asked, told, tmp_path, capsys):
+def test_what_is_wrong_is_named_before_anything_is_done(asked, message, tmp_path, capsys):
     assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

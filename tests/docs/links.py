@@ -55,24 +55,24 @@ def problems(site: Path) -> list[str]:
     pages = {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
     if not pages:
         return [f"{site}: no pages"]
-    found = []
+    faults = []
     for path, page in pages.items():
-        told = path.relative_to(site.resolve())
-        found += [f"{told} loads {link} from outside" for link in page.loads if _outside(link)]
-        found += [f"{told}: a script asks outside: {text[:80]}" for text in page.scripts if REQUEST.search(text)]
+        name = path.relative_to(site.resolve())
+        faults += [f"{name} loads {link} from outside" for link in page.loads if _outside(link)]
+        faults += [f"{name}: a script asks outside: {text[:80]}" for text in page.scripts if REQUEST.search(text)]
         for link in (*page.leads, *page.loads):
             if not _outside(link) and (problem := _nowhere(path, link, pages, site.resolve())):
-                found.append(f"{told} {problem}")
+                faults.append(f"{name} {problem}")
     for path in sorted(site.rglob("*.css")):
         for link in _named_in(path.read_text(encoding="utf-8")):
             if _outside(link):
-                found.append(f"{path.relative_to(site)} loads {link} from outside")
+                faults.append(f"{path.relative_to(site)} loads {link} from outside")
             elif not link.startswith(("data:", "#")) and not (path.parent / urlsplit(link).path).exists():
-                found.append(f"{path.relative_to(site)} loads {link}, which is not there")
+                faults.append(f"{path.relative_to(site)} loads {link}, which is not there")
     for path in sorted(site.rglob("*.js")):
         if REQUEST.search(path.read_text(encoding="utf-8")):
-            found.append(f"{path.relative_to(site)} asks outside")
-    return found
+            faults.append(f"{path.relative_to(site)} asks outside")
+    return faults
 
 
 def _outside(link: str) -> bool:

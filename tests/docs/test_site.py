@@ -47,7 +47,7 @@ GOOD = '<html><body><h1 id="top">A</h1><a href="b.html#place">b</a><a href="http
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         ('<a href="c.html">', "c.html, which is not there"),
         ('<a href="b.html#nowhere">', "b.html has no such place"),
@@ -66,16 +66,16 @@ GOOD = '<html><body><h1 id="top">A</h1><a href="b.html#place">b</a><a href="http
         ('<iframe src="https://example.org"></iframe>', "from outside"),
     ],
 )
-def test_what_is_wrong_is_noticed(tmp_path, wrong, told):
+def test_what_is_wrong_is_noticed(tmp_path, wrong, message):
     (tmp_path / "site").mkdir()
     (tmp_path / "outside.html").write_text(GOOD)
     (tmp_path / "site/b.html").write_text('<p id="place">')
     (tmp_path / "site/a.html").write_text(GOOD)
     assert problems(tmp_path / "site") == []
     (tmp_path / "site/a.html").write_text(GOOD.replace("</body>", f"{wrong}</body>"))
-    found = problems(tmp_path / "site")
-    assert len(found) == 1
-    assert re.search(re.escape(told), found[0])
+    faults = problems(tmp_path / "site")
+    assert len(faults) == 1
+    assert re.search(re.escape(message), faults[0])
 
 
 @pytest.mark.parametrize(

@@ -48,10 +48,10 @@ def test_a_spec_goes_through_json(env_id):
     scene = {"tube": {"helix_diameter": 2.0}, "contact": {"friction": 0.2}}
     fidelity = {"time_step": 2e-4, "method": "imex"}
     env = gym.make(env_id, scene=scene, config={"feed_speeds": (0.05, 0.3)}, fidelity=fidelity)
-    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.config == env.unwrapped.config
-    assert again.unwrapped.episodes.starts.scene == env.unwrapped.episodes.starts.scene
-    assert again.unwrapped.episodes.starts.scene.tube.helix_diameter == 2.0
+    restored = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert restored.unwrapped.config == env.unwrapped.config
+    assert restored.unwrapped.episodes.starts.scene == env.unwrapped.episodes.starts.scene
+    assert restored.unwrapped.episodes.starts.scene.tube.helix_diameter == 2.0
 
 
 @IDS

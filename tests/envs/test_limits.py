@@ -169,10 +169,10 @@ def test_steady_sliding_is_what_it_integrates():
         drag = 0.5 * 0.44 * 1.023 * math.pi / 4.0 * (d**2 - 0.00835**2) / 0.1 * wind**2
         slide += tension * (1.0 / 1.1e5 + 0.1 / (1e5 * r**2)) * ds
         tension += (drag - 0.15 * (1.0 - d / 1.2) * tension / r) * ds
-    found = steady_sliding(scene, 60.0, MOST_AIR, 0.15)
+    closed_form = steady_sliding(scene, 60.0, MOST_AIR, 0.15)
     # the sums are of first order in ds mu / r, and a piece may be on the wrong side of the guide's end
-    assert found.slide == pytest.approx(slide, rel=1e-4)
-    assert found.tension >= tension
+    assert closed_form.slide == pytest.approx(slide, rel=1e-4)
+    assert closed_form.tension >= tension
     plain = steady_sliding(scene.model_copy(update={"probe": Probe()}), 60.0, MOST_AIR, 0.0)
     assert plain.tension == pytest.approx(
         60.0 * 0.5 * 0.44 * 1.023 * math.pi / 4.0 * (0.019**2 - 0.00835**2) / 0.1 * wind**2, rel=1e-12

@@ -28,11 +28,11 @@ def test_every_part_is_one_just_beyond_its_limit():
     mean = np.array([5.0, 0.5, 19.0, 21.0, -46.9, -47.1])
     greatest = np.array([20.0, 1.0, 20.1, 25.0, -40.0, -45.0])
     hanging = np.array([False, True, False, False, True, False])
-    found = cost_terms(config, hanging, mean, greatest, load)
-    assert tuple(found) == tuple(COSTS)
-    assert found["lost_drive"].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
-    assert found["tension"].tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
-    assert found["buckling"].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    costs = cost_terms(config, hanging, mean, greatest, load)
+    assert tuple(costs) == tuple(COSTS)
+    assert costs["lost_drive"].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
+    assert costs["tension"].tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+    assert costs["buckling"].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
 def test_an_episode_adds_up_what_its_periods_cost():

@@ -70,7 +70,7 @@ def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
 
 
 @pytest.mark.parametrize(
-    ("contexts", "told"),
+    ("contexts", "message"),
     [
         ("mine", "contexts = 'mine' is not one of random, train, validation, test"),
         ([], "contexts = \\[\\] is empty"),
@@ -82,8 +82,8 @@ def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
         (3, "contexts = 3 is no name, list of contexts or mapping of ranges"),
     ],
 )
-def test_what_is_wrong_with_contexts_is_named(contexts, told):
-    with pytest.raises(ValueError, match=told):
+def test_what_is_wrong_with_contexts_is_named(contexts, message):
+    with pytest.raises(ValueError, match=message):
         gym.make("probe_env/Insertion-v1", contexts=contexts)
 
 

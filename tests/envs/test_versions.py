@@ -48,8 +48,8 @@ def test_the_version_sets_the_physics(kind, version):
 
 @pytest.mark.parametrize("name", list(BOTH_WAYS))
 def test_the_way_back_has_presets_of_its_own(name):
-    for made in (gym.make(INSPECTION, fidelity=name), gym.make_vec(INSPECTION, num_envs=2, fidelity=name)):
-        assert made.unwrapped.episodes.fidelity == BOTH_WAYS[name]
+    for env in (gym.make(INSPECTION, fidelity=name), gym.make_vec(INSPECTION, num_envs=2, fidelity=name)):
+        assert env.unwrapped.episodes.fidelity == BOTH_WAYS[name]
 
 
 @pytest.mark.parametrize("version", EACH)

@@ -28,10 +28,10 @@ def test_an_improvement_is_counted_tube_by_tube_with_ties_as_half() -> None:
     by_hand = np.mean(
         [[1.0 if x > y else 0.5 if x == y else 0.0 for x, y in zip(*pair, strict=True)] for pair in pairs]
     )
-    found = probability_of_improvement(table, "a", "b")
-    assert found.mean == pytest.approx(by_hand)
+    improvement = probability_of_improvement(table, "a", "b")
+    assert improvement.mean == pytest.approx(by_hand)
     assert probability_of_improvement(table, "b", "a").mean == pytest.approx(1.0 - by_hand)
-    assert 0.0 <= found.low <= found.mean <= found.high <= 1.0
+    assert 0.0 <= improvement.low <= improvement.mean <= improvement.high <= 1.0
     assert probability_of_improvement(table, "c", "a").text() == "1 [1, 1]"
     assert probability_of_improvement(table, "a", "c", "air_m3").mean == 0.0  # less air is better; it uses more
     with pytest.raises(ValueError, match="same contexts"):
@@ -43,14 +43,14 @@ def test_the_interval_covers_what_is_true() -> None:
     rng, covered = np.random.default_rng(3), 0
     for _ in range(60):
         better = np.where(rng.random(20) < 0.7, 1.0, -1.0)
-        found = probability_of_improvement(grouped({"a": [better.tolist()], "b": [[0.0] * 20]}), "a", "b")
-        covered += found.low <= 0.7 <= found.high
+        interval = probability_of_improvement(grouped({"a": [better.tolist()], "b": [[0.0] * 20]}), "a", "b")
+        covered += interval.low <= 0.7 <= interval.high
     assert covered >= 46  # by luck fewer with 6e-5, a binomial of 60 at 0.92
 
 
 def test_profiles_fall_from_all_to_none() -> None:
-    found = profiles(grouped(REWARDS), ["a", "c"], np.array([0.0, 2.0, 4.5, 10.0])).set_index("policy")
-    assert found.loc["a", "share"].tolist() == [1.0, 5.0 / 6.0, 1.0 / 6.0, 0.0]
-    assert found.loc["c", "share"].tolist() == [1.0, 1.0, 1.0, 0.0]
-    assert (found["low"] <= found["share"] + 1e-12).all()
-    assert (found["share"] <= found["high"] + 1e-12).all()
+    curves = profiles(grouped(REWARDS), ["a", "c"], np.array([0.0, 2.0, 4.5, 10.0])).set_index("policy")
+    assert curves.loc["a", "share"].tolist() == [1.0, 5.0 / 6.0, 1.0 / 6.0, 0.0]
+    assert curves.loc["c", "share"].tolist() == [1.0, 1.0, 1.0, 0.0]
+    assert (curves["low"] <= curves["share"] + 1e-12).all()
+    assert (curves["share"] <= curves["high"] + 1e-12).all()

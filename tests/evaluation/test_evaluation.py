@@ -33,8 +33,8 @@ CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
 
 
 def plan(contexts=3, policies=2, seeds=(0, 1), config=CONFIG):
-    made = {f"feed {k}": Constant(config, feed_speed=0.1 * (k + 1)) for k in range(policies)}
-    return Plan(made, load_contexts("validation")[:contexts], seeds, config, Fidelity())
+    constants = {f"feed {k}": Constant(config, feed_speed=0.1 * (k + 1)) for k in range(policies)}
+    return Plan(constants, load_contexts("validation")[:contexts], seeds, config, Fidelity())
 
 
 def test_the_table_has_every_episode_and_pairs_share_context_and_seed(tmp_path):
@@ -81,8 +81,8 @@ def test_an_evaluation_killed_at_every_episode_and_table_gives_the_same_table(tm
     assert stored == list(range(3, 24, 3))  # of 24; nothing is lost, nothing done twice
     for number in range(1, 6):
         assert killed_at("os.replace", number, evaluate_here, folder)
-    again = run_plan(plan(4, 3), folder, batch=2, progress=False)
-    pd.testing.assert_frame_equal(whole, again, check_exact=True)
+    resumed = run_plan(plan(4, 3), folder, batch=2, progress=False)
+    pd.testing.assert_frame_equal(whole, resumed, check_exact=True)
 
 
 def test_a_line_that_was_cut_off_is_run_again(tmp_path):
@@ -119,8 +119,8 @@ def test_what_is_shown_and_fields_newer_than_the_results_make_no_other_setting(t
     setting = json.loads((tmp_path / "setting.json").read_text())
     del setting["probes"], setting["task"]["observe_probe"]
     (tmp_path / "setting.json").write_text(json.dumps(setting))
-    again = run_plan(plan(config=CONFIG.all_shown), tmp_path, progress=False)
-    pd.testing.assert_frame_equal(table, again, check_exact=True)
+    resumed = run_plan(plan(config=CONFIG.all_shown), tmp_path, progress=False)
+    pd.testing.assert_frame_equal(table, resumed, check_exact=True)
     anew = run_plan(plan(config=CONFIG.all_shown), tmp_path / "anew", progress=False)
     pd.testing.assert_frame_equal(table, anew, check_exact=True)
 

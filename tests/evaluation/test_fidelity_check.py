@@ -68,9 +68,9 @@ def test_with_a_finer_fidelity_the_policies_act_themselves(evaluated, tmp_path, 
     assert len(asked) == 2 * 2 * 3  # policies, contexts, periods
     assert (checks["rank"] == checks["rank_before"]).all()
     assert checks.loc[("fast", "air_m3"), "mean"] == pytest.approx(0.0, abs=1e-9)
-    again = pd.read_csv(tmp_path / "finer-acting" / "episodes.csv")
-    assert set(again["policy"]) == {"slow", "fast"}
-    assert set(again["context"]) == {0, 1}
+    episodes = pd.read_csv(tmp_path / "finer-acting" / "episodes.csv")
+    assert set(episodes["policy"]) == {"slow", "fast"}
+    assert set(episodes["context"]) == {0, 1}
 
 
 def test_words_name_what_moved_and_whether_the_ranking_stays(evaluated, tmp_path, capsys):

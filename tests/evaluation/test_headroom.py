@@ -40,9 +40,9 @@ def test_a_share_of_the_lead_is_of_means_and_its_interval_of_tubes() -> None:
 
 def test_evaluations_with_a_planner_tell_the_share() -> None:
     played = table({"best-schedule": [0.0, 1.0], "planner": [10.0, 12.0], "pi": [5.0, 6.0]})
-    told = sentences(played, "best-schedule")
-    assert "of the lead" not in told[0]
-    assert told[1].endswith("% of the lead of planner over best-schedule.")
+    lines = sentences(played, "best-schedule")
+    assert "of the lead" not in lines[0]
+    assert lines[1].endswith("% of the lead of planner over best-schedule.")
     assert not any("of the lead" in line for line in sentences(played[played["policy"] != "planner"], "best-schedule"))
 
 

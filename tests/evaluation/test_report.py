@@ -220,10 +220,10 @@ class Elements(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.found = []
+        self.tags = []
 
     def handle_starttag(self, tag, attrs):
-        self.found.append((tag, attrs))
+        self.tags.append((tag, attrs))
 
 
 def test_the_page_needs_no_network_and_a_name_cannot_leave_its_place(page):
@@ -231,10 +231,10 @@ def test_the_page_needs_no_network_and_a_name_cannot_leave_its_place(page):
     assert not re.search(r"@import|url\(", page)
     elements = Elements()
     elements.feed(page)
-    addresses = [value for _, given in elements.found for name, value in given if name in ("src", "href", "action")]
+    addresses = [value for _, given in elements.tags for name, value in given if name in ("src", "href", "action")]
     assert len(addresses) == 6  # three pictures, three schedules
     assert all(address.startswith("data:") for address in addresses)
-    assert [name for name, _ in elements.found].count("script") == page.count("</script>") == 3
+    assert [name for name, _ in elements.tags].count("script") == page.count("</script>") == 3
     assert "</script><img src=x>" in [policy["name"] for policy in data_of(page)["policies"]]
 
 

@@ -74,26 +74,26 @@ def test_spiky_excursions_hide_flaws():
     counts[np.abs(MIDDLES - 0.125) < 0.01] = 48.0
     counts[np.abs(np.abs(MIDDLES) - 4.875) < 0.01] = 1.0  # one of each sign
     share, snr, z, draws = 0.8, 6.0, 4.585, 200_000
-    told = float(pod_as_seen(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
+    predicted = float(pod_as_seen(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
     rng = np.random.default_rng(0)
     spikes = rng.choice(MIDDLES, size=draws, p=counts / counts.sum())
-    found = int((snr + np.sqrt(share) * spikes + np.sqrt(1.0 - share) * rng.normal(size=draws) > z).sum())
-    least, most = hits_within(draws, told, told)
-    assert least <= found <= most
-    assert told < float(pod_gaussian(np.array(snr), z)) + 0.06
+    hits = int((snr + np.sqrt(share) * spikes + np.sqrt(1.0 - share) * rng.normal(size=draws) > z).sum())
+    least, most = hits_within(draws, predicted, predicted)
+    assert least <= hits <= most
+    assert predicted < float(pod_gaussian(np.array(snr), z)) + 0.06
 
 
-def found_of(snr, lengths, excursions=SILENT):
-    found = Found(SENSOR)
+def detection_of(snr, lengths, excursions=SILENT):
+    detection = Found(SENSOR)
     for value, length in zip(snr, lengths, strict=True):
-        found.add(length, value, 0.0, 0.5, excursions)
-    return found
+        detection.add(length, value, 0.0, 0.5, excursions)
+    return detection
 
 
 def test_an_episode_is_averaged_over_its_length():
     """Half at one signal-to-noise, half at another, and a tenth of the tube not inspected."""
     z = threshold(SENSOR, 60.0)
-    kpis = found_of([2.0, 8.0], [27.0, 27.0]).kpis(60.0, 60.0)
+    kpis = detection_of([2.0, 8.0], [27.0, 27.0]).kpis(60.0, 60.0)
     curve = 0.45 * sum(pod_gaussian(snr_at(SENSOR, np.array([snr])), z)[0] for snr in (2.0, 8.0))
     assert [value for name, value in kpis.items() if name.startswith("pod_at")] == pytest.approx(curve, rel=1e-12)
     assert kpis["length_with_snr_over_3_m"] == 27.0
@@ -106,10 +106,10 @@ def test_an_episode_is_averaged_over_its_length():
 def test_spikes_are_told_from_noise():
     rng = np.random.default_rng(0)
     for draw, gaussian in ((rng.normal, True), (lambda size: rng.standard_t(3, size), False)):
-        found = Found(SENSOR)
+        detection = Found(SENSOR)
         for _ in range(300):
-            found.add(0.2, 5.0, 0.5, 0.1, draw(size=COUNT))
-        assert found.gaussian is gaussian
+            detection.add(0.2, 5.0, 0.5, 0.1, draw(size=COUNT))
+        assert detection.gaussian is gaussian
 
 
 @pytest.mark.processor
@@ -128,7 +128,7 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
         perturbation=1e-6,
     )
     batch.advance(None, None, 3.0)
-    meter, found, traces, spectra = Meter(SENSOR, members, 1e-3), Found(SENSOR), [], []
+    meter, detection, traces, spectra = Meter(SENSOR, members, 1e-3), Found(SENSOR), [], []
     for second in range(seconds):
         trace = batch.advance(None, None, 1.0, keep_samples=True).radial
         meter.listen(np.arange(members), trace, np.full(members, feed))
@@ -136,14 +136,14 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
             traces.append(trace.T)
             spectra.append(meter.spectrum.copy())
             for k in range(members):
-                found.add(1.0, *meter.of(k))
-    curve, z = found.curve(float(sum(found.lengths)), 60.0), found.threshold(60.0)
+                detection.add(1.0, *meter.of(k))
+    curve, z = detection.curve(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
     rng = np.random.default_rng(seeds(1)[0])
     place, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))
     called = np.array([_called(motion[k], spectrum[k], a, feed, z, rng) for k, a in zip(place, depth, strict=True)])
-    told = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(curve, 1e-6, 1.0 - 1e-6)))
-    fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), told])).fit(
+    predicted = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(curve, 1e-6, 1.0 - 1e-6)))
+    fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), predicted])).fit(
         disp=0, cov_type="cluster", cov_kwds={"groups": place}
     )
     law = multivariate_t(fit.params, fit.cov_params(), df=len(motion) - 1)  # t: the variance is that of the clusters

@@ -115,12 +115,12 @@ def test_the_mean_of_estimates_is_that_of_the_true_spectrum(seeds):
     long = density(straightened(y.reshape(8, 1000, 400).transpose(2, 0, 1).reshape(3200, 1000), 1e-3)).mean(axis=0)
     meter = Meter(sensor, 400, 1e-3)
     for second in y.reshape(8, 1000, 400):
-        told = meter.listen(np.arange(400), second, feed)
+        reading = meter.listen(np.arange(400), second, feed)
     truth = float(snr_of_groove(sensor, feed[:1], long[None])[0])
     assert 1.0 < truth < 4.0  # motion is most of the noise
-    assert (told.snr**2).mean() / truth**2 == pytest.approx(0.990, abs=of_another(0.0033, 24, among=3))
-    assert told.snr.std() / told.snr.mean() == pytest.approx(0.0388, abs=of_another(0.0018, 24, among=3))
-    middle = told.excursions[:, 75:125]
+    assert (reading.snr**2).mean() / truth**2 == pytest.approx(0.990, abs=of_another(0.0033, 24, among=3))
+    assert reading.snr.std() / reading.snr.mean() == pytest.approx(0.0388, abs=of_another(0.0018, 24, among=3))
+    middle = reading.excursions[:, 75:125]
     assert (middle**2).mean() == pytest.approx(0.841, abs=of_another(0.0175, 24, among=3))
 
 
@@ -131,13 +131,13 @@ def test_a_batch_hears_what_one_hears():
     alone = [Meter(Sensor(), 1, 1e-3) for _ in range(5)]
     for begin in range(0, 2000, 250):
         part = y[begin : begin + 250]
-        told = together.listen(np.arange(5), part, feeds)
+        reading = together.listen(np.arange(5), part, feeds)
         for k, meter in enumerate(alone):
             own = meter.listen(np.arange(1), part[:, [k]], feeds[[k]])
-            assert [values[0] for values in own[:3]] == [values[k] for values in told[:3]]  # to the last digit
-            assert (own.excursions[0] == told.excursions[k]).all()
+            assert [values[0] for values in own[:3]] == [values[k] for values in reading[:3]]  # to the last digit
+            assert (own.excursions[0] == reading.excursions[k]).all()
             assert together.of(k)[:3] == meter.of(0)[:3]
-    before = told.snr[2]
+    before = reading.snr[2]
     together.forget(2)
     quiet = together.listen(np.array([2]), np.zeros((2000, 1)), feeds[[2]])
     assert quiet.snr[0] == pytest.approx(7.5, rel=1e-5)
@@ -145,10 +145,10 @@ def test_a_batch_hears_what_one_hears():
 
 
 def test_silence_is_the_electronics_alone():
-    told = heard(Sensor(), FEEDS, np.zeros((len(FEEDS), COUNT)), NONE)
-    assert (told.share == 0.0).all()
-    assert (told.excursions == 0.0).all()
-    assert told.snr == pytest.approx(7.5 * np.sqrt(0.2 / FEEDS), rel=1.1e-3)
+    reading = heard(Sensor(), FEEDS, np.zeros((len(FEEDS), COUNT)), NONE)
+    assert (reading.share == 0.0).all()
+    assert (reading.excursions == 0.0).all()
+    assert reading.snr == pytest.approx(7.5 * np.sqrt(0.2 / FEEDS), rel=1.1e-3)
 
 
 def test_slow_feed_helps_twice():

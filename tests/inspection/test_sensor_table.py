@@ -9,7 +9,7 @@ from probe_env.inspection.sensor import Sensor
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "message"),
     [
         ({"flaw_width": 0.0}, "flaw_width: 0.0 m is outside the accepted range 0.001 to 0.5 m"),
         ({"quiet_snr": -1.0}, "quiet_snr: -1.0 is outside the accepted range 0.1 to 1000"),
@@ -20,11 +20,11 @@ from probe_env.inspection.sensor import Sensor
         ({"gain": 3.0}, "gain: there is no such field; accepted: flaw_width, groove_signal"),
     ],
 )
-def test_what_is_out_of_range_is_named(fields, told, tmp_path):
+def test_what_is_out_of_range_is_named(fields, message, tmp_path):
     path = tmp_path / "tube.toml"
     path.write_text("[sensor]\n" + "".join(f"{name} = {value}\n" for name, value in fields.items()))
-    place = "" if told.startswith("shaken") else "sensor."
-    with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(place + told)):
+    place = "" if message.startswith("shaken") else "sensor."
+    with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(place + message)):
         Plant.from_toml(path)
 
 

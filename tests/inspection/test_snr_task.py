@@ -69,8 +69,8 @@ def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures(seed
     noise, vibration = np.zeros(count), np.zeros(count)
     for _ in range(3):
         window = batch.advance(None, None, 1.0, keep_samples=True)
-        told = meter.listen(np.arange(count), window.radial, feed)
-        noise += 1.0 / told.snr
+        reading = meter.listen(np.arange(count), window.radial, feed)
+        noise += 1.0 / reading.snr
         vibration += window.statistics["radial_rms_m"]
     means = (np.log(values).reshape(starts, -1).mean(axis=0) for values in (noise, vibration))
     assert spearmanr(*means).statistic >= 0.85

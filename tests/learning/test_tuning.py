@@ -74,7 +74,7 @@ def reward(training, phase):
     return worth - (settings["n_steps"] == 4) - (len(training.network.net_arch) == 2) + 0.1 * phase
 
 
-def stub(training, seed, folder, made, place, watch):
+def stub(training, seed, folder, origin, place, watch):
     """In the place of a training."""
     for phase in range(1, training.phases + 1):
         watch({"phase": phase, "reward": reward(training, phase), "wall_s": 1.0, "validation_s": 0.5})
@@ -127,14 +127,14 @@ def test_broken_off_again_and_again_equals_never_broken_off(tmp_path, whole, mon
     """In the first trial and the last, in those that are drawn and those that TPE asks for, in either phase."""
     breaks = {(0, 1), (1, 2), (1, 1), (10, 1), (TRIALS - 1, 1)}
 
-    def breaking(training, seed, folder, made, place, watch):
+    def breaking(training, seed, folder, origin, place, watch):
         def interrupted(row):
             if (point := (int(folder.parent.name), row["phase"])) in breaks:
                 breaks.remove(point)
                 raise KeyboardInterrupt
             watch(row)
 
-        stub(training, seed, folder, made, place, interrupted)
+        stub(training, seed, folder, origin, place, interrupted)
 
     monkeypatch.setattr(module, "train", breaking)
     breaks_off = 0
@@ -178,10 +178,10 @@ def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
 
 
 def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, monkeypatch, capsys):
-    def breaking(training, seed, folder, made, place, watch):
+    def breaking(training, seed, folder, origin, place, watch):
         if training.learning["learning_rate"] > 2e-3:
             raise ValueError("weights that are not finite")
-        stub(training, seed, folder, made, place, watch)
+        stub(training, seed, folder, origin, place, watch)
 
     monkeypatch.setattr(module, "train", breaking)
     search(tuning_of(tmp_path), 6, tmp_path)
@@ -223,34 +223,34 @@ def test_the_command_goes_on_and_leaves_a_training_file_with_the_best_parameters
     complete = table[table["state"] == "complete"]
     best = complete.loc[complete["reward"].idxmax()]
     text = (output / "found.toml").read_text()
-    found, given = Training.from_toml(output / "found.toml"), Training.from_toml(path)
-    assert found.learning == given.learning | {
+    tuned, given = Training.from_toml(output / "found.toml"), Training.from_toml(path)
+    assert tuned.learning == given.learning | {
         name.removeprefix("learning."): best[name] for name in PARAMETERS if name.startswith("learning.")
     }
-    assert "x".join(map(str, found.network.net_arch)) == best["network.net_arch"]
+    assert "x".join(map(str, tuned.network.net_arch)) == best["network.net_arch"]
     same = {"learning": True, "network": {"net_arch"}, "search": True}
-    assert found.model_dump(exclude=same) == given.model_dump(exclude=same)
+    assert tuned.model_dump(exclude=same) == given.model_dump(exclude=same)
     head = text[: text.index("\n\n")]
     assert f"Trial {best['trial']} (commit {best['commit']}): reward {best['reward']:.4g} " in head
     assert "with 2 instead of 3 of them and seed 3 alone" in head
-    made = json.loads((output / "provenance.json").read_text())
-    assert (made["best"], made["trials"]) == (best["trial"], TRIALS)
-    assert set(made["importances"]) == set(made["space"]) == set(PARAMETERS)
-    assert sum(made["importances"].values()) == pytest.approx(1.0)
+    record = json.loads((output / "provenance.json").read_text())
+    assert (record["best"], record["trials"]) == (best["trial"], TRIALS)
+    assert set(record["importances"]) == set(record["space"]) == set(PARAMETERS)
+    assert sum(record["importances"].values()) == pytest.approx(1.0)
     assert (output / "search.png").stat().st_size > 5000
 
 
 def test_an_interrupted_search_says_how_many_trials_are_stored(tmp_path, monkeypatch, capsys):
-    def interrupting(training, seed, folder, made, place, watch):
+    def interrupting(training, seed, folder, origin, place, watch):
         if folder.parent.name == "0002":
             os.kill(os.getpid(), signal.SIGINT)
-        stub(training, seed, folder, made, place, watch)
+        stub(training, seed, folder, origin, place, watch)
 
     monkeypatch.setattr(module, "train", interrupting)
     output = tmp_path / "out"
     assert main(["tune", str(written(tmp_path)), "--trials", "5", "--output", str(output)]) == 130
-    told = f"probe-env: interrupted: 2 of 5 trials are stored in {output}; the same command goes on"
-    assert capsys.readouterr().err.splitlines()[-1] == told
+    message = f"probe-env: interrupted: 2 of 5 trials are stored in {output}; the same command goes on"
+    assert capsys.readouterr().err.splitlines()[-1] == message
     assert len(table_of(output)) == 2
 
 
@@ -312,7 +312,7 @@ def test_bad_ranges_are_named_before_any_work(line, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--phases", "4"], "phases = 4 is outside the accepted range 1 to 3"),
         (["--phases", "0"], "phases = 0 is outside the accepted range 1 to 3"),
@@ -320,9 +320,9 @@ def test_bad_ranges_are_named_before_any_work(line, tmp_path, capsys):
         (["--seed", "-1"], "seed = -1 is outside the accepted range 0 to"),
     ],
 )
-def test_bad_options_are_named_before_any_work(options, told, tmp_path, capsys):
+def test_bad_options_are_named_before_any_work(options, message, tmp_path, capsys):
     assert main(["tune", str(written(tmp_path)), "--output", str(tmp_path / "out"), *options]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

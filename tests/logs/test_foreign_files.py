@@ -259,13 +259,13 @@ BROKEN = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_broken_files_are_refused_in_one_line(case, tmp_path):
-    content, told = BROKEN[case]
+    content, message = BROKEN[case]
     path = tmp_path / "rig.log"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(FileError) as caught:
         read_log(path)
     assert str(caught.value).startswith(str(path))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).isprintable()
 
 
@@ -325,12 +325,12 @@ SHEETS = {
 
 @pytest.mark.parametrize("case", SHEETS)
 def test_broken_workbooks_are_refused_in_one_line(case, tmp_path):
-    content, name, told = SHEETS[case]
+    content, name, message = SHEETS[case]
     path = tmp_path / "rig.xlsx"
     path.write_bytes(content)
     with pytest.raises(FileError) as caught:
         read_log(path, sheet=name)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).isprintable()
 
 
@@ -355,7 +355,7 @@ def test_what_is_no_file(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("columns", "told"),
+    ("columns", "message"),
     [
         (["feed"], "columns = 'feed' is not HEAD=QUANTITY"),
         (["feed=speed"], "columns = 'feed=speed' is not HEAD=QUANTITY"),
@@ -365,12 +365,12 @@ def test_what_is_no_file(tmp_path, monkeypatch):
         (["feed=feed_speed[kg]"], "column 'feed [m/s]': 'kg' is not a unit of feed_speed"),
     ],
 )
-def test_columns_that_make_no_sense(columns, told, tmp_path):
+def test_columns_that_make_no_sense(columns, message, tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text(BAD)
     with pytest.raises(ValueError) as caught:  # noqa: PT011 (the message is compared below)
         read_log(path, columns)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("given", [{"gap": 0.0}, {"every": 6.0}, {"tolerance": float("nan")}, {"backward": -1.0}])

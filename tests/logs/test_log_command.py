@@ -38,13 +38,13 @@ def test_the_log_that_ships_is_shown_and_made_a_schedule(capsys):
     assert main(["log", "example-rig", "--plot", "plots/rig.png"]) == 0
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= 80
-    told = " ".join(printed.split())
+    unwrapped = " ".join(printed.split())
     expected = [
         "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "leaves the task's range of 0.02 to 0.4 m/s",
         "written: output/example-rig-clean.csv, plots/rig.png",
     ]  # fmt: skip
     for text in expected:
-        assert text in told
+        assert text in unwrapped
     assert Path("plots/rig.png").read_bytes().startswith(b"\x89PNG")
 
     log, schedule = read_log(FILE), Schedule.read("output/example-rig-clean.csv")

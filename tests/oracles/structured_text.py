@@ -171,11 +171,11 @@ class FunctionBlock:
 
 
 def _tokens(text: str) -> list[str]:
-    bare, place, found = re.sub(r"\(\*.*?\*\)", " ", text, flags=re.DOTALL).strip(), 0, []
+    bare, place, tokens = re.sub(r"\(\*.*?\*\)", " ", text, flags=re.DOTALL).strip(), 0, []
     while place < len(bare):
         match = TOKEN.match(bare, place)
         if match is None:
             raise SyntaxError(f"{bare[place : place + 20]!r} is no structured text")
-        found.append(next(filter(None, match.groups())))
+        tokens.append(next(filter(None, match.groups())))
         place = match.end()
-    return found
+    return tokens

@@ -155,9 +155,9 @@ def test_without_the_extra_one_line_names_it(run, tmp_path):
         (["calibrations"], "emcee"),
         (["recommendations"], "emcee"),
     ):
-        told = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
+        output = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
         line = f'this command needs {missing}, which is not installed: pip install "probe-env[agents]"'
-        assert told == ("", f"probe-env: error: {line}\n"), arguments
+        assert output == ("", f"probe-env: error: {line}\n"), arguments
     assert list(run.folder.iterdir()) == []
 
 

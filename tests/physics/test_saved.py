@@ -185,8 +185,8 @@ def test_a_batch_takes_its_own_snapshots_only():
         assert pickle.dumps(batch) == before
     expected = batch.advance(duration=0.01, keep_samples=True)
     batch.restore(saved)
-    again = batch.advance(duration=0.01, keep_samples=True)
-    assert (again.radial == expected.radial).all()
-    assert again.statistics["radial_acceleration_rms_m_per_s2"] == pytest.approx(
+    repeated = batch.advance(duration=0.01, keep_samples=True)
+    assert (repeated.radial == expected.radial).all()
+    assert repeated.statistics["radial_acceleration_rms_m_per_s2"] == pytest.approx(
         expected.statistics["radial_acceleration_rms_m_per_s2"], rel=0.0
     )

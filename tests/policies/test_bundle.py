@@ -41,17 +41,17 @@ def observations(count=3, seed=0, config=TASK):
 @pytest.mark.parametrize("algorithm", ["ppo", "sac", "recurrent-ppo"])
 def test_an_agent_survives_its_file(algorithm, tmp_path):
     agent = saved(tmp_path / "agent.npz", algorithm)
-    again, states = load_bundle(tmp_path / "agent.npz"), [None, None]
+    loaded, states = load_bundle(tmp_path / "agent.npz"), [None, None]
     for step in range(4):
         rows, start = observations(seed=step), np.array([step == 0, False, step == 2])
         actions = []
-        for k, policy in enumerate((agent, again)):
+        for k, policy in enumerate((agent, loaded)):
             action, states[k] = policy.predict(rows, states[k], start, deterministic=True)
             actions.append(action)
         assert (actions[0] == actions[1]).all()
         assert (np.abs(actions[0]) <= 1.0).all()
-    assert make_policy(str(tmp_path / "agent.npz"), TASK).describe() == again.describe()
-    assert again.describe()["bundle"]
+    assert make_policy(str(tmp_path / "agent.npz"), TASK).describe() == loaded.describe()
+    assert loaded.describe()["bundle"]
 
 
 def test_an_agent_remembers_by_its_state_and_a_new_episode_forgets(tmp_path):

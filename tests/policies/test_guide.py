@@ -78,10 +78,10 @@ def test_a_training_file_names_the_law() -> None:
 
 
 def test_another_range_of_feeds_is_refused() -> None:
-    made = agent(View(guide=OWN), Network(net_arch=(8,)))
+    guided = agent(View(guide=OWN), Network(net_arch=(8,)))
     other = TaskConfig(feed_speeds=(0.02, 0.3)).all_shown
     with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* guide acts"):
-        Agent(made.description, made.policy, other)
+        Agent(guided.description, guided.policy, other)
 
 
 def test_an_agent_sees_what_its_law_looks_at() -> None:
@@ -97,5 +97,5 @@ def test_smooth_exploration_is_for_all_algorithms(algorithm: str, tmp_path: Path
     policy = build_policy(description)
     save_bundle(tmp_path / "agent.npz", description, policy)
     rows = np.random.default_rng(0).uniform(0.1, 1.0, (3, len(TASK.observations)))
-    made, loaded = Agent(description, policy, TASK), load_bundle(tmp_path / "agent.npz")
-    assert (loaded.predict(rows, deterministic=True)[0] == made.predict(rows, deterministic=True)[0]).all()
+    built, loaded = Agent(description, policy, TASK), load_bundle(tmp_path / "agent.npz")
+    assert (loaded.predict(rows, deterministic=True)[0] == built.predict(rows, deterministic=True)[0]).all()

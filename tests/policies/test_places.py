@@ -43,8 +43,8 @@ def test_friction_is_found_from_the_tension_in_any_bore(plant, friction):
         "helix_diameter": scene.tube.helix_diameter,
     }  # fmt: skip
     assert set(seen) == set(MEASURED)
-    found = friction_from_tension({name: np.array([value]) for name, value in seen.items()}, plant.scene)
-    assert found[0] == pytest.approx(friction, rel=0.02)
+    estimate = friction_from_tension({name: np.array([value]) for name, value in seen.items()}, plant.scene)
+    assert estimate[0] == pytest.approx(friction, rel=0.02)
 
 
 @pytest.mark.parametrize("plant", [NARROW, OTHER])
@@ -73,8 +73,8 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
     assert 0.05 <= min(schedule.feed_speed) <= max(schedule.feed_speed) <= 0.2
     assert least_air(config) == LEAST_AIR <= min(schedule.air_supply_rate) <= max(schedule.air_supply_rate) <= 0.03
     assert metres(config)[-1] == 79.5
-    found = FAMILIES["best-schedule"].schedule([0.5] * len(FAMILIES["best-schedule"].start), config)
-    assert (found.position[0], found.position[-1]) == (5.0, 80.0)
+    candidate = FAMILIES["best-schedule"].schedule([0.5] * len(FAMILIES["best-schedule"].start), config)
+    assert (candidate.position[0], candidate.position[-1]) == (5.0, 80.0)
 
 
 def test_least_air_of_another_bore_pulls_alike_and_stays_in_range():
@@ -88,10 +88,10 @@ def test_least_air_of_another_bore_pulls_alike_and_stays_in_range():
 def test_what_policies_were_made_for_is_said_or_refused():
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
     place = place_of(rough, "test", 4)
-    with pytest.warns(OutsideDomain) as told:
+    with pytest.warns(OutsideDomain) as caught:
         plan_of(["best-schedule", "tension-scheduled", "pi"], place, 1, "fast")
-    assert [str(w.message).split(" was")[0] for w in told] == ["best-schedule", "tension-scheduled"]
-    for warning in told:
+    assert [str(w.message).split(" was")[0] for w in caught] == ["best-schedule", "tension-scheduled"]
+    for warning in caught:
         assert "inner_diameter = 0.0221 m, not 0.0242 m" in str(warning.message)
         assert "beyond 0.1 to 0.25" in str(warning.message)
     with pytest.raises(ValueError, match=r"tension-scheduled was not made for these tubes: .*probe-env map --tube"):
@@ -106,9 +106,9 @@ def test_what_policies_were_made_for_is_said_or_refused():
 def test_an_agent_and_adaptive_know_other_probes_only_if_they_were_made_for_them():
     config = OTHER.configured().all_shown
     for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
-        told = make_policy(spec, config).domain.outside(config, [Context()])
-        assert any("probe: another" in line for line in told) == (not sees)
-        assert any("helix_length = 80 m, beyond 60 m" in line for line in told)
+        deviations = make_policy(spec, config).domain.outside(config, [Context()])
+        assert any("probe: another" in line for line in deviations) == (not sees)
+        assert any("helix_length = 80 m, beyond 60 m" in line for line in deviations)
 
 
 def test_ranges_of_lists_and_of_ranges_are_those_of_the_shipped_map():
@@ -161,9 +161,9 @@ def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
     assert known.digest != stored_map().digest
     policy = make_policy("tension-scheduled", place.config.all_shown, known)
     assert policy.domain.outside(place.config, place.contexts) == []
-    again = VibrationMap.load(map_beside(small))
-    assert again == known
-    assert hash(again) == hash(known)
+    loaded = VibrationMap.load(map_beside(small))
+    assert loaded == known
+    assert hash(loaded) == hash(known)
     where = (np.array([6.0]), np.array([0.1]), np.array([0.02]), np.array([[0.15, 1e5, 1.0, 0.8]]))
     mean, deviation = known.tells(*where, plant.scene)
     # a probe of 7 m hardly vibrates: micrometres, between the floor of 0.1 um and 0.1 mm
@@ -221,8 +221,8 @@ def test_commands_take_the_file(small, tmp_path, capsys):
         main(["optimise", "best-constant", "--tube", str(small), "--trials", "32", "--output", str(tmp_path / "o")])
         == 0
     )
-    found = Schedule.read(tmp_path / "o" / "best-constant.csv")
-    assert 0.04 <= found.feed_speed[0] <= 0.4
+    optimum = Schedule.read(tmp_path / "o" / "best-constant.csv")
+    assert 0.04 <= optimum.feed_speed[0] <= 0.4
     arguments = ["--tube", str(small), "--limit", "1", "--fidelity", "fast", "--output", str(tmp_path / "e")]
     assert main(["evaluate", str(tmp_path / "o" / "best-constant.csv"), "constant", *arguments]) == 0
     assert "2 complete" not in capsys.readouterr().err

@@ -69,13 +69,13 @@ def tensions(actions, friction):
 def test_what_keeps_the_margin_stays_to_the_bit_and_the_rest_comes_to_it():
     rng = np.random.default_rng(0)
     given, friction = rng.uniform(-1.0, 1.0, (500, 2)).astype(np.float32), rng.uniform(0.1, 0.5, 500)
-    wanted, found = tensions(given, friction), acted(given, friction)
+    wanted, shielded = tensions(given, friction), acted(given, friction)
     safe = wanted >= 1.5 * 0.8
     assert 50 < safe.sum() < 450
-    assert (found[safe] == given[safe]).all()
+    assert (shielded[safe] == given[safe]).all()
     # float32 actions and observations: 1e-5 of the friction that is read
-    assert tensions(found[~safe], friction[~safe]) == pytest.approx(1.2, rel=1e-4)
-    assert (found[~safe, 0] == given[~safe, 0]).all()  # there is air enough
+    assert tensions(shielded[~safe], friction[~safe]) == pytest.approx(1.2, rel=1e-4)
+    assert (shielded[~safe, 0] == given[~safe, 0]).all()  # there is air enough
 
 
 def test_there_is_no_nearer_action_that_keeps_the_margin():
@@ -84,27 +84,27 @@ def test_there_is_no_nearer_action_that_keeps_the_margin():
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     given = np.array([[0.3, -0.98]], dtype=np.float32)
     for friction in (0.25, 0.4, 0.7):
-        found = acted(given, np.array([friction]))
+        shielded = acted(given, np.array([friction]))
         kept = grid[tensions(grid, friction) >= 1.2]
         nearest = np.hypot(*(kept - given).T).min()
-        assert 0.0 < np.hypot(*(found - given)[0]) <= nearest * (1.0 + 3e-5) + 1e-6
+        assert 0.0 < np.hypot(*(shielded - given)[0]) <= nearest * (1.0 + 3e-5) + 1e-6
 
 
 def test_where_there_is_no_more_air_the_feed_slows():
     friction, margin = np.array([0.5]), 40.0
-    found = acted([[1.0, 0.9]], friction, margin=margin)
-    assert found[0, 1] == 1.0
-    assert found[0, 0] == -1.0
+    shielded = acted([[1.0, 0.9]], friction, margin=margin)
+    assert shielded[0, 1] == 1.0
+    assert shielded[0, 0] == -1.0
 
 
 def test_the_air_comes_in_whole_steps_and_a_feed_that_stands_goes_on_standing():
     config = CONFIG.model_copy(update={"air_supply_step": 10.0 / 3600.0})
     given = np.array([[config.standing, -1.0]], dtype=np.float32)
-    found = acted(given, np.array([0.6]), config)
-    assert found[0, 0] == config.standing
-    air = config.targets(found, may_stand=True)[0, 1] * 360.0
+    shielded = acted(given, np.array([0.6]), config)
+    assert shielded[0, 0] == config.standing
+    air = config.targets(shielded, may_stand=True)[0, 1] * 360.0
     assert air == pytest.approx(round(air), abs=1e-5)
-    assert tensions(np.array([[-1.0, found[0, 1]]]), 0.6)[0] >= 1.2
+    assert tensions(np.array([[-1.0, shielded[0, 1]]]), 0.6)[0] >= 1.2
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +116,10 @@ def episodes():
         bare | {f"shielded-{name}": Shielded(CONFIG, policy) for name, policy in bare.items()},
         tubes, config=CONFIG, fidelity=resolve_fidelity("fast"),
     )  # fmt: skip
-    playing, found = Playing(plan, deque(plan.units()), 12, 1), {}
+    playing, outcomes = Playing(plan, deque(plan.units()), 12, 1), {}
     while not playing.over:
-        found |= {ended.unit[:2]: (ended.kpis, ended.profile) for ended in playing.step()}
-    return found
+        outcomes |= {ended.unit[:2]: (ended.kpis, ended.profile) for ended in playing.step()}
+    return outcomes
 
 
 def test_hard_tubes_lose_their_drive_without_it_and_not_with_it(episodes):

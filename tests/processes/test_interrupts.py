@@ -66,8 +66,8 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(
     assert [signal.getsignal(n) for n in STATUS] == handlers
     assert main(arguments) == 0
     assert f"2 of 6 episodes to do, stored in {output} one by one" in capsys.readouterr().err
-    made = {"constant": Constant(CONFIG.all_shown)}
-    plan = Plan(made, load_contexts("test")[0:1], (0,), CONFIG.all_shown)
+    policies = {"constant": Constant(CONFIG.all_shown)}
+    plan = Plan(policies, load_contexts("test")[0:1], (0,), CONFIG.all_shown)
     table = pd.read_parquet(output / "episodes.parquet")
     assert len(table) == 6
     first = table[(table["policy"] == "constant") & (table["context"] == 0)]

@@ -57,8 +57,8 @@ def test_an_evaluation_killed_at_a_line_keeps_it_and_goes_on(count, workers, tmp
     killed(evaluate_until_line, folder, count, workers, pids if workers is TWO else None)
     assert len(lines_of(folder / "episodes.jsonl")) == count
     assert workers is HERE or all_gone(pids)
-    again = evaluate(folder, workers)
-    pd.testing.assert_frame_equal(again, whole, check_exact=True)
+    resumed = evaluate(folder, workers)
+    pd.testing.assert_frame_equal(resumed, whole, check_exact=True)
     keys = [record["key"] for record in lines_of(folder / "episodes.jsonl")]
     assert len(keys) == len(set(keys)) == 12
     assert not hidden(folder)
@@ -161,9 +161,9 @@ def test_a_training_killed_at_a_checkpoint_goes_on(name, count, tmp_path, traine
     """Before the second checkpoint is there, and after it before the curve says so."""
     folder, curve = trained
     killed(train_until, tmp_path, name, count)
-    again = train_all(TRAINING, tmp_path, resume=True)
+    resumed = train_all(TRAINING, tmp_path, resume=True)
     columns = ["phase", "steps", "reward", "inspection_time_s", "share_within_limit"]
-    assert (again[columns] == curve[columns]).all(axis=None)
+    assert (resumed[columns] == curve[columns]).all(axis=None)
     stored = pd.read_csv(tmp_path / "seed-0" / CURVE)
     assert stored["phase"].tolist() == [1, 2]
     first, second = weights(folder), weights(tmp_path)

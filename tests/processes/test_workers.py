@@ -42,8 +42,8 @@ def dying(task):
 
 @pytest.mark.filterwarnings("ignore:a worker was lost")
 def test_what_is_lost_with_a_worker_is_done_again(tmp_path):
-    found = sorted(result for _, result in TWO.map(dying, [(str(tmp_path), k) for k in range(8)]))
-    assert found == list(range(8))
+    results = sorted(result for _, result in TWO.map(dying, [(str(tmp_path), k) for k in range(8)]))
+    assert results == list(range(8))
     assert (tmp_path / "died").exists()
 
 
@@ -58,11 +58,11 @@ def hesitant(task):
 
 def test_items_come_while_their_task_goes_on(tmp_path):
     """Would wait for ever if items came with the task's end alone."""
-    found = []
+    items = []
     for (_, number), item in TWO.stream(hesitant, [(str(tmp_path), k) for k in range(1, 4)]):
-        found.append(item)
+        items.append(item)
         (tmp_path / f"{number} came").touch()
-    assert sorted(found) == [-3, -2, -1, 1, 2, 3]
+    assert sorted(items) == [-3, -2, -1, 1, 2, 3]
 
 
 def halting(task):
@@ -78,8 +78,8 @@ def halting(task):
 
 @pytest.mark.filterwarnings("ignore:a worker was lost")
 def test_items_that_came_before_a_worker_was_lost_come_once(tmp_path):
-    found = [item for _, item in TWO.stream(halting, [(str(tmp_path), k) for k in range(3)])]
-    assert sorted(found) == [0, 1, 2, 10, 11, 12, 20, 21, 22]
+    items = [item for _, item in TWO.stream(halting, [(str(tmp_path), k) for k in range(3)])]
+    assert sorted(items) == [0, 1, 2, 10, 11, 12, 20, 21, 22]
 
 
 @pytest.mark.filterwarnings("ignore:a worker was lost")
@@ -139,8 +139,8 @@ def test_a_cluster_s_items_come_with_the_task_s_end(monkeypatch):
             yield lambda: 2
 
     monkeypatch.setattr(Workers, "_cluster", cluster)
-    found = list(Workers(2, "ray").stream(counting, [1, 2, 3, 4, 5]))
-    assert sorted(found) == sorted((task, item) for task in (1, 2, 3, 4, 5) for item in range(task))
+    items = list(Workers(2, "ray").stream(counting, [1, 2, 3, 4, 5]))
+    assert sorted(items) == sorted((task, item) for task in (1, 2, 3, 4, 5) for item in range(task))
     assert sorted(Workers(2, "ray").map(square, range(9))) == [(k, k * k) for k in range(9)]
 
 

@@ -29,7 +29,7 @@ def folder(place, table="a,commit\n1,x\n", value=1.0):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "difference"),
     [
         ({}, ""),
         ({"table": "a,commit\n1,y\n"}, ""),  # another commit says nothing of the numbers
@@ -41,8 +41,8 @@ def folder(place, table="a,commit\n1,x\n", value=1.0):
         ({"value": 1.0 + 2.0**-52}, "map.npz differs"),
     ],
 )
-def test_every_digit_counts_and_only_numbers_do(tmp_path, change, told):
-    assert first_difference(folder(tmp_path / "before"), folder(tmp_path / "now", **change)) == told
+def test_every_digit_counts_and_only_numbers_do(tmp_path, change, difference):
+    assert first_difference(folder(tmp_path / "before"), folder(tmp_path / "now", **change)) == difference
 
 
 def test_what_is_written_besides_is_told(tmp_path):

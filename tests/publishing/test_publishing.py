@@ -129,9 +129,9 @@ def test_a_stage_is_published_and_then_up_to_date(checkout, ran, monkeypatch, ca
     assert not calls
     run_results(())
     assert (checkout / "results" / "numbers" / "table.csv").read_text() == "x\n1\n"
-    made = json.loads((checkout / "results" / "records" / "numbers.json").read_text())
-    assert made["commit"] == commit()
-    assert made["files"] == ["results/numbers/table.csv"]
+    record = json.loads((checkout / "results" / "records" / "numbers.json").read_text())
+    assert record["commit"] == commit()
+    assert record["files"] == ["results/numbers/table.csv"]
     assert stage().stale() == ""
     run_results(())
     assert len(calls) == 1

@@ -29,12 +29,12 @@ COARSE = Fidelity(time_lapse=20.0)
 @pytest.fixture
 def cluster():
     """A head that takes no work and two nodes of one CPU each."""
-    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
-    made.nodes = [made.add_node(num_cpus=1) for _ in range(2)]
-    made.wait_for_nodes()
-    yield made
+    local = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    local.nodes = [local.add_node(num_cpus=1) for _ in range(2)]
+    local.wait_for_nodes()
+    yield local
     ray.shutdown()
-    made.shutdown()
+    local.shutdown()
 
 
 def test_gymnasium_is_the_one_that_rllib_pins():
@@ -45,8 +45,8 @@ def test_gymnasium_is_the_one_that_rllib_pins():
 
 
 def test_an_evaluation_on_the_cluster_equals_the_local_one(cluster, tmp_path):
-    made = {f"{u}": Constant(CONFIG, feed_speed=u) for u in (0.1, 0.2)}
-    plan = Plan(made, load_contexts("validation")[:4], (0,), CONFIG)
+    policies = {f"{u}": Constant(CONFIG, feed_speed=u) for u in (0.1, 0.2)}
+    plan = Plan(policies, load_contexts("validation")[:4], (0,), CONFIG)
     here = run_plan(plan, tmp_path / "here", progress=False)
     there = run_plan(plan, tmp_path / "there", workers=Workers(2, "ray", cluster.address))
     assert there.equals(here)
@@ -78,8 +78,8 @@ def test_a_node_that_dies_in_the_middle_costs_time_alone(cluster):
         return 10 * task
 
     threading.Timer(6.0, lambda: cluster.remove_node(cluster.nodes[0], allow_graceful=False)).start()
-    found = sorted(Workers(2, "ray", cluster.address).map(slowly, range(40)))
-    assert found == [(k, 10 * k) for k in range(40)]
+    results = sorted(Workers(2, "ray", cluster.address).map(slowly, range(40)))
+    assert results == [(k, 10 * k) for k in range(40)]
 
 
 def test_the_rllib_example_trains():

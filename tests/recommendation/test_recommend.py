@@ -24,9 +24,9 @@ def test_it_is_written_simulated_and_told(tmp_path: Path, capsys: pytest.Capture
     arguments += ["--policy", str(tmp_path / "law.json")]
     assert main(["recommend", str(own), *arguments]) == 0
     assert Schedule.read(output).position[-1] == 24.0
-    found = json.loads((tmp_path / "my.json").read_text())
-    assert found["least_root_tension_n"] >= 1.2
-    assert not found["calibrated"]
+    record = json.loads((tmp_path / "my.json").read_text())
+    assert record["least_root_tension_n"] >= 1.2
+    assert not record["calibrated"]
     episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
     assert set(episodes["policy"]) == {"recommended", "recommended-law", "own", "best-schedule", "tension-scheduled"}
     assert (episodes.groupby("policy").size() == 2).all()

@@ -40,27 +40,29 @@ def test_the_cheapest_path_is_that_of_all_paths() -> None:
 def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:
     """Whole steps within the ranges, to the end of the helix, with the margin of the root tension."""
     config = PLANT.configured()
-    found = recommended(TUBES, stored_response(), config)
-    feed, air = np.array(found.schedule.feed_speed), np.array(found.schedule.air_supply_rate)
-    assert found.schedule.position[-1] == 45.0
+    recommendation = recommended(TUBES, stored_response(), config)
+    feed, air = np.array(recommendation.schedule.feed_speed), np.array(recommendation.schedule.air_supply_rate)
+    assert recommendation.schedule.position[-1] == 45.0
     assert ((feed >= 0.03) & (feed <= 0.35)).all()
     assert ((air >= 0.0084) & (air <= 0.034)).all()
     np.testing.assert_allclose(feed / 0.005, np.round(feed / 0.005), atol=1e-9)
     np.testing.assert_allclose(air / 0.001, np.round(air / 0.001), atol=1e-9)
-    assert found.tension >= MARGIN * config.required_tension
+    assert recommendation.tension >= MARGIN * config.required_tension
 
 
 def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     """No constant change of its feed or air is expected to be better by more than the price on change could hide."""
     config, response = Plant().configured(), stored_response()
-    found = recommended(TUBES, response, config)
-    own = expected_reward(found.schedule, TUBES, response, config)
+    recommendation = recommended(TUBES, response, config)
+    own = expected_reward(recommendation.schedule, TUBES, response, config)
     best = Schedule.read(DATA / "best-schedule.csv")
     assert own > expected_reward(best, TUBES, response, config)
     low, high = config.feed_speeds
     for factor in (0.7, 1.4):
-        feed = tuple(float(np.clip(factor * v, low, high)) for v in found.schedule.feed_speed)
-        other = Schedule("inserted_length", "linear", found.schedule.position, feed, found.schedule.air_supply_rate)
+        feed = tuple(float(np.clip(factor * v, low, high)) for v in recommendation.schedule.feed_speed)
+        other = Schedule(
+            "inserted_length", "linear", recommendation.schedule.position, feed, recommendation.schedule.air_supply_rate
+        )
         assert own > expected_reward(other, TUBES, response, config)
 
 
@@ -85,10 +87,10 @@ def test_what_was_not_learnt_is_said() -> None:
     response = stored_response()
     assert beyond(TUBES, response, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
-    told = "; ".join(beyond([Context(friction=0.4)], response, odd))
-    assert "radial room of the floats 0.009 to 0.009 m, beyond" in told
-    assert "a probe of another line_density" in told
-    assert "friction 0.4 to 0.4, beyond 0.05 to 0.35" in told
+    sentences = "; ".join(beyond([Context(friction=0.4)], response, odd))
+    assert "radial room of the floats 0.009 to 0.009 m, beyond" in sentences
+    assert "a probe of another line_density" in sentences
+    assert "friction 0.4 to 0.4, beyond 0.05 to 0.35" in sentences
 
 
 def test_another_measure_is_known_or_refused() -> None:

@@ -45,7 +45,7 @@ def offset():
 def hash_of(tmp_path, monkeypatch):
     """The hash of ``work:run`` in a package of these files, under the name of ours."""
 
-    def made(files):
+    def hashed(files):
         folder = tmp_path / str(len(list(tmp_path.iterdir()))) / "probe_env"
         folder.mkdir(parents=True)
         for name, text in files.items():
@@ -60,7 +60,7 @@ def hash_of(tmp_path, monkeypatch):
         code_hash.cache_clear()
         return code_hash(("probe_env.work:run",))
 
-    yield made
+    yield hashed
     monkeypatch.undo()
     module._module.cache_clear()
     code_hash.cache_clear()

@@ -87,7 +87,7 @@ def refused(tmp_path, capsys, monkeypatch):
     """Run a command that must be refused in one line about a file, and change nothing."""
     monkeypatch.chdir(tmp_path)
 
-    def run(arguments, *told):
+    def run(arguments, *messages):
         before = fingerprint(tmp_path)
         assert main(list(map(str, arguments))) == 2
         printed = capsys.readouterr()
@@ -95,7 +95,7 @@ def refused(tmp_path, capsys, monkeypatch):
         assert printed.err.count("\n") == 1, printed.err
         assert printed.err.startswith("probe-env: error: ")
         assert printed.err.strip().isprintable()
-        for text in told:
+        for text in messages:
             assert text in printed.err
         assert fingerprint(tmp_path) == before
         return printed.err
@@ -289,25 +289,25 @@ def test_tables_of_more_rows_than_any(stored, refused, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "message"),
     [
         ("episodes", "reward = nan is not finite"),
         ("profile", "of policies that are not in episodes.parquet"),
         ("against", "against = 'nobody' is not one of the policies"),
     ],
 )
-def test_tables_that_contradict(table, told, stored, refused):
+def test_tables_that_contradict(table, message, stored, refused):
     if table == "against":
         (stored / "report.json").write_text('{"against": "nobody"}')
     else:
         path = stored / f"{table}.parquet"
         change = {"reward": float("nan")} if table == "episodes" else {"policy": "somebody"}
         pd.read_parquet(path).assign(**change).to_parquet(path, index=False)
-    refused(["report", stored], told)
+    refused(["report", stored], message)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "column 'family' is missing"),
         ("family,value\na,1\n", "column 'time_s' is missing"),
@@ -319,11 +319,11 @@ def test_tables_that_contradict(table, told, stored, refused):
         (",".join(FRONT) + '\n"pi,1\n', "not CSV"),
     ],
 )
-def test_fronts_beside_an_evaluation(text, told, stored, refused):
+def test_fronts_beside_an_evaluation(text, message, stored, refused):
     path = stored.parent / "tradeoff" / "front.csv"
     path.parent.mkdir()
     path.write_text(text)
-    refused(["report", stored], str(path), told)
+    refused(["report", stored], str(path), message)
 
 
 def test_a_line_that_an_interrupt_cut_off_is_kept_aside_and_run_again(stored, monkeypatch):
@@ -771,7 +771,7 @@ SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--scene.contact.friction", "7"], "--scene.contact.friction: 7.0 is outside the accepted range 0 to 1"),
         (["--scene.feed-speed", "-3"], "--scene.feed_speed: -3.0 m/s is outside the accepted range -2 to 2 m/s"),
@@ -779,18 +779,18 @@ SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
         (["--scene.tube.helix-diameter", "nan"], "--scene.tube.helix_diameter: nan m is outside"),
     ],
 )
-def test_options_of_scenes(options, told, refused):
-    refused(["simulate", SCENE, *options], told)
+def test_options_of_scenes(options, message, refused):
+    refused(["simulate", SCENE, *options], message)
 
 
 def test_fields_of_scenes(tmp_path, refused):
-    for content, told in (
+    for content, message in (
         ("feed_sped = 1", "feed_sped"),
         ("[contact]\nfriction = 7", "contact.friction: 7"),
         ("[", "TOML"),
     ):
         (tmp_path / "scene.toml").write_text(content)
-        refused(["simulate", tmp_path / "scene.toml"], str(tmp_path / "scene.toml"), told)
+        refused(["simulate", tmp_path / "scene.toml"], str(tmp_path / "scene.toml"), message)
     refused(["simulate", tmp_path], str(tmp_path))
 
 

@@ -71,6 +71,6 @@ def test_a_study_of_another_duration_leaves_the_first_where_it_is(tmp_path, monk
     second = study.run_study(tmp_path, tmp_path, 1, 4.0, ("l10",))
     assert (len(first), len(second)) == (4, 1)
     assert len(stored_rows(tmp_path / "ensemble.csv")) == 5
-    again = study.run_study(tmp_path, tmp_path, 4, 8.0, ("l10",))
-    pd.testing.assert_frame_equal(again, first, check_dtype=False)
+    repeated = study.run_study(tmp_path, tmp_path, 4, 8.0, ("l10",))
+    pd.testing.assert_frame_equal(repeated, first, check_dtype=False)
     assert len(study.load_rows(tmp_path)) == 4

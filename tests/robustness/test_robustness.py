@@ -22,21 +22,21 @@ SHORT = Plant.model_validate({"tube": {"helix_length": 7.0, "helix_diameter": [1
 
 def changed(config, other):
     """Names of what differs, with a dot where it is in the scene."""
-    given, found = config.model_dump(), other.model_dump()
-    names = {name for name in given if name != "scene" and given[name] != found[name]}
+    given, altered = config.model_dump(), other.model_dump()
+    names = {name for name in given if name != "scene" and given[name] != altered[name]}
     for part in ("tube", "probe", "contact", "air"):
-        mine, theirs = given["scene"][part], found["scene"][part]
+        mine, theirs = given["scene"][part], altered["scene"][part]
         names |= {f"{part}.{name}" for name in mine if mine[name] != theirs[name]}
     return names
 
 
 def test_every_axis_changes_what_it_says_and_nothing_else():
     config = TaskConfig()
-    found = {}
+    by_axis = {}
     for setting in disturbed(config):
-        found.setdefault(setting.axis, []).append((changed(config, setting.config), setting.config))
-    assert tuple(found) == (NOMINAL, *AXES)
-    names = {axis: set().union(*(each for each, _ in settings)) for axis, settings in found.items()}
+        by_axis.setdefault(setting.axis, []).append((changed(config, setting.config), setting.config))
+    assert tuple(by_axis) == (NOMINAL, *AXES)
+    names = {axis: set().union(*(each for each, _ in settings)) for axis, settings in by_axis.items()}
     assert names == {
         NOMINAL: set(),
         "delay": {"delay_periods"},
@@ -48,15 +48,15 @@ def test_every_axis_changes_what_it_says_and_nothing_else():
         "probe": {"probe.guide_length", "probe.guide_float_diameter", "probe.carrier_float_diameter"},
         "bore": {"tube.inner_diameter"},
     }
-    assert [config.delay_periods for _, config in found["delay"]] == [1, 2, 3]
-    assert [round(1e3 * config.scene.tube.inner_diameter, 2) for _, config in found["bore"]] == [22.12, 26.28]
+    assert [config.delay_periods for _, config in by_axis["delay"]] == [1, 2, 3]
+    assert [round(1e3 * config.scene.tube.inner_diameter, 2) for _, config in by_axis["bore"]] == [22.12, 26.28]
     folders = [folder_of(setting) for setting in disturbed(config)]
     assert len(set(folders)) == len(folders)
 
 
 def test_a_delay_is_in_seconds_whatever_the_period():
-    found = disturbed(TaskConfig(period=0.5), ("delay",))
-    assert [setting.config.delay_periods for setting in found] == [0, 2, 4, 6]
+    settings = disturbed(TaskConfig(period=0.5), ("delay",))
+    assert [setting.config.delay_periods for setting in settings] == [0, 2, 4, 6]
 
 
 @pytest.mark.parametrize("axes", [("dealy",), ("delay", "delay")])
@@ -118,8 +118,8 @@ def test_what_is_stored_is_not_played_again_and_can_be_read(study, monkeypatch):
     output, summary = study
     monkeypatch.setattr(plan, "_lines", lambda *_: pytest.fail("played again"))
     axes = ("delay", "noise", "dropout", "friction drift")
-    again = run_study(["constant", "random"], place_of(SHORT, "test", 2), "fast", output, Workers(), axes)
-    pd.testing.assert_frame_equal(again, summary)
+    repeated = run_study(["constant", "random"], place_of(SHORT, "test", 2), "fast", output, Workers(), axes)
+    pd.testing.assert_frame_equal(repeated, summary)
     stored = read_csv(output / "robustness.csv", COLUMNS)
     assert np.allclose(stored["reward"], summary["reward"], rtol=1e-4)
     assert (output / "robustness.png").stat().st_size > 0
@@ -131,9 +131,9 @@ def test_the_page_tells_of_what_is_stored_or_that_nothing_is(study, tmp_path, mo
     monkeypatch.setattr(page, "RESULTS", tmp_path)
     assert "Nothing is stored yet" in page.robustness()
     (tmp_path / "robustness").symlink_to(output)
-    told = page.robustness()
-    assert "| nominal |" in told
-    assert "paired tube by tube" in told
+    text = page.robustness()
+    assert "| nominal |" in text
+    assert "paired tube by tube" in text
 
 
 def test_a_table_that_is_damaged_is_told(study, tmp_path):
@@ -145,11 +145,11 @@ def test_a_table_that_is_damaged_is_told(study, tmp_path):
 
 
 def test_the_command_refuses_what_is_not_valid_before_any_work(tmp_path, capsys):
-    for arguments, told in (
+    for arguments, message in (
         (["nobody", "--limit", "1"], "policy = 'nobody' is not one of"),
         (["constant", "--limit", "99"], "limit = 99"),
         (["constant", "--limit", "1", "--axes", "wind"], "axes = wind: accepted"),
     ):
         assert main(["robustness", *arguments, "--output", str(tmp_path / "out")]) != 0
-        assert told in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -147,8 +147,10 @@ def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
     """
     error = max(stated(PRESETS["standard"], 30.0), stated(PRESETS["standard"], 50.0))
     assert error < 0.15
-    found = apart(*(rms_at_constant_length(PRESETS[n], seeds(k)) for n, k in (("standard", 16), ("reference", 12))))
-    assert abs(found) <= -np.log(1.0 - error) + reach((0.12, 16), (0.133, 12))
+    difference = apart(
+        *(rms_at_constant_length(PRESETS[n], seeds(k)) for n, k in (("standard", 16), ("reference", 12)))
+    )
+    assert abs(difference) <= -np.log(1.0 - error) + reach((0.12, 16), (0.133, 12))
 
 
 def rms_of_insertion(fidelity, seeds):
@@ -165,5 +167,5 @@ def test_the_stated_error_of_fast_holds_on_an_unseen_insertion(seeds):
     """4 % are stated (a member +- 21 and 6 %). With 32 against 8 chance is another 19 %: 23 % are noticed."""
     (error,) = {r.error for r in measured() if r.fidelity == PRESETS["fast"] and r.output == "radial_rms_m"}
     assert error < 0.15
-    found = apart(*(rms_of_insertion(PRESETS[n], seeds(k)) for n, k in (("fast", 32), ("reference", 8))))
-    assert abs(found) <= -np.log(1.0 - error) + reach((0.21, 32), (0.062, 8))
+    difference = apart(*(rms_of_insertion(PRESETS[n], seeds(k)) for n, k in (("fast", 32), ("reference", 8))))
+    assert abs(difference) <= -np.log(1.0 - error) + reach((0.21, 32), (0.062, 8))

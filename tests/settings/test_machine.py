@@ -48,12 +48,12 @@ def use(installation, home="/dev/null/home", **environment):
 
 
 def test_a_temporary_folder_serves_and_is_named_once(installation):
-    folder, hits, told = use(installation)
+    folder, hits, warning = use(installation)
     assert Path(folder).parent == installation / "temporary"
     assert Path(folder).stat().st_mode & 0o077 == 0
     assert list(Path(folder).rglob("*.nbc"))
-    assert told.count("set NUMBA_CACHE_DIR to choose another") == 1
-    assert folder in told
+    assert warning.count("set NUMBA_CACHE_DIR to choose another") == 1
+    assert folder in warning
     assert hits == 0
     assert use(installation)[:2] == (folder, 1)  # what was compiled serves the next interpreter
 
@@ -61,16 +61,16 @@ def test_a_temporary_folder_serves_and_is_named_once(installation):
 def test_with_a_home_numba_keeps_them_there(installation):
     home = installation / "home"
     home.mkdir()
-    folder, _, told = use(installation, home=str(home))
+    folder, _, warning = use(installation, home=str(home))
     assert folder == ""
-    assert "NUMBA_CACHE_DIR" not in told
+    assert "NUMBA_CACHE_DIR" not in warning
     assert list(home.rglob("*.nbc"))
 
 
 def test_a_folder_that_cannot_be_written_is_named(installation):
-    folder, told = use(installation, NUMBA_CACHE_DIR="/dev/null/chosen")[::2]
+    folder, warning = use(installation, NUMBA_CACHE_DIR="/dev/null/chosen")[::2]
     assert Path(folder).parent == installation / "temporary"
-    assert "neither NUMBA_CACHE_DIR = /dev/null/chosen nor the package's folder" in told
+    assert "neither NUMBA_CACHE_DIR = /dev/null/chosen nor the package's folder" in warning
 
 
 @pytest.mark.parametrize("kind", ["open", "link", "file"])
@@ -89,10 +89,10 @@ def test_a_folder_that_others_may_write_is_not_trusted(tmp_path, monkeypatch, ki
         planted.symlink_to(elsewhere)
     else:
         planted.touch()
-    found = machine._folder()
-    assert found != planted
-    assert found.is_dir()
-    assert found.stat().st_mode & 0o077 == 0
+    chosen = machine._folder()
+    assert chosen != planted
+    assert chosen.is_dir()
+    assert chosen.stat().st_mode & 0o077 == 0
 
 
 def test_no_folder_at_all_is_an_error_that_says_what_to_do(monkeypatch):

@@ -16,14 +16,14 @@ def test_shipped_schedules_are_valid_and_written_back_alike(path, tmp_path):
     schedule = Schedule.read(path)
     copy = tmp_path / "copy.csv"
     copy.write_text(schedule.to_csv())
-    again = Schedule.read(copy)
-    assert (again.over, again.interpolation, again.position) == (
+    reread = Schedule.read(copy)
+    assert (reread.over, reread.interpolation, reread.position) == (
         schedule.over,
         schedule.interpolation,
         schedule.position,
     )
-    assert again.feed_speed == pytest.approx(schedule.feed_speed, rel=1e-5)
-    assert again.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-5)
+    assert reread.feed_speed == pytest.approx(schedule.feed_speed, rel=1e-5)
+    assert reread.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-5)
 
 
 def test_linear_and_steps(tmp_path):

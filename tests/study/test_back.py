@@ -39,8 +39,8 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(way):
     assert row["tension_error"] < 0.01
     assert math.copysign(1.0, row["root_tension_mean_n"]) == (1.0 if way == "in" else -1.0)
     assert row["radial_mean_m"] == pytest.approx(0.0 if way == "in" else 5.2e-3, abs=1e-4)
-    again = run_trip(trip, SCENES, 1, 2.0)
-    pd.testing.assert_series_equal(pd.Series(again), pd.Series(row), check_exact=True)
+    repeated = run_trip(trip, SCENES, 1, 2.0)
+    pd.testing.assert_series_equal(pd.Series(repeated), pd.Series(row), check_exact=True)
 
 
 def test_rows_are_stored_and_not_repeated(tmp_path, monkeypatch):
@@ -85,9 +85,9 @@ def rows(back, fed, peak):
     ],
 )
 def test_verdicts_follow_the_rows(back, peak, less, none):
-    found = {finding.claim: finding.verdict for finding in back_findings(rows(back, 3e-4, peak), SCENES)}
-    assert found["less vibration in the return: original, 50 m, 0.2 m/s"] == less
-    assert found["no noticeable radial peak in the return from 2 s on: original"] == none
+    verdicts = {finding.claim: finding.verdict for finding in back_findings(rows(back, 3e-4, peak), SCENES)}
+    assert verdicts["less vibration in the return: original, 50 m, 0.2 m/s"] == less
+    assert verdicts["no noticeable radial peak in the return from 2 s on: original"] == none
 
 
 def test_the_stored_ensemble_is_complete_and_belongs_to_these_kernels():

@@ -115,7 +115,7 @@ def test_a_whole_insertion_earns_the_task_s_terms() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "options", "told"),
+    ("settings", "options", "message"),
     [
         ({"probes": "random"}, {}, "probes = 'random'"),
         ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
@@ -125,10 +125,10 @@ def test_a_whole_insertion_earns_the_task_s_terms() -> None:
         ({"config": {"friction_drift": 0.1}}, {}, "friction_drift"),
     ],
 )
-def test_what_the_map_does_not_tell_is_refused_by_name(settings, options, told) -> None:  # type: ignore[no-untyped-def]
+def test_what_the_map_does_not_tell_is_refused_by_name(settings, options, message) -> None:  # type: ignore[no-untyped-def]
     given = dict(settings)
     config = TaskConfig.model_validate(given.pop("config", {}))
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         MapEpisodes(1, config, **given).reset([0], {0: np.random.default_rng(0)}, {0: options})
 
 
@@ -147,9 +147,9 @@ def test_scatter_is_found_again(seeds: Seeds) -> None:
     series = list(np.array(values).T)
     r, seconds = true.correlation, 300 * count
     deviation, correlation = np.sqrt((1.0 + r**2) / (1.0 - r**2) / 2.0 / seconds), np.sqrt((1.0 - r**2) / seconds)
-    found = Scatter.of(series)
-    assert found.deviation == pytest.approx(0.2, rel=reach((deviation, 1), chance=CHANCE / 4))
-    assert found.correlation == pytest.approx(0.9, abs=reach((correlation, 1), chance=CHANCE / 4))
+    estimate = Scatter.of(series)
+    assert estimate.deviation == pytest.approx(0.2, rel=reach((deviation, 1), chance=CHANCE / 4))
+    assert estimate.correlation == pytest.approx(0.9, abs=reach((correlation, 1), chance=CHANCE / 4))
     lasting = Scatter.of([x + 0.1 * rng.normal(size=300) for x in series], 8)
     assert lasting.deviation == pytest.approx(0.2, rel=reach((0.009, 1), chance=CHANCE / 4, measured=64))
     assert lasting.correlation == pytest.approx(0.9, abs=reach((0.003, 1), chance=CHANCE / 4, measured=64))
@@ -170,17 +170,18 @@ def test_noise_is_found_in_the_world_that_it_makes(monkeypatch, seeds: Seeds) ->
     )  # fmt: skip
     seed = seeds(1)[0]
     monkeypatch.setattr(measure, "Episodes", lambda count, config, fidelity: _Recorded(count, config, true, seed))
-    found = noise_of(measure.record_insertions(24), stored_map())
+    estimate = noise_of(measure.record_insertions(24), stored_map())
     drawn = {
-        "bias": (found.bias, -0.095, 0.008), "quick": (found.quick, 0.148, 0.0025),
-        "slow": (found.slow.deviation, 0.199, 0.005), "slow, correlation": (found.slow.correlation, 0.902, 0.0065),
-        "tension": (found.tension.deviation, 0.080, 0.0025),
-        "tension, correlation": (found.tension.correlation, 0.899, 0.0075),
-        "radial": (found.radial_scatter.deviation, 0.1975, 0.0055),
-        "radial, correlation": (found.radial_scatter.correlation, 0.891, 0.0055),
-        "axial": (found.axial_scatter.deviation, 0.199, 0.003),
-        "axial, correlation": (found.axial_scatter.correlation, 0.8965, 0.004),
-        "radial by vibration": (found.radial[1], 0.708, 0.015),
+        "bias": (estimate.bias, -0.095, 0.008), "quick": (estimate.quick, 0.148, 0.0025),
+        "slow": (estimate.slow.deviation, 0.199, 0.005),
+        "slow, correlation": (estimate.slow.correlation, 0.902, 0.0065),
+        "tension": (estimate.tension.deviation, 0.080, 0.0025),
+        "tension, correlation": (estimate.tension.correlation, 0.899, 0.0075),
+        "radial": (estimate.radial_scatter.deviation, 0.1975, 0.0055),
+        "radial, correlation": (estimate.radial_scatter.correlation, 0.891, 0.0055),
+        "axial": (estimate.axial_scatter.deviation, 0.199, 0.003),
+        "axial, correlation": (estimate.axial_scatter.correlation, 0.8965, 0.004),
+        "radial by vibration": (estimate.radial[1], 0.708, 0.015),
     }  # fmt: skip
     for name, (value, mean, deviation) in drawn.items():
         assert value == pytest.approx(mean, abs=of_another(deviation, 16, among=len(drawn))), name
@@ -205,9 +206,9 @@ class _Recorded(MapEpisodes):
         self.felt = super()._felt(which, normal, move)
         return self.felt
 
-    def _info(self, k, told):  # type: ignore[no-untyped-def]
+    def _info(self, k, measured):  # type: ignore[no-untyped-def]
         name = "radial_acceleration_rms_m_per_s2"
-        return super()._info(k, told) | {name: float(told[name][k])}
+        return super()._info(k, measured) | {name: float(measured[name][k])}
 
 
 def test_policies_keep_their_order_and_differences_are_paired() -> None:
@@ -216,9 +217,9 @@ def test_policies_keep_their_order_and_differences_are_paired() -> None:
     assert means["constant"] < means["best-schedule"] - 50.0
     assert means["best-schedule"] < means["privileged"]
     simulated = table.assign(reward=table["reward"] - 1.0)
-    found, agreement = compared(table, simulated)
+    comparison, agreement = compared(table, simulated)
     assert agreement == {"tau": 1.0, "tubes": 6.0}
-    np.testing.assert_allclose(found[["error", "error_low", "error_high"]], 1.0)
+    np.testing.assert_allclose(comparison[["error", "error_low", "error_high"]], 1.0)
 
 
 def test_the_noise_that_ships_is_read_and_a_damaged_one_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

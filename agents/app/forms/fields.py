@@ -136,7 +136,9 @@ def _field(table: str, name: str, model: type[Model]) -> Field:
     default = model.model_fields[name].default
     if default is None and table in ("feed", "air"):
         default = getattr(TaskConfig(), name, None)  # the task's
-    return Field(table, name, _told(model).get(name, ""), kind, _shown(default), _accepted(table, name, kind), choices)
+    return Field(
+        table, name, _descriptions(model).get(name, ""), kind, _shown(default), _accepted(table, name, kind), choices
+    )
 
 
 def _shown(default: Any) -> str:
@@ -175,15 +177,15 @@ def _accepted(table: str, name: str, kind: Kind) -> str:
     try:
         Plant.model_validate({table: {name: nowhere}})
     except ValidationError as error:
-        found = re.search(r"accepted range (.+?)(?= \(given|;|$)", explain(error))
-        return found[1] if found else ""
+        match = re.search(r"accepted range (.+?)(?= \(given|;|$)", explain(error))
+        return match[1] if match else ""
     return ""
 
 
 @lru_cache
-def _told(model: type[Model]) -> dict[str, str]:
+def _descriptions(model: type[Model]) -> dict[str, str]:
     """What the docstrings below its fields say."""
-    told: dict[str, str] = {}
+    descriptions: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         if not issubclass(kind, Model) or kind is Model:
             continue
@@ -191,5 +193,5 @@ def _told(model: type[Model]) -> dict[str, str]:
         assert isinstance(body, ast.ClassDef)
         for field, after in zip(body.body, body.body[1:], strict=False):
             if isinstance(field, ast.AnnAssign) and isinstance(after, ast.Expr) and isinstance(field.target, ast.Name):
-                told[field.target.id] = " ".join(str(ast.literal_eval(after.value)).replace("`", "").split())
-    return told
+                descriptions[field.target.id] = " ".join(str(ast.literal_eval(after.value)).replace("`", "").split())
+    return descriptions

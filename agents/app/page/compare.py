@@ -79,13 +79,13 @@ class CompareScreen:
 
     def refresh(self) -> None:
         """List what is stored by now; the newest is shown first."""
-        found = tuple(entry.folder.name for entry in stored_runs(self.desk.office.output))
-        if found != self._folders:
-            self._folders = found
-            self.chosen.options = list(reversed(found))
-            if found and self.chosen.value != found[-1]:
-                self.chosen.value = found[-1]
-            elif found:
+        folders = tuple(entry.folder.name for entry in stored_runs(self.desk.office.output))
+        if folders != self._folders:
+            self._folders = folders
+            self.chosen.options = list(reversed(folders))
+            if folders and self.chosen.value != folders[-1]:
+                self.chosen.value = folders[-1]
+            elif folders:
                 self._choose()
 
     def _choose(self) -> None:
@@ -124,9 +124,9 @@ class CompareScreen:
         table, task = done.table, done.setting.task
         described = done.record.policies if done.record else {}
         kinds = {method_and_seed(name)[0]: d.get("policy") for name, d in described.items()}
-        told = {name for name, kind in kinds.items() if kind == Privileged.__name__}
+        privileged = {name for name, kind in kinds.items() if kind == Privileged.__name__}
         judged = done.own or (done.against,)
-        verdicts = [verdict(table, policy, told, limit_of(task)) for policy in judged]
+        verdicts = [verdict(table, policy, privileged, limit_of(task)) for policy in judged]
         missing = ""
         if done.missing is not None:
             missing = f"<p class='quiet'>Not finished: {done.missing.stored} of {done.missing.planned} insertions.</p>"
@@ -138,9 +138,10 @@ class CompareScreen:
         summary = summarise(table)
         differences = "".join(f"<li>{escape(line)}</li>" for line in sentences(table, done.against))
         self.tables.text = (
-            "<h2>Ranking</h2>" + _html(*ranked(table, summary, done.own, told))
+            "<h2>Ranking</h2>" + _html(*ranked(table, summary, done.own, privileged))
             + (f"<h2>Against {escape(done.against)}</h2><ul>{differences}</ul>" if differences else "")
-            + _titled("By helix diameter", *by_diameter(table, told)) + _titled("Tube by tube", *by_tube(table, told))
+            + _titled("By helix diameter", *by_diameter(table, privileged))
+            + _titled("Tube by tube", *by_tube(table, privileged))
         )  # fmt: skip
         order = ranking(table)
         self.front.show(summary, order)

@@ -99,14 +99,14 @@ class Detection:
                              legend_field="name")  # fmt: skip
         self.plot.add_layout(Span(location=0.9, dimension="width", line_color=GREY, line_dash="dotted"))
         legend_above(self.plot)
-        self.told = words(name="detection-words")
-        self.layout = below(self.plot, self.told)
+        self.caption = words(name="detection-words")
+        self.layout = below(self.plot, self.caption)
 
     def show(self, table: pd.DataFrame, policies: list[str]) -> None:
         """Draw policies of a table of episodes; tables from before there was a sensor have no curves."""
         self.plot.visible = found.tells(table)
         if not found.tells(table):
-            self.told.text = "<p class='quiet'>No curves of detection: these episodes were stored without them.</p>"
+            self.caption.text = "<p class='quiet'>No curves of detection: these episodes were stored without them.</p>"
             return
         part = table[table["policy"].isin(policies)]
         curves = {str(policy): rows for policy, rows in found.bands(part).groupby("policy")}
@@ -122,7 +122,7 @@ class Detection:
                 bands[name].append(line)
         self.lines.data, self.bands.data = data, bands
         depth, least = min((found.a90_95(part, policy), policy) for policy in policies)
-        self.told.text = (
+        self.caption.text = (
             f"<p>Least depth found with 90 %, with 95 % confidence over the tubes: <b>{depth:.1f} %</b> of the wall, by"
             f" {escape(least)}.</p>"
         )

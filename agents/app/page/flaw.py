@@ -40,12 +40,12 @@ class PassedFlaw:
                              width=210, stylesheets=sheet, name="flaw-before")  # fmt: skip
         self.depth = Slider(title="its depth [% of the wall]", start=1.0, end=100.0, step=1.0, value=START[1],
                             width=210, stylesheets=sheet, name="flaw-depth")  # fmt: skip
-        self.told = words(name="flaw-words")
+        self.caption = words(name="flaw-words")
         self.layout = below(
             words("<p class='quiet'>X and Y with a flaw where the sensor has just been: drag the diamond.</p>"),
             side_by_side(self.before, self.depth),
             side_by_side(panel(self._strip(), 300, 3), panel(self._figure(), 190, 1)),
-            self.told,
+            self.caption,
         )
         self.flaw.on_change("data", lambda attr, old, new: self._dragged())
         for slider in (self.before, self.depth):
@@ -89,15 +89,15 @@ class PassedFlaw:
             return
         seen = passed(*self.last, self.before.value, self.depth.value / 100.0) if self.last else None
         if seen is None:
-            self.told.text = "<p class='quiet'>Nothing has moved yet.</p>"
+            self.caption.text = "<p class='quiet'>Nothing has moved yet.</p>"
             return
         x, y = seen.voltages.T
         self.signals.data = {"time": seen.time, "x": x, "y": y}
         self.loop.data = {"x": x[seen.near], "y": y[seen.near]}
-        self.told.text = _told(seen, self.depth.value)
+        self.caption.text = _outcome(seen, self.depth.value)
 
 
-def _told(seen: Passed, percent: float) -> str:
+def _outcome(seen: Passed, percent: float) -> str:
     """What becomes of the flaw, in a line."""
     how = "<b>called</b>" if seen.called else "<b>not called</b>"
     return (

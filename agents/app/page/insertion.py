@@ -46,7 +46,7 @@ class InsertionScreen:
         self.traces = Traces(("radial_rms_m", "feed_speed", "air_supply_rate"))
         self.signal = chart("time before now [s]", "sensor [mm]", 150)
         self.samples = self.signal.line([], [], line_width=1.2, color="#009E73").data_source
-        self.told, self.seen, self.wrong = words(name="run-words"), words(), words(name="run-problem")
+        self.status, self.seen, self.wrong = words(name="run-words"), words(), words(name="run-problem")
         self.list = RunList(desk, self._look_at)
         self._films = self._round = 0
         self.layout = below(
@@ -55,7 +55,7 @@ class InsertionScreen:
             side_by_side(*self._order_form()),
             self.wrong,
             side_by_side(*self._handles()),
-            self.told,
+            self.status,
             side_by_side(
                 panel(below(self.unrolled.layout, self.slow.layout, self.signal, self.flaw.layout), 440, 3),
                 panel(below(self.traces.layout, self.seen), 330, 2),
@@ -71,9 +71,9 @@ class InsertionScreen:
         self.list.refresh()
         run = self.desk.run
         if run is None:
-            self.told.text = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
+            self.status.text = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
             return
-        self.told.text = _told(run)
+        self.status.text = _status(run)
         self._watchable(run)
         if run.frame is not None:
             self.pictures.visible = True
@@ -186,7 +186,7 @@ def _unit_name(unit: Unit) -> str:
     return f"{unit[0]}, tube {unit[1]}"
 
 
-def _told(run: Run) -> str:
+def _status(run: Run) -> str:
     """Where a run is, in a line or two."""
     names = ", ".join(run.wanted.names)
     where = f"{run.done} of {run.planned} insertions" if run.planned else "beginning"

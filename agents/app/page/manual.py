@@ -22,8 +22,8 @@ from agents.terminal.refusals import refusal
 PACES: Final = {"1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0, "8 ×": 8.0}
 """What is said of a pace -> control periods of a second in a second."""
 USUAL_PACE: Final = 2
-TOLD: Final = (("inserted_length", "{:.1f} m in", 1.0), ("time", "{:.0f} s", 1.0), ("radial_rms_m", "{:.3f} mm", 1e3),
-               ("tension_mean_n", "{:.1f} N", 1.0))  # fmt: skip
+READINGS: Final = (("inserted_length", "{:.1f} m in", 1.0), ("time", "{:.0f} s", 1.0),
+                   ("radial_rms_m", "{:.3f} mm", 1e3), ("tension_mean_n", "{:.1f} N", 1.0))  # fmt: skip
 
 
 class ManualScreen:
@@ -109,8 +109,8 @@ class ManualScreen:
         if of is None or not len(of):
             return f"<p class='big'>{escape(name)}: settles</p>"
         last = dict(zip(COLUMNS, of[-1].tolist(), strict=True))
-        told = ", ".join(form.format(last[key] * factor) for key, form, factor in TOLD)
-        return f"<p class='big'>{escape(name)}: score <b>{last['reward']:.1f}</b>, {told}</p>"
+        readings = ", ".join(form.format(last[key] * factor) for key, form, factor in READINGS)
+        return f"<p class='big'>{escape(name)}: score <b>{last['reward']:.1f}</b>, {readings}</p>"
 
     def _start(self) -> None:
         try:

@@ -34,16 +34,16 @@ class RunList:
         self.table = words(name="runs")
         self.chosen = Select(title="a run", options=[], width=300, stylesheets=sheet, name="chosen-run")
         show = Button(label="watch it", stylesheets=sheet, width=90)
-        again = Button(label="go on with it", stylesheets=sheet, width=120, name="go-on")
+        resume = Button(label="go on with it", stylesheets=sheet, width=120, name="go-on")
         report = Button(label="write its report", stylesheets=sheet, width=140, name="report")
-        self.told = words(name="report-link")
+        self.notice = words(name="report-link")
         self._stored: list[Stored] = []
         self._seen: Any = None
         show.on_click(self._show)
-        again.on_click(lambda: self._guarded(self._go_on))
+        resume.on_click(lambda: self._guarded(self._go_on))
         report.on_click(lambda: self._guarded(self._report))
         self.layout = below(
-            words("<h2>Runs</h2>"), self.table, side_by_side(self.chosen, show, again, report), self.told
+            words("<h2>Runs</h2>"), self.table, side_by_side(self.chosen, show, resume, report), self.notice
         )
 
     def refresh(self) -> None:
@@ -67,16 +67,16 @@ class RunList:
         return self.desk.office.output / str(self.chosen.value)
 
     def _run(self) -> Run | None:
-        found = [run for run in self.desk.office.queue.runs if run.wanted.output.name == self.chosen.value]
-        return found[-1] if found else None
+        matches = [run for run in self.desk.office.queue.runs if run.wanted.output.name == self.chosen.value]
+        return matches[-1] if matches else None
 
     def _show(self) -> None:
         run = self._run()
         if run is not None:
-            self.told.text = ""
+            self.notice.text = ""
             self.look_at(run)
         else:
-            self.told.text = "<p>It was run before this page was opened: look at it under <b>Compare</b>.</p>"
+            self.notice.text = "<p>It was run before this page was opened: look at it under <b>Compare</b>.</p>"
 
     def _go_on(self) -> None:
         run = self._run()
@@ -87,14 +87,14 @@ class RunList:
     def _report(self) -> None:
         if not self.chosen.value:
             raise ValueError("a run = none: there is nothing to report of yet")
-        self.told.text = report_link(self._folder)
+        self.notice.text = report_link(self._folder)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         try:
-            self.told.text = ""
+            self.notice.text = ""
             work()
         except (ValueError, OSError) as error:
-            self.told.text = problem(refusal(error))
+            self.notice.text = problem(refusal(error))
 
 
 def report_link(folder: Path) -> str:
@@ -105,19 +105,19 @@ def report_link(folder: Path) -> str:
 
 
 def _table(runs: list[Run], stored: list[Stored]) -> str:
-    ended = {entry.folder: entry.told for entry in stored}
-    rows = [(entry.folder.name, "stored" if entry.whole else "interrupted", entry.told) for entry in stored]
-    lines = {name: (state, told) for name, state, told in rows}
+    ended = {entry.folder: entry.outcome for entry in stored}
+    rows = [(entry.folder.name, "stored" if entry.whole else "interrupted", entry.outcome) for entry in stored]
+    lines = {name: (state, outcome) for name, state, outcome in rows}
     for run in runs:
         done = f"{run.done} of {run.planned} insertions" if run.planned else ""
-        told = ended.get(run.wanted.output, "") if run.state == "finished" else run.problem or done
-        lines[run.wanted.output.name] = (run.state, told)
+        outcome = ended.get(run.wanted.output, "") if run.state == "finished" else run.problem or done
+        lines[run.wanted.output.name] = (run.state, outcome)
     if not lines:
         return "<p class='quiet'>None yet.</p>"
     body = "".join(
         f"<tr><td>{escape(name)}</td><td style='text-align:left'>{escape(state)}</td>"
-        f"<td style='text-align:left;white-space:normal'>{escape(told)}</td></tr>"
-        for name, (state, told) in sorted(lines.items(), reverse=True)
+        f"<td style='text-align:left;white-space:normal'>{escape(outcome)}</td></tr>"
+        for name, (state, outcome) in sorted(lines.items(), reverse=True)
     )
     head = "<tr><th>run</th><th>state</th><th>how it ended</th></tr>"
     return f"<div class='scroll'><table><thead>{head}</thead><tbody>{body}</tbody></table></div>"

@@ -72,7 +72,7 @@ class ScheduleScreen:
         self.mirror = ColumnDataSource(dict(desk.points), name="mirror")
         self.band = ColumnDataSource({"length": [], "low": [], "middle": [], "high": []}, name="expected")
         self.lines = ColumnDataSource({"name": [], "colour": [], "dash": [], "length": [], FEED: [], AIR: []})
-        self.told, self.wrong = words(name="expected-words"), words(name="schedule-problem")
+        self.summary, self.wrong = words(name="expected-words"), words(name="schedule-problem")
         self._busy = False
         self.along = Range1d(0.0, 60.0)
         self.charts = [self._editable(column, label) for column, label in CHARTS]
@@ -86,7 +86,7 @@ class ScheduleScreen:
             ),
             side_by_side(*self._files()),
             self.wrong,
-            self.told,
+            self.summary,
             side_by_side(
                 panel(below(*self.charts, self.vibration), 420, 3), panel(below(*self._beside()), 280, 1),
                 styles={"align-items": "flex-start"},
@@ -222,15 +222,19 @@ class ScheduleScreen:
 
     def _expect(self, points: dict[str, list[float]] | None = None) -> None:
         try:
-            told = expected(schedule_of(points or self.desk.points, self.desk.interpolation), self.place)
+            prediction = expected(schedule_of(points or self.desk.points, self.desk.interpolation), self.place)
         except ValueError as error:
             self._wrong(error)
             return
-        self.band.data = {"length": told.length, **{n: getattr(told, n) * MM for n in ("low", "middle", "high")}}
+        self.band.data = {
+            "length": prediction.length,
+            **{n: getattr(prediction, n) * MM for n in ("low", "middle", "high")},
+        }
         tubes = len(self.place.contexts)
-        self.told.text = (
-            f"<p class='big'>Expected: <b>{told.seconds:.0f} s</b>, <b>{100.0 * told.within:.0f} %</b> of the length"
-            f" within {limit_of(self.place.config)}, {told.air:.1f} m³ of air, reward <b>{told.reward:.1f}</b></p>"
+        self.summary.text = (
+            f"<p class='big'>Expected: <b>{prediction.seconds:.0f} s</b>, <b>{100.0 * prediction.within:.0f} %</b>"
+            f" of the length within {limit_of(self.place.config)}, {prediction.air:.1f} m³ of air,"
+            f" reward <b>{prediction.reward:.1f}</b></p>"
             f"<p class='quiet'>By the vibration map, median and 80 % band over {tubes} tubes; the simulation"
             " confirms.</p>"
         )
@@ -270,7 +274,7 @@ class ScheduleScreen:
     def _save(self) -> None:
         if self.save.value.strip():
             path = self.desk.save_schedule(self.save.value.strip())
-            self.told.text += f"<p>written: <code>{escape(str(path))}</code></p>"
+            self.summary.text += f"<p>written: <code>{escape(str(path))}</code></p>"
 
     def _guarded(self, work: Any) -> None:
         try:

@@ -56,7 +56,7 @@ class TubeScreen:
 
     def __init__(self, desk: Desk, changed: Any) -> None:
         self.desk, self._changed, self._busy = desk, changed, False
-        self.wrong, self.told = words(name="tube-problem"), words(name="tube-words")
+        self.wrong, self.summary = words(name="tube-problem"), words(name="tube-words")
         self.inputs: dict[str, Any] = {}
         self.errors: dict[str, Any] = {}
         self.helix, self.section = _Helix(), _Section()
@@ -67,7 +67,7 @@ class TubeScreen:
                   " expectation and the drawings are of this tube.</p>"),
             side_by_side(*self._files()),
             self.wrong,
-            self.told,
+            self.summary,
             side_by_side(
                 panel(below(*forms), 430, 3),
                 panel(below(self.helix.plot, self.section.plot, self.posterior.layout), 300, 2),
@@ -172,7 +172,7 @@ class TubeScreen:
         if given and (self.desk.tube.changed or Path(given) != self.desk.tube.path):
             self.desk.tube.save(Path(given))
             self._taken()
-            self.told.text += f"<p>written: <code>{escape(given)}</code></p>"
+            self.summary.text += f"<p>written: <code>{escape(given)}</code></p>"
 
     def _taken(self) -> None:
         self.fill()
@@ -188,11 +188,11 @@ class TubeScreen:
     def _draw(self) -> None:
         tube = self.desk.tube
         if tube.is_study:
-            self.told.text = "<p>The study's tubes: the shipped list, which nothing was tuned on.</p>"
+            self.summary.text = "<p>The study's tubes: the shipped list, which nothing was tuned on.</p>"
         else:
             known = f"from <code>{escape(str(tube.path))}</code>" if tube.path else "not saved yet"
             changes = ", with changes that are not saved" if tube.changed and tube.path else ""
-            self.told.text = (
+            self.summary.text = (
                 f"<p>Your own tube, {known}{changes}; what is not known exactly is drawn anew for every tube.</p>"
             )
         self.helix.show(tube.plant)

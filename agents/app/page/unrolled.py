@@ -75,13 +75,13 @@ class SlowMotion:
         self.film = ColumnDataSource(dict(EMPTY))
         self.tube = _tube("from the tip [m]", self.shown, 210)
         self.walls = _walls(self.tube)
-        self.told = words()
-        self.again = Button(label="play again", stylesheets=[control_sheet()], width=120)
+        self.caption = words()
+        self.replay = Button(label="play again", stylesheets=[control_sheet()], width=120)
         arguments = {"film": self.film, "shown": self.shown, "period": FRAME_PERIOD * SLOWED * 1e3, "play": True}
         play = CustomJS(args=arguments, code=PLAY)
         self.film.js_on_change("data", play)
-        self.again.js_on_event("button_click", play)
-        self.layout = below(self.told, self.tube, self.again, visible=False)
+        self.replay.js_on_event("button_click", play)
+        self.layout = below(self.caption, self.tube, self.replay, visible=False)
 
     def show(self, motion: Motion) -> None:
         """Play a motion."""
@@ -96,7 +96,7 @@ class SlowMotion:
             "colour": [colours(on_inner[k, kept], on_outer[k, kept]) for k in range(frames)],
         }
         rms = float(motion.signal_radial[motion.signal_time >= 0.0].std()) * MM
-        self.told.text = (
+        self.caption.text = (
             f"<h2>Slow motion</h2><p>What comes next, {motion.time[-1]:.2f} s played {SLOWED:g} times slower, at"
             f" {motion.inserted_length[0]:.2f} m. Radial rms of the sensor meanwhile {rms:.3f} mm.</p>"
         )

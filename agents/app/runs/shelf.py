@@ -26,18 +26,18 @@ class Stored:
     Attributes:
         folder: where.
         whole: whether everything that was wanted is there.
-        told: how its insertions ended, or what is wrong with it, in words.
+        outcome: how its insertions ended, or what is wrong with it, in words.
     """
 
     folder: Path
     whole: bool
-    told: str
+    outcome: str
 
 
 def stored_runs(folder: Path) -> list[Stored]:
     """The evaluations in the folders of a folder, the oldest first."""
-    found = [path for path in folder.glob("*") if (path / WHOLE).exists() or (path / UNFINISHED).exists()]
-    return [described(path) for path in sorted(found, key=lambda path: path.name)]
+    folders = [path for path in folder.glob("*") if (path / WHOLE).exists() or (path / UNFINISHED).exists()]
+    return [described(path) for path in sorted(folders, key=lambda path: path.name)]
 
 
 def described(folder: Path) -> Stored:
@@ -55,12 +55,12 @@ def _described(folder: Path, changed: tuple[int, ...]) -> Stored:
             plan = read_json(folder / UNFINISHED, Unfinished)
             done = len({key for key, *_ in plan.episodes} & episodes_of(folder).read().keys())
             return Stored(folder, False, f"interrupted: {done} of {len(plan.episodes)} insertions are stored")
-        return Stored(folder, True, endings_told(read_evaluation(folder)))
+        return Stored(folder, True, _outcomes(read_evaluation(folder)))
     except (ValueError, OSError) as error:
         return Stored(folder, whole, refusal(error))
 
 
-def endings_told(done: Evaluation) -> str:
+def _outcomes(done: Evaluation) -> str:
     """How the insertions of each policy ended."""
     ends = endings(done.table)
     return "; ".join(f"{name}: {ended({str(k): int(v) for k, v in row.items()})}" for name, row in ends.iterrows())

@@ -79,8 +79,8 @@ class Wanted:
                 specs.append(word)
         unknown = sorted(set(given) - {*OPTIONS, "output"})
         if unknown or not specs:
-            told = f"--{unknown[0]} is an option that this page does not have" if unknown else "it names no policy"
-            raise ValueError(f"command = {command!r}: {told}; the command itself goes on")
+            reason = f"--{unknown[0]} is an option that this page does not have" if unknown else "it names no policy"
+            raise ValueError(f"command = {command!r}: {reason}; the command itself goes on")
         fields = {name: kind(given[name]) for name, kind in OPTIONS.items() if name in given}
         return replace(cls(tuple(specs), output), **fields)
 

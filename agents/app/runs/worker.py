@@ -76,7 +76,7 @@ class _Run:
         """Play what is missing, and tell how it ended."""
         sys.argv = self.wanted.command.split()[:1] + (["app"] if self.wanted.driven else self._arguments())
         try:
-            with warnings.catch_warnings(record=True) as told:
+            with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 plan = self.wanted.plan()
             names = list(plan.policies)
@@ -85,7 +85,7 @@ class _Run:
             self.planned = len(plan.units())
             self.done = self.planned - len(_missing(plan, self.wanted))
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
-            self._send(Planned(self.planned, tuple(str(w.message) for w in told), limit, plan.config.sensor))
+            self._send(Planned(self.planned, tuple(str(w.message) for w in caught), limit, plan.config.sensor))
             run_plan(plan, self.wanted.output, progress=False, source=self._source)
             self._send(Over("finished"))
         except _StoppedError:

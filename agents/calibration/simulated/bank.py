@@ -90,8 +90,8 @@ def simulated(group: int, fidelity: str) -> dict[str, FloatArray]:
     plant, specimens = tubes_of(group)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # of little damping nobody measured the limit
-        made = insert(specimens, wandering(group), plant.configured(), PRESETS[fidelity], [SEED, group])
-    parts = [(k, metres_of(insertion.log)) for k, insertion in enumerate(made)]
+        insertions = insert(specimens, wandering(group), plant.configured(), PRESETS[fidelity], [SEED, group])
+    parts = [(k, metres_of(insertion.log)) for k, insertion in enumerate(insertions)]
     return {
         "specimen": np.concatenate([np.full(len(m), float(group * SIZE + k)) for k, m in parts]),
         "inner_diameter": np.concatenate([np.full(len(m), plant.tube.inner_diameter) for _, m in parts]),

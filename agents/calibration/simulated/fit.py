@@ -68,26 +68,26 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
     strays = (targets - mean) / spread
     alike = _alike(np.clip(strays, -4.0, 4.0), number, bank["length"])
     layers = _network(x, targets, seed)
-    told = {}
+    quality = {}
     for k, name in enumerate(CHANNELS):
         error = targets[:, k] - mean[:, k]
-        told[f"{name}_rms_decades"] = float(np.sqrt((error**2).mean()))
-        told[f"{name}_explained"] = float(1.0 - (error**2).mean() / targets[:, k].var())
-    found = (
+        quality[f"{name}_rms_decades"] = float(np.sqrt((error**2).mean()))
+        quality[f"{name}_explained"] = float(1.0 - (error**2).mean() / targets[:, k].var())
+    covered = (
         bank["length"],
         bank["feed"],
         np.exp(inputs[:, 4]),
         bank["helix_diameter"],
         bank["inner_diameter"] - Scene().probe.carrier_float_diameter,
     )
-    ranges = np.array([[v.min() for v in found], [v.max() for v in found]])
+    ranges = np.array([[v.min() for v in covered], [v.max() for v in covered]])
     plain = Response(layers, scaling, ranges, alike, np.array(REACH), np.zeros(len(CHANNELS) + 1))
     misfits = [
         plain.misfit_of(strays[rows], bank["length"][rows], _ALL)
         for rows in (np.flatnonzero(number == specimen) for specimen in np.unique(number))
         if len(rows) >= LEAST_METRES
     ]
-    return replace(plain, misfit=np.quantile(misfits, RARE, axis=0)), told
+    return replace(plain, misfit=np.quantile(misfits, RARE, axis=0)), quality
 
 
 def _network(x: FloatArray, y: FloatArray, seed: int) -> Layers:
@@ -150,8 +150,8 @@ def _alike(strays: FloatArray, number: FloatArray, length: FloatArray) -> FloatA
     lags = np.arange(LAGS + 1.0)
     kernels = np.column_stack([*(np.exp(-lags / reach) for reach in REACH), lags == 0.0])
     weights = np.sqrt(counts)[:, None]
-    found = np.linalg.lstsq(kernels * weights, covariance.reshape(LAGS + 1, -1) * weights, rcond=None)[0]
-    parts = found.reshape(3, size, size)
+    solution = np.linalg.lstsq(kernels * weights, covariance.reshape(LAGS + 1, -1) * weights, rcond=None)[0]
+    parts = solution.reshape(3, size, size)
     values, vectors = np.linalg.eigh(parts)
     return np.asarray((vectors * np.maximum(values, 1e-6)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
@@ -166,11 +166,14 @@ def make_response(groups: int, fidelity: str, output: Path, target: Path) -> Res
         raise ValueError(f"groups = {groups!r} is outside the accepted range 1 to 256")
     parts = list(make_bank(groups, fidelity, output))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    response, told = fit_response(bank)
+    response, quality = fit_response(bank)
     response.save(target)
     setting = {"insertions": len(np.unique(bank["specimen"])), "metres": len(bank["length"]), "fidelity": fidelity}
-    write_json(target.with_suffix(".json"), provenance() | setting | told)
+    write_json(target.with_suffix(".json"), provenance() | setting | quality)
     print_terms(
-        {name: f"{value:.4g}" if isinstance(value, float) else str(value) for name, value in (setting | told).items()}
+        {
+            name: f"{value:.4g}" if isinstance(value, float) else str(value)
+            for name, value in (setting | quality).items()
+        }
     )
     return response

@@ -63,26 +63,26 @@ def _columns_of(unknown: str) -> tuple[str, ...]:
 
 def summarised(table: pd.DataFrame) -> dict[str, Any]:
     """Coverage, errors, p-values of uniform ranks, and the shares of foreign logs that are told."""
-    found: dict[str, Any] = {"logs": int((table["set"] == "with tension").sum())}
+    summary: dict[str, Any] = {"logs": int((table["set"] == "with tension").sum())}
     for name in SETS:
         part = table[table["set"] == name]
         for unknown in UNKNOWNS:
             truth, low, high = (part[f"{unknown}{suffix}"] for suffix in ("", "_low", "_high"))
-            found[f"{name}: {unknown} covered"] = float(((low <= truth) & (truth <= high)).mean())
-            found[f"{name}: {unknown} ranks uniform, p"] = float(kstest(part[f"{unknown}_rank"], "uniform").pvalue)
-        found[f"{name}: friction, median error"] = float((part["friction_mean"] - part["friction"]).abs().median())
-        found[f"{name}: wrongly misspecified"] = float(part["misspecified"].mean())
-        found[f"{name}: wrongly doubtful"] = float((part["refused"] & ~part["misspecified"]).mean())
+            summary[f"{name}: {unknown} covered"] = float(((low <= truth) & (truth <= high)).mean())
+            summary[f"{name}: {unknown} ranks uniform, p"] = float(kstest(part[f"{unknown}_rank"], "uniform").pvalue)
+        summary[f"{name}: friction, median error"] = float((part["friction_mean"] - part["friction"]).abs().median())
+        summary[f"{name}: wrongly misspecified"] = float(part["misspecified"].mean())
+        summary[f"{name}: wrongly doubtful"] = float((part["refused"] & ~part["misspecified"]).mean())
     alone = table[table["set"] == "with tension"]
     inside = (alone["alone_low"] <= alone["friction"]) & (alone["friction"] <= alone["alone_high"])
-    found["tension alone: friction covered"] = float(inside.mean())
-    found["tension alone: friction, median error"] = float((alone["alone_mean"] - alone["friction"]).abs().median())
+    summary["tension alone: friction covered"] = float(inside.mean())
+    summary["tension alone: friction, median error"] = float((alone["alone_mean"] - alone["friction"]).abs().median())
     for world in WORLDS:
         part = table[table["set"] == world]
-        found[f"{world}: logs"] = len(part)
-        found[f"{world}: called misspecified"] = float(part["misspecified"].mean())
-        found[f"{world}: called misspecified or doubtful"] = float(part["refused"].mean())
-    return found
+        summary[f"{world}: logs"] = len(part)
+        summary[f"{world}: called misspecified"] = float(part["misspecified"].mean())
+        summary[f"{world}: called misspecified or doubtful"] = float(part["refused"].mean())
+    return summary
 
 
 def _rows(fidelity: str, group: int) -> list[list[Row]]:
@@ -101,18 +101,22 @@ def _row(response: Response, trial: Trial, name: str, log: Log) -> Row:
     """One calibration: truths, intervals, ranks, verdict."""
     plant = Plant(tube=Tubes(**trial.scene.tube.model_dump(exclude={"ovality"})))
     recorded = Recorded("log", log, "tube", trial.scene.tube.helix_diameter)
-    found = calibrate([recorded], plant, response, progress=False)
-    row: Row = {"set": name, "misspecified": bool(found.misfits), "refused": bool(found.misfits or found.leaning)}
+    calibration = calibrate([recorded], plant, response, progress=False)
+    row: Row = {
+        "set": name,
+        "misspecified": bool(calibration.misfits),
+        "refused": bool(calibration.misfits or calibration.leaning),
+    }
     for k, unknown in enumerate(UNKNOWNS):
-        draws = found.posterior.draws[0, :, k]
+        draws = calibration.posterior.draws[0, :, k]
         row[unknown] = float(trial.truth[k])
-        row |= {f"{unknown}_{part}": value for part, value in found.summary(unknown).items()}
+        row |= {f"{unknown}_{part}": value for part, value in calibration.summary(unknown).items()}
         row[f"{unknown}_rank"] = float((draws < trial.truth[k]).mean())
-    alone = found.sliding[0].friction if found.sliding[0] else (np.nan,) * 3
+    alone = calibration.sliding[0].friction if calibration.sliding[0] else (np.nan,) * 3
     row |= dict(zip(("alone_mean", "alone_low", "alone_high"), alone, strict=True))
-    gauge = found.gains[0]
+    gauge = calibration.gains[0]
     row |= {"gain": gauge.gain if gauge else np.nan, "gain_ratio": gauge.ratio if gauge else np.nan}
-    misfit = found.posterior.misfit[0]
+    misfit = calibration.posterior.misfit[0]
     return row | {f"misfit_{channel}": value for channel, value in zip((*CHANNELS, "all"), misfit, strict=True)}
 
 

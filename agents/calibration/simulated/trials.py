@@ -72,11 +72,11 @@ def trials(group: int, fidelity: str, seed: int) -> list[Trial]:
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
-        made = insert(specimens, schedules(rng, length), plant.configured(), PRESETS[fidelity], [seed, group])
+        insertions = insert(specimens, schedules(rng, length), plant.configured(), PRESETS[fidelity], [seed, group])
     scenes = [plant.scene.model_copy(update={"tube": {"helix_diameter": float(d)}}) for d in diameters]
     return [
         Trial(*parts)
-        for parts in zip(truth, specimens, scenes, (noisy(insertion.log, rng) for insertion in made), strict=True)
+        for parts in zip(truth, specimens, scenes, (noisy(insertion.log, rng) for insertion in insertions), strict=True)
     ]
 
 

@@ -97,7 +97,7 @@ def run_lost(plan: Plan, units: list[Unit], key: Mapping[str, Any], threads: int
     return rows
 
 
-def run_again(episodes: Path, output: Path, limit: int = 0, threads: int = 1) -> pd.DataFrame:
+def rerun(episodes: Path, output: Path, limit: int = 0, threads: int = 1) -> pd.DataFrame:
     """What is not stored yet in insertions.csv.
 
     Args:

@@ -47,7 +47,7 @@ def traces(
     return {
         "metres": grid,
         "limit": limit_mm,
-        "tubes": [{"number": tube["context"], "text": _told(tube)} for tube in tubes],
+        "tubes": [{"number": tube["context"], "text": _label(tube)} for tube in tubes],
         "policies": [
             {
                 "name": policy,
@@ -61,7 +61,7 @@ def traces(
     }  # fmt: skip
 
 
-def _told(tube: Mapping[str, Any]) -> str:
+def _label(tube: Mapping[str, Any]) -> str:
     if tube["helix_diameter"] <= 0.0:
         return ""
     return f"helix {tube['helix_diameter']:g} m, friction {tube['friction']:.3f}"

@@ -57,7 +57,7 @@ def table_of_text(path: Path, text: str, given: Sequence[Given]) -> Table:
 def _head(path: Path, lines: Sequence[str], given: Sequence[Given]) -> tuple[int, str]:
     """Line number from 0 and separator of the line that names most quantities, the first of them."""
     begin = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
-    best, place, found = 1, None, (1, list[str]())
+    best, place, first = 1, None, (1, list[str]())
     for k in begin:
         line = re.sub(r"^\s*[#%!]", "", lines[k][: 100 * MOST_COLUMNS])
         for separator in SEPARATORS:
@@ -65,10 +65,10 @@ def _head(path: Path, lines: Sequence[str], given: Sequence[Given]) -> tuple[int
             score = head_score(cells, given)
             if score > best:
                 best, place = score, (k, separator)
-            if len(cells) > 1 and not found[1]:
-                found = (k + 1, cells)
+            if len(cells) > 1 and not first[1]:
+                first = (k + 1, cells)
     if place is None:
-        raise no_head(path, found[1], f"line {found[0]}")
+        raise no_head(path, first[1], f"line {first[0]}")
     return place
 
 

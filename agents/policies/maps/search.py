@@ -111,8 +111,8 @@ class MapCost:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         lengths, tubes = self._tiled
         feed, air = schedule.at(lengths)
-        told = self.vibration.tells(lengths, feed, air, tubes, self.config.scene)
-        cost = expected_cost(*told, feed, air, self.config)
+        predicted = self.vibration.tells(lengths, feed, air, tubes, self.config.scene)
+        cost = expected_cost(*predicted, feed, air, self.config)
         return float(len(metres(self.config)) * (self.config.progress_weight - cost.mean()))
 
 

@@ -76,8 +76,8 @@ def run_law_search(
     rows: list[dict[str, object]] = []
 
     def by_map(laws: list[Constants]) -> list[float]:
-        found = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
-        return [float(rewards.mean()) for rewards in found]
+        by_law = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
+        return [float(rewards.mean()) for rewards in by_law]
 
     best = _searched(by_map, point_of(Constants()), WIDE, max(trials // POPULATION, 1), ("map", rows))
     simulated = _Simulated(place, output / "episodes", workers)
@@ -85,12 +85,12 @@ def run_law_search(
     table = pd.DataFrame(rows)
     write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
     rewards = {where: float(table[table["where"] == where]["reward"].max()) for where in dict.fromkeys(table["where"])}
-    found = {
+    record = {
         "constants": best.model_dump(),
         "rewards": rewards,
         "tubes": {"map": len(whole.contexts), "simulated": limit},
     }
-    write_json(output / "plc-law.json", found | {"provenance": provenance()})
+    write_json(output / "plc-law.json", record | {"provenance": provenance()})
     return best
 
 

@@ -10,7 +10,7 @@ from agents.policies.plc.law import Constants, PlantData
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
 
-TOLD = {
+DESCRIPTIONS = {
     "average": ("s", "time constant of the averages of friction and noise"),
     "onset_length": ("m", "slow with strong air from here on, at friction 0.175 and 1.5 m"),
     "onset_friction": ("", "... times friction to the minus this"),
@@ -29,7 +29,7 @@ HEADER = ("constant", "value", "unit", "")
 def rows_of(constants: Constants) -> list[tuple[str, ...]]:
     """A row a constant."""
     values = constants.model_dump()
-    return [(name, f"{values[name]:.4g}", unit, what) for name, (unit, what) in TOLD.items()]
+    return [(name, f"{values[name]:.4g}", unit, what) for name, (unit, what) in DESCRIPTIONS.items()]
 
 
 def print_law(constants: Constants) -> None:
@@ -44,6 +44,6 @@ def write_law(constants: Constants, plant: PlantData, place: Place, st: Path | N
         print(f"written: {st}")
     if csv:
         diameters = sorted({context.helix_diameter for context in place.contexts})
-        found = table(constants, plant, diameters, place.config.scene.tube.helix_length)
-        write_atomically(csv, found.to_csv(index=False, float_format="%.6g"))
+        tabulated = table(constants, plant, diameters, place.config.scene.tube.helix_length)
+        write_atomically(csv, tabulated.to_csv(index=False, float_format="%.6g"))
         print(f"written: {csv}")

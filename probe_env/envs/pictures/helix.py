@@ -41,8 +41,8 @@ class Helix:
         label = f"radial displacement [mm], drawn x {EXAGGERATION:g}"
         figure.colorbar(self._cable, ax=axes, shrink=0.6, pad=0.02, label=label)
         self._title = axes.text(0.5, 1.0, "", transform=axes.transAxes, ha="center", fontsize=10)
-        told = label_of(simulator.scene)
-        axes.text(0.5, 0.96, told, transform=axes.transAxes, ha="center", fontsize=8, color="0.35")
+        subtitle = label_of(simulator.scene)
+        axes.text(0.5, 0.96, subtitle, transform=axes.transAxes, ha="center", fontsize=8, color="0.35")
         self.moving: tuple[Any, ...] = (self._cable, self._sensor, self._title)
 
     def update(self, simulator: Simulator) -> None:

@@ -101,8 +101,8 @@ class Window:
 def label_of(scene: Scene) -> str:
     """Tube and floats in a few words."""
     floats = sorted({scene.probe.carrier_float_diameter, scene.probe.guide_float_diameter})
-    told = " and ".join(f"{diameter * 1e3:g}" for diameter in floats)
-    return f"bore {scene.tube.inner_diameter * 1e3:g} mm, floats {told} mm"
+    diameters = " and ".join(f"{diameter * 1e3:g}" for diameter in floats)
+    return f"bore {scene.tube.inner_diameter * 1e3:g} mm, floats {diameters} mm"
 
 
 def outward(value: float) -> float:

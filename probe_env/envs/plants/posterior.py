@@ -60,12 +60,12 @@ class Posterior(Model):
             FileError: not a calibration.
         """
         try:
-            found = json.loads(read_bytes(path, MOST_FILE))
+            content = json.loads(read_bytes(path, MOST_FILE))
         except (ValueError, RecursionError) as error:
             if isinstance(error, FileError):
                 raise
             raise FileError(path, f"not JSON: {error}") from error
-        draws = found.get("draws") if isinstance(found, dict) else None
+        draws = content.get("draws") if isinstance(content, dict) else None
         if not isinstance(draws, dict):
             raise FileError(path, "draws: missing, so it is not a calibration (probe-env calibrate writes one)")
         try:
@@ -119,6 +119,6 @@ def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict
     if len(named) > 1:
         raise ValueError(f"posterior: {' and '.join(map(repr, named))}, and only one file can be told of")
     for file, names in named.items():
-        found = Posterior.read((folder or Path()) / file)
-        tables["posterior"] = found.of(frozenset(names) & found.draws.keys())
+        posterior = Posterior.read((folder or Path()) / file)
+        tables["posterior"] = posterior.of(frozenset(names) & posterior.draws.keys())
     return tables

@@ -79,8 +79,8 @@ def _noise(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
     """(n,) noise over the signal of a 20 % groove, of motions (samples, n) [m] passed at ``feed`` (n,) [m/s]."""
     meter, every = Meter(sensor, len(feed), SAMPLE_PERIOD), np.arange(len(feed))
     for second in np.split(radial, round(MEASURE / SPAN)):
-        told = meter.listen(every, second, feed)
-    return np.asarray(1.0 / np.maximum(told.snr, LEAST_SNR))
+        reading = meter.listen(every, second, feed)
+    return np.asarray(1.0 / np.maximum(reading.snr, LEAST_SNR))
 
 
 def over_length(feed: Schedule | Controller) -> Schedule:

@@ -110,8 +110,8 @@ def any_less(typing_context: Any, a: Any, b: Any) -> Any:
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         bits = ir.IntType(signature.args[0].count)
-        found = builder.bitcast(builder.fcmp_ordered("<", *arguments), bits)
-        return builder.icmp_unsigned("!=", found, ir.Constant(bits, 0))
+        mask = builder.bitcast(builder.fcmp_ordered("<", *arguments), bits)
+        return builder.icmp_unsigned("!=", mask, ir.Constant(bits, 0))
 
     return types.boolean(a, a), code
 

@@ -88,8 +88,8 @@ def test_an_insertion_ends_where_the_helix_does():
 
 def test_a_spec_goes_through_json(file):
     env = gym.make("probe_env/Insertion-v1", tube=str(file), config={"time_weight": 0.2}, **SETTINGS)
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.config == env.unwrapped.config
+    restored = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert restored.unwrapped.config == env.unwrapped.config
     assert env.unwrapped.config == Plant.from_toml(file).configured(changes={"time_weight": 0.2})
 
 

@@ -25,27 +25,27 @@ def tried():
 
 def test_the_quiet_first_metres_have_the_anchor_s_signal_to_noise(tried):
     """7.5 for a 20 % groove at 0.2 m/s in a smooth tube; motion only adds: S/N is below 3 where it rings."""
-    found, _ = tried
+    noisy, _ = tried
     quiet, loud = 1.0 / SNR.sensor.quiet_snr, 1.0 / SNR.sensor.shaken_snr
-    assert (found.noise >= quiet * (1.0 - 1e-6)).all()
-    assert found.noise[0, 0] == pytest.approx(quiet, rel=0.02)  # some um of rms, where 0.1 mm make it 2.5 times as much
-    assert found.noise[1].max() > loud
-    assert (found.radial_rms[found.noise > loud] > 5e-5).all()  # 0.1 mm in the band do it, and half is in the band
+    assert (noisy.noise >= quiet * (1.0 - 1e-6)).all()
+    assert noisy.noise[0, 0] == pytest.approx(quiet, rel=0.02)  # some um of rms, where 0.1 mm make it 2.5 times as much
+    assert noisy.noise[1].max() > loud
+    assert (noisy.radial_rms[noisy.noise > loud] > 5e-5).all()  # 0.1 mm in the band do it, and half is in the band
 
 
 def test_nothing_but_the_measure_differs(tried):
-    found, plain = tried
+    noisy, plain = tried
     assert plain.noise is None
     for name in ("widths", "feed_speed", "radial_rms", "root_tension", "lost_drive", "diverged"):
-        assert (getattr(found, name) == getattr(plain, name)).all(), name
+        assert (getattr(noisy, name) == getattr(plain, name)).all(), name
 
 
 def test_the_reward_counts_noise_over_signal(tried):
     """A metre at the limit, S/N 3, costs its weight; half of the noise a quarter of it."""
-    found, _ = tried
-    designs, span = [ORIGINAL, ORIGINAL], found.widths.sum(axis=1)
+    noisy, _ = tried
+    designs, span = [ORIGINAL, ORIGINAL], noisy.widths.sum(axis=1)
     for share in (1.0, 0.5):
-        same = replace(found, noise=np.full_like(found.noise, share / 3.0))
+        same = replace(noisy, noise=np.full_like(noisy.noise, share / 3.0))
         terms, kpis = judge(designs, same, SNR)
         assert terms["vibration"] == pytest.approx(-4.0 * share**2 * span, rel=1e-9)
         assert kpis["share_within_limit"] == pytest.approx(1.0, abs=1e-9)

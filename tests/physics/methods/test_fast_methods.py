@@ -266,10 +266,10 @@ def test_imex_has_newmark_s_statistics_in_chaos(length, method, statistic):
     own = deviation(statistic, length)
     newmark = of_newmark(length, statistic)
     assert len(newmark) >= 8
-    found = apart(stored(length, method)[statistic].to_numpy(), newmark)
+    difference = apart(stored(length, method)[statistic].to_numpy(), newmark)
     chance = reach((own, 32), (own, len(newmark)))
     low, high = BIAS[statistic]
-    assert low - chance <= found <= high + chance
+    assert low - chance <= difference <= high + chance
 
 
 @pytest.mark.parametrize("length", [30, 50])
@@ -335,5 +335,5 @@ def test_an_insertion_and_constant_lengths_agree(seeds):
     mixed = np.square([quiet, *others]).mean(axis=1)
     # 4 % apart in truth, as the length and the history of a growing probe are not quite the others': a tenth is
     # allowed, and chance is another 16 %
-    found = 0.5 * (np.log(np.mean(inserted**2)) - np.log(mixed.mean()))
-    assert abs(found) <= np.log(1.1) + reach((0.1, 16), (0.14, 32))
+    difference = 0.5 * (np.log(np.mean(inserted**2)) - np.log(mixed.mean()))
+    assert abs(difference) <= np.log(1.1) + reach((0.1, 16), (0.14, 32))

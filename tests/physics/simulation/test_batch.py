@@ -109,8 +109,8 @@ def test_a_copy_goes_on_equal(duplicate, method):
     expected = batch.advance(0.1, 0.03, 0.1, keep_samples=True)
     values = other.advance(0.1, 0.03, 0.1, keep_samples=True)
     batch.restore(saved)
-    again = batch.advance(0.1, 0.03, 0.1, keep_samples=True)
-    for window in (values, again):
+    repeated = batch.advance(0.1, 0.03, 0.1, keep_samples=True)
+    for window in (values, repeated):
         assert (window.radial == expected.radial).all()
         assert (window.tension == expected.tension).all()
         for name, column in window.statistics.items():

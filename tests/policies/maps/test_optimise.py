@@ -31,10 +31,10 @@ def test_a_point_of_the_search_is_a_schedule():
 
 @pytest.mark.parametrize("name", list(FAMILIES))
 def test_stored_schedules_are_the_best_of_their_trials(name):
-    trials, made = pd.read_csv(DATA / f"{name}-trials.csv"), json.loads((DATA / f"{name}.json").read_text())
-    assert len(trials) == made["trials"]
+    trials, record = pd.read_csv(DATA / f"{name}-trials.csv"), json.loads((DATA / f"{name}.json").read_text())
+    assert len(trials) == record["trials"]
     best = trials[trials["reward"] == trials["reward"].max()]  # four digits are stored, in which some are equal
-    assert best["reward"].iloc[0] == pytest.approx(made["reward_by_map"], rel=1e-3)
+    assert best["reward"].iloc[0] == pytest.approx(record["reward_by_map"], rel=1e-3)
     stored = Schedule.read(DATA / f"{name}.csv")
     points = best[[f"x{k}" for k in range(len(FAMILIES[name].start))]].to_numpy().tolist()
     schedules = [FAMILIES[name].schedule(point, CONFIG) for point in points]

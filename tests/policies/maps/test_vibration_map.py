@@ -90,9 +90,9 @@ def test_the_cost_of_a_metre_is_its_expectation(mean, deviation):
 
 def test_stored_map_survives_its_file_and_tells_held_out_episodes(tmp_path):
     stored_map().save(tmp_path / "map.npz")
-    again = VibrationMap.load(tmp_path / "map.npz")
+    loaded = VibrationMap.load(tmp_path / "map.npz")
     features = np.random.default_rng(0).normal(size=(20, 7))
-    assert (again.distribution(features)[0] == stored_map().distribution(features)[0]).all()
+    assert (loaded.distribution(features)[0] == stored_map().distribution(features)[0]).all()
     assert load_quality()["explained_variance"] > 0.9
 
 
@@ -123,8 +123,8 @@ def test_friction_from_the_closed_form_s_tension(friction, length, helix_diamete
         "root_tension": steady_root_tension(scene), "inserted_length": length, "feed_speed": 0.15,
         "air_supply_rate": 0.025, "helix_diameter": helix_diameter,
     } | {name: getattr(scene.probe, name) for name in SHAPE}  # fmt: skip
-    found = friction_from_tension({name: np.array([value]) for name, value in seen.items()}, Scene())
-    assert found[0] == pytest.approx(friction, rel=0.06)  # floats are discrete; the closed form there sums over them
+    estimate = friction_from_tension({name: np.array([value]) for name, value in seen.items()}, Scene())
+    assert estimate[0] == pytest.approx(friction, rel=0.06)  # floats are discrete; the closed form there sums over them
 
 
 def test_policies_name_what_their_task_does_not_show():
@@ -145,8 +145,8 @@ def test_wandering_holds_for_a_segment_and_differs_between_episodes():
     assert (actions[0] != actions[1]).all()
     assert (actions[0] != actions[2]).all()
     rows[:, names.index("inserted_length")] = np.array([8.9, 8.9, 11.9]) / 60.0
-    again, _ = policy.predict(rows)
-    assert (again == actions).all()
+    held, _ = policy.predict(rows)
+    assert (held == actions).all()
     feeds = CONFIG.targets(actions)[:, 0]
     assert ((feeds > 0.039) & (feeds < 0.401)).all()
 

@@ -104,15 +104,15 @@ def test_structured_text_does_what_the_policy_does() -> None:
     for k in range(count):
         row = {name: values[k : k + 1] for name, values in measured.items()}
         feed, air = law.targets(row, memory)
-        told = block(
+        outputs = block(
             Start=k == 0, Period=CONFIG.period, InsertedLength=row["inserted_length"][0],
             RootTension=row["root_tension"][0], Noise=row["rf_noise"][0], FeedNow=row["feed_speed"][0],
             AirNow=row["air_supply_rate"][0], HelixDiameter=row["helix_diameter"][0],
         )  # fmt: skip
         # some fifty roundings of 6e-8 each, with exponents up to 2 and Newton's division by differences of 0.05
-        np.testing.assert_allclose([told["Friction"], told["LogNoise"]], memory[0], rtol=1e-4)
-        if abs(float(told["Length"]) / float(told["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides
-            np.testing.assert_allclose([told["Feed"], told["Air"]], [feed[0], air[0]], rtol=1e-3)
+        np.testing.assert_allclose([outputs["Friction"], outputs["LogNoise"]], memory[0], rtol=1e-4)
+        if abs(float(outputs["Length"]) / float(outputs["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides
+            np.testing.assert_allclose([outputs["Feed"], outputs["Air"]], [feed[0], air[0]], rtol=1e-3)
             switched += air[0] == CONFIG.air_supply_rates[1]
     assert 50 < switched < 350  # both branches were run
 
@@ -137,16 +137,16 @@ def test_structured_text_has_no_exponents_and_stays_within_a_line() -> None:
 
 def test_a_table_says_what_the_law_does() -> None:
     constants = read_constants()
-    found = table(constants, PLANT, [1.0, 2.5], 60.0)
-    assert list(found.columns) == [
+    tabulated = table(constants, PLANT, [1.0, 2.5], 60.0)
+    assert list(tabulated.columns) == [
         "helix_diameter_m", "friction", "inserted_length_m", "feed_speed_m_per_s", "air_supply_m3_per_h",
     ]  # fmt: skip
-    assert len(found) == 2 * 11 * 23
-    diameter, friction, length, feed, air = found.to_numpy().T
-    quiet = np.full(len(found), np.log(constants.quiet))
+    assert len(tabulated) == 2 * 11 * 23
+    diameter, friction, length, feed, air = tabulated.to_numpy().T
+    quiet = np.full(len(tabulated), np.log(constants.quiet))
     expected = law_at(constants, PLANT, (length, friction, quiet, diameter))
     assert (feed, air / 3600.0) == (pytest.approx(expected[0], rel=1e-12), pytest.approx(expected[1], rel=1e-12))
-    assert set(found["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
+    assert set(tabulated["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
 
 
 def test_a_quasi_steady_world_earns_what_the_map_expects_of_a_schedule() -> None:
@@ -189,25 +189,25 @@ def test_a_search_goes_from_the_map_to_the_simulation(tmp_path, monkeypatch) -> 
 
     monkeypatch.setattr(search, "quasi_steady_rewards", by_map)
     monkeypatch.setattr(search, "run_plan", run_plan)
-    found = run_law_search(300, 5, 6, tmp_path, HERE, stored_map())
+    optimum = run_law_search(300, 5, 6, tmp_path, HERE, stored_map())
     trials = pd.read_csv(tmp_path / "plc-law-trials.csv")
     assert trials["where"].value_counts().to_dict() == {"map": 301, "simulated": 51}
     assert trials["reward"].iloc[-1] > trials["reward"].iloc[0]
-    assert np.abs(point_of(found) - point_of(goal)).max() < 0.2
-    assert read_constants(tmp_path / "plc-law.json") == found
+    assert np.abs(point_of(optimum) - point_of(goal)).max() < 0.2
+    assert read_constants(tmp_path / "plc-law.json") == optimum
     with pytest.raises(ValueError, match="limit = 0 is outside the accepted range 1 to 96"):
         run_law_search(10, 1, 0, tmp_path, HERE, stored_map())
 
 
 def test_a_damaged_file_is_refused_by_name(tmp_path) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "law.json"
-    for text, told in (
+    for text, message in (
         ("{", "not the constants"), ("{}", "not the constants"), ("[]", "not the constants"),
         (json.dumps({"constants": {"average": -1.0}}), "average"),
         (json.dumps({"constants": {"averag": 1.0}}), "averag"),
     ):  # fmt: skip
         path.write_text(text)
-        with pytest.raises(FileError, match=told):
+        with pytest.raises(FileError, match=message):
             read_constants(path)
 
 

@@ -96,10 +96,10 @@ def renew_flags(root, places, law, share, first, state, work):
             most = work.bound[i] if frozen else coefficient * N
             slide = 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
             if not first:
-                N_was, slip_was = contact(old_wall, place, law, at, d, w)
+                N_old, slip_old = contact(old_wall, place, law, at, d, w)
                 F = friction_force(slide, slip, most, stiction)
-                F_was = friction_force(old_slide, slip_was, work.bound[i] if frozen else coefficient * N_was, stiction)
-                worst = max(worst, abs(N - N_was) + abs(F - F_was))
+                F_old = friction_force(old_slide, slip_old, work.bound[i] if frozen else coefficient * N_old, stiction)
+                worst = max(worst, abs(N - N_old) + abs(F - F_old))
                 largest = max(largest, N)
             if not frozen:
                 work.bound[i] = coefficient * N
