@@ -8,6 +8,8 @@ from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskC
 from probe_env.envs.task.ranges import action_of, share_between, share_of
 from probe_env.envs.task.rules import (
     END_TOLERANCE,
+    ENDINGS,
+    FAILURES,
     TERMS,
     Ending,
     Outcome,
@@ -21,7 +23,9 @@ from probe_env.envs.task.rules import (
 )
 
 __all__ = [
+    "ENDINGS",
     "END_TOLERANCE",
+    "FAILURES",
     "MEASURES",
     "SHOWN",
     "TERMS",
