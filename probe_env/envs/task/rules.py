@@ -114,6 +114,11 @@ def metre_cost(config: TaskConfig, squares: FloatArray, feed: FloatArray, air: F
     return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
 
 
+def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
+    """Reward of a metre with a ``metre_cost``, or with the mean of many."""
+    return np.asarray(config.progress_weight - cost)
+
+
 class Outcome(NamedTuple):
     """What a period or a whole insertion came to, for each of N probes.
 
