@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
+from scipy.stats import t as student
 
 from agents.records.columns import HIGH, OVER_TUBES, kpis_of, label_of
 from agents.rollouts.found import a90_95, tells
@@ -111,6 +112,17 @@ def mean_interval(values: np.ndarray) -> Interval:
     if len(values) == 1 or np.ptp(values) == 0.0:
         return Interval(mean, mean, mean)
     return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
+
+
+def student_factor(count: int) -> float:
+    """Half of the 95 % interval of a mean of ``count`` normal values, by Student, over its standard error."""
+    return float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
+
+
+def student_interval(values: pd.Series) -> Interval:
+    """Mean of normal values with Student's interval; NaN without two of them."""
+    mean, half = float(values.mean()), float(student_factor(len(values)) * values.std() / np.sqrt(len(values)))
+    return Interval(mean, mean - half, mean + half)
 
 
 def interquartile_mean(values: np.ndarray) -> float:
