@@ -28,7 +28,7 @@ from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.state import at_rest
 
 NEWMARK_STEP, FAST_STEP = 1e-4, 2e-4
-IN_LANES = ("imex", "imex32", "superelement", "superelement32")
+IN_LANES = tuple(name for name, method in METHODS.items() if method.lanes and method.usual_step >= FAST_STEP)
 SCALING_NODES = (500, 1000, 2000, 5000, 10000, 20000)
 
 

@@ -27,7 +27,7 @@ from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.tables import Columns, read_csv
 from agents.rollouts.plan import Policy
-from agents.rollouts.statistics import Interval, mean_interval
+from agents.rollouts.statistics import Interval, failures, in_words, mean_interval
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
@@ -253,4 +253,4 @@ def print_comparison(table: pd.DataFrame) -> None:
     summary = summarise(table)
     print_table(title, header(summary), cells(summary))
     for name, part in table.groupby("design", sort=False):
-        print(f"{name}: {int(part['lost_drive'].sum())} lost drive, {int(part['diverged'].sum())} diverged")
+        print(f"{name}: {', '.join(in_words(failures(part)))}")

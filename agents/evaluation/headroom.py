@@ -15,8 +15,17 @@ from agents.policies.planning.planner import PLANNERS, Planner
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, Policy, run_plan
-from agents.rollouts.statistics import BAR, by_context, grouped, mean_interval, paired_difference, share_of_lead
+from agents.rollouts.statistics import (
+    BAR,
+    by_context,
+    failures,
+    grouped,
+    mean_interval,
+    paired_difference,
+    share_of_lead,
+)
 from agents.terminal.tables import print_table
+from probe_env.envs.task import FAILURES
 from probe_env.fidelity import resolve_fidelity
 
 ALWAYS: Final = (*PLANNERS, BAR)
@@ -68,7 +77,7 @@ def run_headroom(names: Sequence[str], place: Place, fidelity: str, output: Path
         reward = mean_interval(by_context(table, policy, "reward").to_numpy())
         gain = paired_difference(table, policy, BAR, "reward") if policy != BAR else None
         share = share_of_lead(table, policy)
-        lost = table[table["policy"] == policy][["lost_drive", "diverged"]].sum()
+        failed = failures(table[table["policy"] == policy])
         rows.append(
             {
                 "policy": policy, "tubes": len(place.contexts),
@@ -78,7 +87,7 @@ def run_headroom(names: Sequence[str], place: Place, fidelity: str, output: Path
                 "share": share.mean, "share_low": share.low, "share_high": share.high,
                 "inspection_time_s": by_context(table, policy, "inspection_time_s").mean(),
                 "share_within_limit": by_context(table, policy, "share_within_limit").mean(),
-                "lost_drive": int(lost["lost_drive"]), "diverged": int(lost["diverged"]),
+                **{name: int(failed[name]) for name in FAILURES},
             }
         )  # fmt: skip
     summary = pd.DataFrame(rows)

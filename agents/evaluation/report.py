@@ -18,7 +18,7 @@ from agents.processes.workers import HERE, Workers
 from agents.records.columns import shown_of
 from agents.records.provenance import write_json
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
-from agents.rollouts.statistics import Interval, endings, grouped, method_and_seed, sentences, summarise
+from agents.rollouts.statistics import Interval, endings, grouped, in_words, method_and_seed, sentences, summarise
 from agents.terminal.tables import print_table
 from probe_env.envs.starts import Probes
 from probe_env.fidelity import resolve_fidelity
@@ -94,10 +94,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     rows = ((policy, *cells) for policy, cells in kpi_cells(table))
     print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
-        print(
-            f"{name}: {row['complete']} of {row['episodes']} complete, {row['lost_drive']} lost drive,"
-            f" {row['diverged']} diverged"
-        )
+        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
     for line in sentences(table, against):
         print(line)
 

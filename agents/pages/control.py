@@ -14,12 +14,12 @@ from agents.learning import results as agent_results
 from agents.pages.headroom import SHARE, lead_of, with_law, with_planner
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
-from agents.records.columns import KPIS, shown_of
+from agents.records.columns import FAILED, KPIS, shown_of
 from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement, profiles
-from agents.rollouts.statistics import Interval, endings, grouped, sentences, summarise
+from agents.rollouts.statistics import Interval, failures, grouped, sentences, summarise
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
 
@@ -70,12 +70,11 @@ def headline() -> str:
     for policy, what in HEADLINE.items():
         cells = (f"{means[policy, kpi] * KPIS[kpi][1]:{form}}" for kpi, (_, form) in SHORT.items())
         lines.append(f"| `{policy}` | {what} | {' | '.join(cells)} |")
-    ends = endings(table[table["policy"].isin(HEADLINE)])
-    count = int(ends["episodes"].sum())
+    shown = table[table["policy"].isin(HEADLINE)]
     note = (
         f"Means over {table['context'].nunique()} held-out tubes. The limit is a radial rms of"
         f" {1e3 * config.limit:g} mm at the sensor, {config.period:g} s at a time; `radial rms` is over the length."
-        f" {ends['diverged'].sum()} of {count} insertions diverged, {ends['lost_drive'].sum()} lost their drive."
+        f" {_failed(shown, f' of {len(shown)} insertions')}."
         " `plc-law` and `planner` are of `probe-env results control headroom`."
     )
     return "\n".join(lines) + f"\n\n{note} {_simulated(folder)} {source(folder / 'provenance.json')}"
@@ -103,13 +102,19 @@ def _evaluated(folder: Path, left_out: tuple[str, ...], lead: bool = False) -> s
         by_kpi = dict(zip(known, cells, strict=True))
         share = [lead_of(beside, policy)] * lead
         lines.append(f"| `{policy}` | " + " | ".join([*(by_kpi[kpi] for kpi in shown), *share]) + " |")
-    ends = endings(table)
     words = "\n".join(f"* {line}" for line in sentences(table, against))
     note = (
         f"{len(table)} insertions on {table['context'].nunique()} held-out tubes, means with 95 % bootstrap intervals;"
-        f" {ends['diverged'].sum()} diverged, {ends['lost_drive'].sum()} lost their drive."
+        f" {_failed(table)}."
     )
     return "\n".join(lines) + f"\n\n{words}\n\n{note} {_simulated(folder)} {source(folder / 'provenance.json')}"
+
+
+def _failed(table: pd.DataFrame, of: str = "") -> str:
+    """How many insertions failed, and how; ``of`` stands behind the first number."""
+    counts = failures(table)
+    first, *others = reversed(FAILED)
+    return ", ".join([f"{counts[first]}{of} {FAILED[first]}", *(f"{counts[name]} {FAILED[name]}" for name in others)])
 
 
 def agents() -> str:

@@ -10,11 +10,12 @@ import pandas as pd
 from agents.detection import anchors as detection
 from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.catalogue import DATA
+from agents.records.columns import FAILED
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.found import depths_of
-from agents.rollouts.statistics import grouped, paired_difference
+from agents.rollouts.statistics import failures, grouped, paired_difference
 from probe_env.schedule import Schedule
 
 FOLDER: Final = RESULTS / "snr"
@@ -47,13 +48,13 @@ def snr() -> str:
         )  # fmt: skip
     own = paired_difference(table, OWN, REFERENCE, "reward")
     clear = "more" if own.low > 0.0 else "less" if own.high < 0.0 else "not clearly more or less"
-    tubes, lost = table["context"].nunique(), int(table[["lost_drive", "diverged"]].to_numpy().sum())
+    tubes, lost = table["context"].nunique(), int(failures(table).sum())
     return (
         f"**Judged by what is found, the schedule searched for S/N earns {clear} than the one searched for"
         f" millimetres ({own.text()}); the most has `{means.index[0]}`.**\n\n"
         f"{markdown(HEADER, rows)}\n\n"
-        f"Means over {tubes} held-out tubes of `--tube snr`, differences paired, 95 % intervals; {lost} insertions lost"
-        f" their drive or diverged. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
+        f"Means over {tubes} held-out tubes of `--tube snr`, differences paired, 95 % intervals; {lost} insertions"
+        f" {' or '.join(FAILED.values())}. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
     )
 
 

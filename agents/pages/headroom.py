@@ -8,10 +8,11 @@ from agents.evaluation import headroom as study
 from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.catalogue import PLC
 from agents.policies.planning.planner import PLANNERS
+from agents.records.columns import FAILED
 from agents.records.models import Figures
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
-from agents.rollouts.statistics import BEST, grouped, share_of_lead
+from agents.rollouts.statistics import BEST, failures, grouped, share_of_lead
 from agents.worlds import measure as worlds
 from agents.worlds.noise import STORED as NOISE
 
@@ -25,14 +26,14 @@ def headroom() -> str:
     summary = pd.read_csv(FOLDER / "headroom.csv")
     rows = summary.set_index("policy")
     exact, blurred, estimated = (rows.loc[name] for name in PLANNERS)
-    lost = int(summary[["lost_drive", "diverged"]].to_numpy().sum())
+    lost = int(failures(summary).sum())
     return (
         f"**The planner earns {exact['reward']:.1f}, {exact['gain']:.1f} [{exact['gain_low']:.1f},"
         f" {exact['gain_high']:.1f}] more than `best-schedule`; with states blurred by 10 µm {blurred['reward']:.1f},"
         f" in a tube that it only estimates {estimated['reward']:.1f}.**\n\n"
         f"{markdown(study.HEADER, study.cells(summary))}\n\n"
-        f"Means over {exact['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; {lost} insertions lost"
-        f" their drive or diverged. {source(FOLDER / 'provenance.json')}"
+        f"Means over {exact['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; {lost} insertions"
+        f" {' or '.join(FAILED.values())}. {source(FOLDER / 'provenance.json')}"
     )
 
 

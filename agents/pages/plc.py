@@ -9,12 +9,12 @@ from agents.policies.places import place_of
 from agents.policies.plc.export import structured_text
 from agents.policies.plc.law import STORED, PlantData, read_constants
 from agents.policies.plc.writing import HEADER, rows_of
-from agents.records.columns import shown_of
+from agents.records.columns import FAILED, shown_of
 from agents.records.models import Figures
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement
-from agents.rollouts.statistics import endings, grouped, paired_difference
+from agents.rollouts.statistics import failures, grouped, paired_difference
 
 FOLDER = RESULTS / "control"
 RIVALS = ("best-schedule-by-diameter", "tension-scheduled", "adaptive")
@@ -51,12 +51,11 @@ def plc_reached() -> str:
         f" {probability_of_improvement(table, 'plc-law', rival).text(100.0)} % of the tubes"
         for rival in RIVALS
     )
-    ends = endings(table)
-    lost = int(ends.loc["plc-law", ["lost_drive", "diverged"]].to_numpy().sum())
+    lost = int(failures(table[table["policy"] == "plc-law"]).sum())
     return (
-        "\n".join(lines) + f"\n\nThe law's reward less that of {against}. {lost} of its insertions lost their drive or"
-        f" diverged. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 % intervals."
-        f" {source(FOLDER / 'provenance.json')}"
+        "\n".join(lines) + f"\n\nThe law's reward less that of {against}. {lost} of its insertions"
+        f" {' or '.join(FAILED.values())}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
+        f" intervals. {source(FOLDER / 'provenance.json')}"
     )
 
 

@@ -19,7 +19,7 @@ from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, metre_reward
 from probe_env.schedule import Schedule
 
 FEEDS, AIRS = 28, 12
@@ -123,7 +123,7 @@ def expected_reward(schedule: Schedule, tubes: Sequence[Context], response: Resp
     lengths = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     feed, air = (np.asarray(values, dtype=float) for values in schedule.at(lengths))
     cost = expected_costs(tubes, response, config, Metres(lengths, feed, air, {}))
-    return float(len(lengths) * (config.progress_weight - cost.mean()))
+    return float(len(lengths) * metre_reward(config, cost.mean()))
 
 
 def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:

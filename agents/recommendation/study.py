@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as student
 
 from agents.calibration.calibration import Recorded, calibrate
 from agents.calibration.response import stored_response
@@ -22,6 +21,7 @@ from agents.processes.workers import Workers
 from agents.recommendation.search import recommended
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.tables import Columns
+from agents.rollouts.statistics import student_interval
 from agents.terminal.tables import print_terms
 from probe_env import Context, Plant, StabilityWarning
 from probe_env.arrays import FloatArray
@@ -59,10 +59,10 @@ def run_study(tubes: int, fidelity: str, output: Path, workers: Workers) -> dict
 def summarised(table: pd.DataFrame) -> dict[str, float]:
     """Mean gain in reward over the shipped schedule with its 95 % interval, and the share of what knowing brings."""
     gain, known = (table[name] - table["best-schedule"] for name in ("recommended", "known"))
-    half = float(student.ppf(0.975, len(gain) - 1) * gain.std() / np.sqrt(len(gain)))
+    interval = student_interval(gain)
     return {
         "tubes": len(table),
-        "gain": float(gain.mean()), "gain, low": float(gain.mean()) - half, "gain, high": float(gain.mean()) + half,
+        "gain": interval.mean, "gain, low": interval.low, "gain, high": interval.high,
         "gain by knowing the tube": float(known.mean()),
         "share of what knowing brings": float(gain.mean() / known.mean()),
     }  # fmt: skip

@@ -32,6 +32,10 @@ KPIS: Final[Kpis] = {
 """All that tables of episodes show, in their order."""
 CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_m")
 """Every table of episodes has these: rankings, comparisons and pictures need them."""
+CORE_FAILURES: Final = ("lost_drive", "diverged")
+"""Alike, how episodes fail. An ending that is newer than a table ended none of its episodes."""
+FAILED: Final = {"lost_drive": "lost their drive", "diverged": "diverged"}
+"""What sentences say of episodes that failed, for each of ``FAILURES``."""
 HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
 """KPIs of which more is better."""
 COST_KPIS: Final = ("cost", "cost_lost_drive", "cost_tension", "cost_buckling")
@@ -44,6 +48,11 @@ OF_DESIGNS: Final[Kpis] = {
     "drive_margin_n": ("drive margin", 1.0, "N"),
 }
 """What tables of designs show, in their order."""
+
+
+def label_of(failure: str) -> str:
+    """What tables say of an episode that failed so."""
+    return failure.replace("_", " ")
 
 
 def kpis_of(columns: Iterable[str], known: Kpis = KPIS) -> Kpis:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.records.columns import CARRIED, CORE
+from agents.records.columns import CARRIED, CORE, CORE_FAILURES
 from agents.terminal.names import name_problem
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
@@ -18,8 +18,7 @@ from probe_env.files import MEBI, FileError, read_text
 from probe_env.settings import explain
 
 MOST_JSON: Final = 16 * MEBI
-ENDINGS: Final = ("complete", "lost_drive", "diverged")
-TRIAL_KPIS: Final = (*CORE, "lost_drive", "diverged")
+TRIAL_KPIS: Final = (*CORE, *CORE_FAILURES)
 RESTORE: Final = "restore the file or choose another folder"
 
 
@@ -44,7 +43,7 @@ class Episode(Stored):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        _named("kpis", self.kpis, (*CORE, *ENDINGS))
+        _named("kpis", self.kpis, (*CORE, "complete", *CORE_FAILURES))
         _named("profile", self.profile, CARRIED)
         if len({len(values) for values in self.profile.values()}) > 1:
             raise PydanticCustomError("profile", "profile: its columns are not of one length")

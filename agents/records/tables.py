@@ -19,10 +19,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.records.columns import CARRIED, CORE, HEARD, KPIS
-from agents.records.models import ENDINGS
+from agents.records.columns import CARRIED, CORE, CORE_FAILURES, HEARD, KPIS
 from agents.terminal.names import name_problem
 from probe_env.envs.contexts import Context
+from probe_env.envs.task import ENDINGS
 from probe_env.files import MEBI, FileError, read_bytes, read_text
 from probe_env.inspection.found import POD_NAMES
 
@@ -36,10 +36,10 @@ MOST_ROWS: Final = 20_000_000
 MOST_COLUMNS: Final = 1000
 PLACE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
-    **PLACE, **dict.fromkeys((*Context.model_fields, *CORE, *ENDINGS), "number")
+    **PLACE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
 }  # fmt: skip
 """``episodes.csv`` and ``episodes.parquet``: what every one has."""
-EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *POD_NAMES), "number")
+EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *POD_NAMES, *ENDINGS), "number")
 PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
 """What both have that were stored since there is such a figure."""
 PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **PLACE}

@@ -12,7 +12,7 @@ import pandas as pd
 from agents.policies.catalogue import named_policies
 from agents.policies.places import Place
 from agents.processes.workers import Workers
-from agents.records.columns import COST_KPIS
+from agents.records.columns import CORE_FAILURES, COST_KPIS
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.tables import Columns
 from agents.robustness.axes import AXES, NOMINAL, Disturbed, disturbed
@@ -20,12 +20,12 @@ from agents.robustness.figures import draw_profiles
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import Interval, mean_interval, paired_difference
 from agents.terminal.tables import print_table
+from probe_env.envs.task import FAILURES
 from probe_env.fidelity import resolve_fidelity
 
-ENDS: Final = ("lost_drive", "diverged")
 COLUMNS: Final[Columns] = {
     "policy": "name", "axis": "text", "value": "text", "tubes": "count",
-    **dict.fromkeys(("reward", "change", "low", "high", *COST_KPIS, *ENDS), "number"),
+    **dict.fromkeys(("reward", "change", "low", "high", *COST_KPIS, *CORE_FAILURES), "number"),
 }  # fmt: skip
 """``robustness.csv``: mean reward, its change against the nominal task with a paired 95 % interval, mean costs an
 insertion in periods, and the shares of insertions that lost their drive or diverged."""
@@ -83,7 +83,7 @@ def summary_of(episodes: pd.DataFrame) -> pd.DataFrame:
         row: dict[str, Any] = {"policy": policy, "axis": axis, "value": value or "-", "tubes": len(part)}
         row |= {"reward": mean_interval(part["reward"].to_numpy()).mean}
         row |= {"change": change.mean, "low": change.low, "high": change.high}
-        rows.append(row | {name: float(part[name].mean()) for name in (*COST_KPIS, *ENDS)})
+        rows.append(row | {name: float(part[name].mean()) for name in (*COST_KPIS, *FAILURES)})
     order = {policy: k for k, policy in enumerate(dict.fromkeys(episodes["policy"]))}
     return pd.DataFrame(rows).sort_values("policy", key=lambda names: names.map(order), kind="stable")
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
+from scipy.stats import t as student
 
-from agents.records.columns import HIGH, OVER_TUBES, kpis_of
+from agents.records.columns import HIGH, OVER_TUBES, kpis_of, label_of
 from agents.rollouts.found import a90_95, tells
+from probe_env.envs.task import ENDINGS, FAILURES
 
 CONFIDENCE: Final = 0.95
 BEST: Final = "planner"
@@ -112,6 +114,17 @@ def mean_interval(values: np.ndarray) -> Interval:
     return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
 
 
+def student_factor(count: int) -> float:
+    """Half of the 95 % interval of a mean of ``count`` normal values, by Student, over its standard error."""
+    return float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
+
+
+def student_interval(values: pd.Series) -> Interval:
+    """Mean of normal values with Student's interval; NaN without two of them."""
+    mean, half = float(values.mean()), float(student_factor(len(values)) * values.std() / np.sqrt(len(values)))
+    return Interval(mean, mean - half, mean + half)
+
+
 def interquartile_mean(values: np.ndarray) -> float:
     """Mean of the middle half."""
     return float(interquartile_means(values))
@@ -201,11 +214,20 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def endings(table: pd.DataFrame) -> pd.DataFrame:
-    """How many episodes of each policy were complete, lost their drive or diverged."""
-    columns = ["complete", "lost_drive", "diverged"]
-    return (
-        table.groupby("policy", sort=False)[columns].sum().astype(int).assign(episodes=table.groupby("policy").size())
-    )
+    """How many episodes of each policy were complete, and how many failed by each of ``FAILURES``."""
+    ended = table.reindex(columns=["policy", *ENDINGS], fill_value=0.0)  # a newer ending ended none of them
+    counts = ended.groupby("policy", sort=False).sum().astype(int)
+    return counts.assign(episodes=table.groupby("policy").size())
+
+
+def failures(table: pd.DataFrame) -> pd.Series:
+    """How many of some episodes failed by each of ``FAILURES``; by one that is newer than the table none."""
+    return table.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
+
+
+def in_words(counts: Mapping[str, int] | pd.Series) -> list[str]:
+    """Counts of ``FAILURES`` with what tables call them."""
+    return [f"{counts[name]} {label_of(name)}" for name in FAILURES]
 
 
 def sentences(table: pd.DataFrame, reference: str) -> list[str]:

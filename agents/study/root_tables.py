@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t
 
+from agents.rollouts.statistics import student_factor
 from agents.study.claims import Ensemble, short
 from agents.study.root_waves import conversion
 from agents.study.roots import CLOSE, FINE_STEP, LENGTHS, MESHES, PLACES, SCENE, Root
 from probe_env import Scene
 
-CONFIDENCE = 0.95
 BETWEEN = tuple(place for place in PLACES if 0.0 < place < 1.0)
 
 
@@ -24,7 +23,7 @@ def mean_and_half(values: np.ndarray, scale: float = 1e3) -> str:
     mean = scale * values.mean()
     if len(values) < 2:
         return short(mean)
-    half = scale * float(t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1)) * values.std(ddof=1) / np.sqrt(len(values))
+    half = scale * student_factor(len(values)) * values.std(ddof=1) / np.sqrt(len(values))
     return f"{mean:.3g} ± {half:.1g}"
 
 
@@ -34,7 +33,7 @@ def ratio(over: np.ndarray, under: np.ndarray) -> str:
     if min(len(over), len(under)) < 2:
         return short(value)
     parts = [(v.std(ddof=1) / v.mean()) ** 2 / len(v) for v in (over, under)]
-    reach = float(t.ppf(0.5 + 0.5 * CONFIDENCE, min(len(over), len(under)) - 1)) * np.sqrt(sum(parts))
+    reach = student_factor(min(len(over), len(under))) * np.sqrt(sum(parts))
     return f"{value:.2f} [{value * np.exp(-reach):.2f}, {value * np.exp(reach):.2f}]"
 
 

@@ -19,7 +19,7 @@ from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Step
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import Outcome, TaskConfig, air_used, capped_square, ending, reward_terms, slack
+from probe_env.envs.task import Ending, Outcome, TaskConfig, air_used, capped_square, ending, reward_terms, slack
 from probe_env.envs.task.observations import observe
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.settings import check_known
@@ -215,7 +215,7 @@ class MapEpisodes:
         names = ("inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
         return {"time": float(self.time[k]), **{name: float(measured[name][k]) for name in names}}
 
-    def _kpis(self, k: int, over: BoolArray, ended: Any) -> dict[str, Any]:
+    def _kpis(self, k: int, over: BoolArray, ended: Ending) -> dict[str, Any]:
         """Of an episode that ends, the task's rewards and lengths."""
         if not over[k]:
             return {}
@@ -223,8 +223,7 @@ class MapEpisodes:
         kpis = {
             "reward": self.tally["reward"][k], "inspection_time_s": self.time[k], "inspected_m": inspected,
             "share_within_limit": self.tally["within"][k] / max(inspected + self._left(k), 1e-9),
-            "air_m3": self.tally["air"][k], "lost_drive": float(ended.lost_drive[k]), "diverged": 0.0,
-            "complete": float(ended.complete[k]),
+            "air_m3": self.tally["air"][k], **ended.kpis(k),
         }  # fmt: skip
         return {"episode_kpis": {name: float(value) for name, value in kpis.items()}}
 

@@ -262,14 +262,12 @@ class Episodes:
             "cost_terms": costs,
             "target_feed_speed": float(targets[k, 0]),
             "target_air_supply_rate": float(targets[k, 1]),
-            "diverged": bool(end.diverged[k]),
-            "lost_drive": bool(end.lost_drive[k]),
+            **end.failed(k),
         }
         if not self.running[k]:
             tube = float(self.gauges.helix_length()[k])
             length = tube - self.start[k] if self.config.growing else self.tally[k].inspected
-            how = (bool(end.diverged[k]), bool(end.lost_drive[k]), bool(end.complete[k]))
-            info["episode_kpis"] = self.tally[k].kpis(float(length), tube, *how)
+            info["episode_kpis"] = self.tally[k].kpis(float(length), tube, end.kpis(k))
         return info
 
     def _check_simulable(self, k: int, scene: Scene) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,10 +79,14 @@ class Tally:
             self.greatest[name] = max(self.greatest[name], float(np.abs(values).max()))
             self.samples[name].add(values)
 
-    def kpis(
-        self, length: float, tube_length: float, diverged: bool, lost_drive: bool, complete: bool
-    ) -> dict[str, float]:
-        """The episode's figures; ``length`` is all that was to be inspected [m], of a tube of ``tube_length`` [m]."""
+    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, float]:
+        """The episode's figures.
+
+        Args:
+            length: all that was to be inspected [m].
+            tube_length: of the tube that it is in [m].
+            ended: how it ended, see ``Ending.kpis``.
+        """
         values: dict[str, float] = {
             "inspection_time_s": self.time,
             "inspected_m": self.inspected,
@@ -91,9 +95,7 @@ class Tally:
             "air_m3": self.air,
             "reward": self.reward,
             "lost_drive_events": float(self.lost_drive_events),
-            "lost_drive": float(lost_drive),
-            "diverged": float(diverged),
-            "complete": float(complete),
+            **ended,
             "cost": sum(self.costs.values()),
             **{f"cost_{name}": value for name, value in self.costs.items()},
         }

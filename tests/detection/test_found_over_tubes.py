@@ -7,9 +7,9 @@ import pytest
 from agents.detection import pictures
 from agents.detection.signal import draw_curves
 from agents.records.columns import KPIS
-from agents.records.models import ENDINGS
 from agents.rollouts import found
 from probe_env import Context
+from probe_env.envs.task import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
 from probe_env.inspection.found import POD_NAMES
 from probe_env.inspection.sensor import Sensor

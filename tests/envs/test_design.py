@@ -159,7 +159,7 @@ def handmade(rms, tension=(4.0, 4.0), diverged=False, widths=(20.0, 27.5)):
     row = np.ones((1, 2))
     return Trial(
         np.array([widths]), 0.2 * row, 0.02 * row, np.array([rms]), np.array([tension]), np.ones((1, 2), dtype=bool),
-        np.array([False]), np.array([diverged]),
+        {"lost_drive": np.array([False]), "diverged": np.array([diverged])},
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from agents.policies.maps.lookup import FIRST
 from agents.policies.maps.vibration_map import CONTEXT, expected_cost
 from agents.policies.places import Place
 from probe_env.arrays import FloatArray
+from probe_env.envs.task import metre_reward
 from probe_env.schedule import Schedule
 
 UNIT: Final = 1e-4
@@ -70,5 +71,5 @@ def expected(schedule: Schedule, place: Place) -> Expected:
         within=float(ndtr((np.log10(config.limit / UNIT) - mean) / deviation).mean()),
         seconds=float((1.0 / feed[once]).sum()),
         air=float((air[once] / feed[once]).sum()),
-        reward=float(len(length) * (config.progress_weight - cost.mean())),
+        reward=float(len(length) * metre_reward(config, cost.mean())),
     )

@@ -13,7 +13,7 @@ from probe_env import Scene
 from probe_env.physics.bare_chains import Driven, bent_chain, linear_matrix, masses, run_chain
 from probe_env.physics.chain import Chain, build_chain
 from probe_env.physics.drive import Drive
-from probe_env.physics.methods import banded, ticm, transfer_matrix
+from probe_env.physics.methods import ON_NODES, banded, ticm, transfer_matrix
 from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.state import State, at_rest
 
@@ -21,15 +21,10 @@ STEPS: Final = 100_000
 ELEMENTS: Final = 40
 STIFFNESS, GAP, FLOAT_RADIUS = 1e5, 5.2e-3, 9.5e-3  # [N/m], [m], [m]
 OMEGA: Final = math.sqrt(STIFFNESS / (0.111 * 0.025))
-METHODS: Final = {
-    "newmark": (1e-4, 1.8 / OMEGA),
-    "wilson": (1e-4, 1.8 / OMEGA),
-    "imex": (2e-4, 1.8 / OMEGA),
-    "imex32": (2e-4, 1.8 / OMEGA),
-    "implicit": (2.5e-5, 1e-3),
-    "explicit": (5e-6, 5.6e-6),
-}
-"""Steps [s]: the usual one and the largest that is named as holding (implicit has none)."""
+OWN: Final = {"implicit": (2.5e-5, 1e-3), "explicit": (5e-6, 5.6e-6)}
+METHODS: Final = {name: OWN.get(name, (method.usual_step, 1.8 / OMEGA)) for name, method in ON_NODES.items()}
+"""Steps [s]: the usual one and the largest that is named as holding. ``OWN`` are chosen: of ``implicit`` none is named,
+the one of ``explicit`` is rounded down."""
 DAMPING: Final = (0.0, 5e-5)  # [s]
 SOLVED: Final = (1, 2, 5, 10, 20, 40, 100, 200, 400)  # elements
 SOLVED_STEP: Final = 1e-3  # [s]

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from agents.chart.stability.map import named_step
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
 from agents.terminal.work import Work, announce
@@ -43,7 +44,7 @@ def run_return(method: str, stiffness: float, length: float, friction: float, ra
     """One run from rest on the outer wall: the step, and when it diverged (NaN: it held)."""
     contact = {"stiffness": stiffness, "friction": friction, "cable": True}
     scene = Scene.model_validate(BACK | {"carrier_length": length, "contact": contact})
-    time_step = ratio * METHODS["newmark" if method == "implicit" else method].stable_step(scene, 4)
+    time_step = ratio * named_step(method, scene)
     steps = int(np.ceil(DURATION.get(method, 0.5) / time_step))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are the point

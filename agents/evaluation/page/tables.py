@@ -9,8 +9,9 @@ from typing import Any
 import pandas as pd
 
 from agents.evaluation.page.verdict import ranking
-from agents.records.columns import KPIS, OVER_TUBES, shown_of
+from agents.records.columns import KPIS, OVER_TUBES, label_of, shown_of
 from agents.rollouts.statistics import by_context, endings, paired_difference, short
+from probe_env.envs.task import FAILURES
 
 MOST_DIAMETERS = 12
 """Helix diameters beyond which a table by diameter says no more than one tube by tube."""
@@ -87,9 +88,9 @@ def _ended(row: Mapping[str, int]) -> Cell:
 
 def ended(row: Mapping[str, int]) -> str:
     """How many insertions came to their end, and why others did not, in words."""
-    late = row["episodes"] - row["complete"] - row["lost_drive"] - row["diverged"]
-    reasons = (("lost drive", row["lost_drive"]), ("diverged", row["diverged"]), ("out of time", late))
-    parts = [f"{count} {reason}" for reason, count in reasons if count]
+    reasons = {label_of(name): row[name] for name in FAILURES}
+    reasons["out of time"] = row["episodes"] - row["complete"] - sum(reasons.values())
+    parts = [f"{count} {reason}" for reason, count in reasons.items() if count]
     return ", ".join([f"{row['complete']} of {row['episodes']} complete", *parts])
 
 

@@ -27,7 +27,7 @@ from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, metre_reward
 from probe_env.fidelity import PRESETS
 from probe_env.schedule import Schedule
 
@@ -113,7 +113,7 @@ class MapCost:
         feed, air = schedule.at(lengths)
         predicted = self.vibration.tells(lengths, feed, air, tubes, self.config.scene)
         cost = expected_cost(*predicted, feed, air, self.config)
-        return float(len(metres(self.config)) * (self.config.progress_weight - cost.mean()))
+        return float(len(metres(self.config)) * metre_reward(self.config, cost.mean()))
 
 
 def run_search(

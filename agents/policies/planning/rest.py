@@ -10,7 +10,7 @@ from agents.policies.maps.lookup import expected_costs, knots
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, metre_reward
 
 
 def worth_of_rest(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
@@ -24,6 +24,6 @@ def _worth(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[
     """Lengths (k,) [m] and what is to come from each."""
     places = np.minimum(knots(config), config.scene.tube.helix_length)
     values = np.array([[getattr(tube, name) for name in CONTEXT]])
-    rate = config.progress_weight - expected_costs(values, config, 0.0, vibration)[0].min(axis=1)
+    rate = metre_reward(config, expected_costs(values, config, 0.0, vibration)[0].min(axis=1))
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(places)
     return places, np.append(np.cumsum(steps[::-1])[::-1], 0.0)

@@ -10,6 +10,7 @@ from agents.policies.fixed import FixedPolicy
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, expected_cost
 from probe_env import Context
 from probe_env.arrays import FloatArray
+from probe_env.envs.task import metre_reward
 from probe_env.envs.task.observations import RF_FLOOR
 from probe_env.physics.closed_forms import sliding_tension
 
@@ -45,7 +46,7 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
         travel = np.minimum(feed * dt, left)
         mean, deviation = vibration.tells(length + 0.5 * travel, feed, air, values, config.scene)
         noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
-        reward += travel * (config.progress_weight - expected_cost(mean, deviation, feed, air, config))
+        reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
         length = length + travel
         if (left <= 0.0).all():
             break

@@ -8,6 +8,8 @@ from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskC
 from probe_env.envs.task.ranges import action_of, share_between, share_of
 from probe_env.envs.task.rules import (
     END_TOLERANCE,
+    ENDINGS,
+    FAILURES,
     TERMS,
     Ending,
     Outcome,
@@ -15,13 +17,16 @@ from probe_env.envs.task.rules import (
     capped_square,
     ending,
     metre_cost,
+    metre_reward,
     reward_terms,
     slack,
     travel,
 )
 
 __all__ = [
+    "ENDINGS",
     "END_TOLERANCE",
+    "FAILURES",
     "MEASURES",
     "SHOWN",
     "TERMS",
@@ -36,6 +41,7 @@ __all__ = [
     "describe",
     "ending",
     "metre_cost",
+    "metre_reward",
     "reward_terms",
     "scene_of",
     "share_between",

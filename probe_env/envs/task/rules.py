@@ -19,7 +19,7 @@ TERMS: Final = ("progress", "vibration", "time", "air", "jerk", "uninspected", "
 
 
 class Ending(NamedTuple):
-    """Which of N episodes end with a period and how, (N,) each."""
+    """Which of N episodes end with a period and how, (N,) each: the only list of how an episode can end."""
 
     complete: BoolArray
     lost_drive: BoolArray
@@ -29,7 +29,7 @@ class Ending(NamedTuple):
     @property
     def terminated(self) -> BoolArray:
         """Ended by what happened."""
-        return self.complete | self.lost_drive | self.diverged
+        return np.asarray(np.logical_or.reduce([getattr(self, name) for name in ENDINGS]))
 
     @property
     def truncated(self) -> BoolArray:
@@ -40,6 +40,20 @@ class Ending(NamedTuple):
     def over(self) -> BoolArray:
         """Ended either way."""
         return self.terminated | self.out_of_time
+
+    def failed(self, k: int) -> dict[str, bool]:
+        """Whether the episode of probe ``k`` failed, by each of ``FAILURES``."""
+        return {name: bool(getattr(self, name)[k]) for name in FAILURES}
+
+    def kpis(self, k: int) -> dict[str, float]:
+        """How the episode of probe ``k`` ended: 1 for what ended it, else 0."""
+        return {name: float(value) for name, value in self.failed(k).items()} | {"complete": float(self.complete[k])}
+
+
+ENDINGS: Final = tuple(name for name in Ending._fields if name != "out_of_time")
+"""How episodes end by what happened. Each is a KPI, 0 or 1; an episode with none of them ran out of time."""
+FAILURES: Final = tuple(name for name in ENDINGS if name != "complete")
+"""Those before all is inspected."""
 
 
 def ending(
@@ -98,6 +112,11 @@ def metre_cost(config: TaskConfig, squares: FloatArray, feed: FloatArray, air: F
         air: air supply [m3/s].
     """
     return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
+
+
+def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
+    """Reward of a metre with a ``metre_cost``, or with the mean of many."""
+    return np.asarray(config.progress_weight - cost)
 
 
 class Outcome(NamedTuple):

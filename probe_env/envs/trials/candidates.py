@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -42,7 +42,7 @@ class Trial:
         feed_speed, air_supply_rate: (N, p) fed and blown there.
         radial_rms, root_tension: (N, p).
         deep: (N, p) whether so much is inserted that lost drive counts.
-        lost_drive, diverged: (N,) whether it ended so.
+        failed: (N,) whether it ended so, by each of ``FAILURES``.
         inspected: (N,) what the sensor saw to the end, where that was simulated.
         noise: (N, p) over the signal of a 20 % groove, where the task is judged by that.
     """
@@ -53,8 +53,7 @@ class Trial:
     radial_rms: FloatArray
     root_tension: FloatArray
     deep: BoolArray
-    lost_drive: BoolArray
-    diverged: BoolArray
+    failed: Mapping[str, BoolArray]
     inspected: FloatArray | None = None
     noise: FloatArray | None = None
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import Players
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
@@ -40,7 +40,7 @@ def try_insertions(
     observation, _ = episodes.reset(range(count), rngs, options)
     places = int(np.ceil(stretch.span))
     sums = {name: np.zeros((count, places)) for name in SUMS}
-    ended = {name: np.zeros(count, dtype=bool) for name in ("lost_drive", "diverged")}
+    failed = {name: np.zeros(count, dtype=bool) for name in FAILURES}
     guides = np.array([candidate.design.built.guide_length for candidate in candidates])
     players = Players(count)
     for k, candidate in enumerate(candidates):
@@ -54,7 +54,7 @@ def try_insertions(
         observation = step.observation
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
-            for name, flags in ended.items():
+            for name, flags in failed.items():
                 flags[k] |= info[name]
             sensor = info["inserted_length"] - guides[k]
             place = min(int(np.floor(sensor - SENSOR_START - 1e-6)), places - 1)
@@ -68,12 +68,12 @@ def try_insertions(
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
     inspected = np.array([tally.inspected for tally in episodes.tally])
-    return _gathered(sums, ended, guides, inspected, config)
+    return _gathered(sums, failed, guides, inspected, config)
 
 
 def _gathered(
     sums: Mapping[str, FloatArray],
-    ended: Mapping[str, BoolArray],
+    failed: Mapping[str, BoolArray],
     guides: FloatArray,
     inspected: FloatArray,
     config: TaskConfig,
@@ -94,8 +94,7 @@ def _gathered(
         np.sqrt(np.where(seen, sums["square"] / travel, 0.0)),
         sums["tension"] / np.maximum(sums["periods"], 1.0),
         deep,
-        ended["lost_drive"],
-        ended["diverged"],
+        failed,
         inspected,
         np.sqrt(np.where(seen, sums["noise"] / travel, 0.0)) if heard else None,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.design import Design
-from probe_env.envs.task import Outcome, TaskConfig, capped_square, reward_terms
+from probe_env.envs.task import FAILURES, Outcome, TaskConfig, capped_square, reward_terms
 from probe_env.envs.trials.candidates import Trial
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
 
@@ -48,7 +48,7 @@ def judge(
     inspected = trial.inspected
     if inspected is None:
         inspected = np.maximum(config.scene.tube.helix_length - guides - SENSOR_START - missed, 0.0)
-    terms = reward_terms(config, Outcome(inspected, squares, time, air, missed, trial.diverged))
+    terms = reward_terms(config, Outcome(inspected, squares, time, air, missed, trial.failed["diverged"]))
     length = np.maximum(covered, 1e-9)
     margin = np.where(trial.deep, trial.root_tension, np.inf).min(axis=1) - config.required_tension
     kpis = {
@@ -60,7 +60,6 @@ def judge(
         "inspected_m": inspected,
         "missed_m": missed,
         "drive_margin_n": np.where(np.isfinite(margin), margin, -config.required_tension),
-        "lost_drive": trial.lost_drive.astype(float),
-        "diverged": trial.diverged.astype(float),
+        **{name: trial.failed[name].astype(float) for name in FAILURES},
     }
     return terms, kpis

@@ -9,7 +9,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import Controller
 from probe_env.envs.trials.stretch import stretch_of
@@ -67,12 +67,13 @@ def try_sections(
     slack = deep & ~diverged & (tension < config.required_tension)
     reached = np.cumsum(diverged | slack, axis=1) == 0
     widths = np.where(reached, stretch.widths, 0.0)
-    lost, broken = np.asarray(slack.any(axis=1)), np.asarray(diverged.any(axis=1))
+    failed = dict.fromkeys(FAILURES, np.zeros(len(candidates), dtype=bool))  # at constant length in two ways alone
+    failed |= {"lost_drive": np.asarray(slack.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
     noise = None
     if heard:
         assert window.radial is not None
         noise = _noise(config.sensor, window.radial, speed.ravel()).reshape(shape)
-    return Trial(widths, speed, air, rms, tension, deep & ~diverged, lost, broken, noise=noise)
+    return Trial(widths, speed, air, rms, tension, deep & ~diverged, failed, noise=noise)
 
 
 def _noise(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
