@@ -91,12 +91,10 @@ class DesignSearch:
     """Whole insertions instead of sections of constant length."""
     trials: int = 240
     """Designs tried."""
-    contexts: Annotated[
-        Literal["train", "validation", "test"] | int, tyro.conf.arg(metavar="{train,validation,test}")
-    ] = "train"  # a number is how the published search was called: its stage keeps its command, and its record
+    contexts: Literal["train", "validation", "test"] = "train"
     """Shipped list of tubes that designs are tried in."""
-    limit: int | None = None
-    """Take so many tubes of the list only, the first of it, which are balanced; 0: all; default: 6."""
+    limit: int = USUAL_TUBES
+    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     tube: Path | None = None
     """Your own plant (tube.toml), see `probe-env compare --help`: searched for and tried in its tubes, among the floats
     that fit its bore."""
@@ -116,14 +114,7 @@ class DesignSearch:
         from agents.design.search import run_design_search
         from agents.policies.places import place_at
 
-        limit = USUAL_TUBES if self.limit is None else self.limit
-        if isinstance(self.contexts, int):
-            if self.limit is not None:
-                raise ValueError(f"contexts = {self.contexts!r} is not one of train, validation, test")
-            print(f"probe-env: note: --contexts {self.contexts} is now --limit {self.contexts}", file=sys.stderr)
-            place = place_at(self.tube, "train", self.contexts)
-        else:
-            place = place_at(self.tube, self.contexts, limit)
+        place = place_at(self.tube, self.contexts, self.limit)
         problem = design_problem(self.feed, self.full, place, self.fidelity)
         for cut in problem.cuts:
             print(f"probe-env: note: {cut}", file=sys.stderr)

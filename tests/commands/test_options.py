@@ -32,7 +32,7 @@ from agents.terminal.tyro_texts import joined_lines, message_of
             "simulate fig11_l10 --scene.carrier-lenght 3",
             "no option --scene.carrier-lenght; accepted behind --scene.: carrier-length, ",
         ),
-        ("design --contexts 4 --limit 2", "contexts = 4 is not one of train, validation, test"),
+        ("design --contexts 4", "invalid choice '4' for argument '--contexts'. Expected one of ('train', "),
     ],
 )
 @pytest.mark.parametrize("columns", ["40", "200"])
@@ -92,14 +92,6 @@ def test_help_breaks_where_the_terminal_ends_and_not_where_the_source_does(capsy
     assert "schedule files (.csv, .toml), feedback laws" in page
     assert "the training seeds of one method" in page
     assert joined_lines("One\n    (two)\n\n  three.\n") == "One (two)\n\nthree."
-
-
-def test_the_stage_of_the_published_search_is_still_understood():
-    """Its command is part of its record: a number of tubes as --contexts, which help does not show any more."""
-    from agents.commands.design import DesignSearch
-
-    assert parsed("design", DesignSearch, ["--contexts", "18"], "").contexts == 18
-    assert parsed("design", DesignSearch, ["--contexts", "test"], "").contexts == "test"
 
 
 def test_a_file_whose_name_begins_with_a_dash_is_a_file(tmp_path, monkeypatch):

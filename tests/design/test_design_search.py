@@ -161,8 +161,7 @@ def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeyp
     monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: closed_form(point))
     arguments = ["design", "--limit", "1", "--output", str(tmp_path / "out"), "--trials"]
     assert main([*arguments, "30"]) == 0
-    assert main(["design", "--contexts", "1", *arguments[3:], "30"]) == 0  # as it was called before: nothing to do
-    assert "note: --contexts 1 is now --limit 1" in capsys.readouterr().err
+    assert main([*arguments, "30"]) == 0  # nothing to do
     assert main([*arguments, "40"]) == 0
     assert len(pd.read_csv(tmp_path / "out" / "trials.csv")) == 40
     assert "Designs on the front" in capsys.readouterr().out
