@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from kills import SERVER, hook_replace, kill, killed
 
 from agents.policies.catalogue import BY_DIAMETER, make_policy
 from agents.policies.maps import search as optimise
@@ -72,6 +73,33 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
     assert len(trials[0]) == 256  # whole generations of 16
     assert best.feed_speed[0] == pytest.approx(0.1, rel=0.02)
     assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
+
+
+def search_until(folder, number):
+    """Killed when the ``number``-th file is about to be put in its place; 0: never."""
+    cost = pytest.MonkeyPatch()
+    cost.setattr(MapCost, "reward", lambda _, schedule: -((schedule.feed_speed[0] - 0.1) ** 2))
+    cost.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0]}))
+    for name in FILES:
+        hook_replace(name, 1 if FILES.index(name) + 1 == number else 0, kill)
+    run_search("best-constant", 40, folder, folder / "work", stored_map())
+
+
+FILES = ("best-constant-trials.csv", "best-constant.csv", "best-constant.json")
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_search_killed_at_any_of_its_files_gives_the_same(number, tmp_path):
+    """What was written is whole, and the same command makes what was never interrupted."""
+    killed(search_until, tmp_path / "run", number)
+    assert sorted(path.name for path in (tmp_path / "run").glob("best-*")) == sorted(FILES[: number - 1])
+    for name in ("run", "whole"):
+        search_process = SERVER.Process(target=search_until, args=(tmp_path / name, 0))
+        search_process.start()
+        search_process.join()
+        assert search_process.exitcode == 0
+    for name in FILES[:2]:
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 def test_a_shorter_search_begins_as_a_longer_one():
