@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, found, headroom, plant, plc, robustness, simulator
+from agents.pages import control, designs, found, headroom, plant, plc, robustness, scratch, simulator
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -17,7 +17,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
         found.anchors, found.snr, found.snr_agent,
         plant.calibrations, plant.passes, plant.plants, plant.recommendations,
-        designs.codesign, designs.designs, designs.search, robustness.robustness,
+        designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
         simulator.root, simulator.scaling, simulator.smooth, simulator.stability,

@@ -12,6 +12,7 @@ from pathlib import Path
 from agents.learning import results as agent_results
 from agents.pages.blocks import MAKERS, RESULTS
 from agents.pages.control import reward_profiles
+from agents.pages.scratch import AGENT as SCRATCH
 from agents.records.provenance import write_atomically
 from agents.study.back import load_rows as load_trips
 from agents.study.cases import load_rows
@@ -28,6 +29,7 @@ def rewrite_readme() -> None:
     _growth_figure(RESULTS / "study" / "growth.png")
     ways_spectra(load_trips(RESULTS / "study"), RESULTS / "study" / "back.png")
     _learning_figure(RESULTS / "agents" / "learning.png")
+    _scratch_figure(RESULTS / "agents" / "scratch.png")
     _profile_figure(RESULTS / "agents" / "profiles.png")
     print("README.md and docs/ rewritten from results/")
 
@@ -65,7 +67,13 @@ def _learning_figure(path: Path) -> None:
     from agents.learning.figures import learning_curves
 
     runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension")}
-    learning_curves(runs, path)
+    learning_curves(runs, path, "environment steps after the warm start")
+
+
+def _scratch_figure(path: Path) -> None:
+    from agents.learning.figures import learning_curves
+
+    learning_curves({SCRATCH: agent_results.load_curves(RESULTS / "agents" / SCRATCH)}, path, "environment steps")
 
 
 def _profile_figure(path: Path) -> None:
@@ -80,7 +88,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
     return {
         README: ("headline",),
         results / "evaluation.md": ("map_quality", "evaluation", "any_probe"),
-        results / "agents.md": ("agents",),
+        results / "agents.md": ("agents", "scratch"),
         results / "designs.md": ("search", "designs", "codesign"),
         results / "fronts.md": ("tradeoff", "fidelity"),
         results / "study.md": ("study", "back"),

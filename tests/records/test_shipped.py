@@ -33,6 +33,7 @@ def test_a_checkout_ships_what_it_holds():
         "ppo": (0, 1, 2, 3, 4),
         "ppo-any-probe": (0, 1, 2),
         "ppo-no-tension": (0, 1, 2, 3, 4),
+        "ppo-scratch": (0, 1, 2, 3, 4),
         "ppo-snr": (0,),
     }
     assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
