@@ -13,7 +13,8 @@ from agents.processes.interrupts import heard, tell
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
+    if arguments is None:  # a process of its own, in which numpy is not loaded yet
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
     with heard(own=arguments is None):
         try:
             return _run(sys.argv[1:] if arguments is None else list(arguments))

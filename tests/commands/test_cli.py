@@ -1,6 +1,7 @@
 """The probe-env command as a user meets it: outputs, overrides, resumption and errors."""
 
 import json
+import os
 import subprocess
 import sys
 from itertools import pairwise
@@ -188,3 +189,15 @@ def test_a_reader_that_has_enough_is_no_error():
     )
     assert done.stdout == "ppo\n"
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_blas_has_one_thread_unless_the_environment_says_otherwise(given, threads):
+    """It is said before numpy is loaded, which is when OpenBLAS reads it."""
+    code = (
+        "import os, sys; from agents.cli import main; assert 'numpy' not in sys.modules;"
+        " sys.argv = ['probe-env', '--version']; main(); print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | given
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == threads
