@@ -10,9 +10,12 @@ from kills import all_gone, hook_replace, hook_sync, kill, killed
 from agents.design import compare as design_compare
 from agents.design.compare import Comparison, compare
 from agents.design.search import Kept, search, trials_table
+from agents.evaluation.tradeoff import run_tradeoff
 from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.fixed import Constant
+from agents.policies.maps import fit
+from agents.policies.places import place_of
 from agents.processes.workers import HERE, Workers
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Design, Fidelity, load_contexts
@@ -78,6 +81,55 @@ def test_what_a_kill_leaves_of_a_file_is_no_result_and_goes_with_the_next_run(na
     assert left.endswith(".tmp")
     pd.testing.assert_frame_equal(evaluate(tmp_path), whole, check_exact=True)
     assert not hidden(tmp_path)
+
+
+GROWING = TaskConfig(time_limit=2.0, settle_time=0.1)
+
+
+def tradeoff(folder):
+    run_tradeoff(["constant"], folder, place_of(None, "validation", 2)._replace(config=GROWING), "fast")
+
+
+def make_map(folder):
+    fit.make_map(1, folder, folder / "map.npz")
+
+
+def until(work, folder, hook, name, count):
+    make_small(pytest.MonkeyPatch())
+    hook(name, count, kill)
+    work(folder)
+
+
+def make_small(patch):
+    patch.setattr(fit, "TaskConfig", lambda: GROWING)
+    patch.setattr(fit, "load_contexts", lambda split: load_contexts(split)[: fit.HELD_OUT + 2])
+
+
+KILLS = [
+    (tradeoff, hook_sync, "episodes.jsonl", 4),
+    (tradeoff, hook_replace, "front.csv", 1),
+    (make_map, hook_replace, "map.npz", 1),
+    (make_map, hook_replace, "map.json", 1),
+]
+EPISODES = {tradeoff: 10, make_map: 14}
+
+
+@pytest.mark.parametrize(("work", "hook", "name", "count"), KILLS)
+def test_a_tradeoff_and_a_map_killed_at_an_episode_or_a_file_go_on(work, hook, name, count, tmp_path, monkeypatch):
+    """To the same bytes; what was tried in the run that was killed is not tried again."""
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    killed(until, work, run, hook, name, count)
+    tried = (run / "episodes.jsonl").read_bytes()
+    assert tried.count(b"\n") == (count if hook is hook_sync else EPISODES[work])
+    make_small(monkeypatch)
+    for folder in (run, whole):
+        work(folder)
+    stored = (run / "episodes.jsonl").read_bytes()
+    assert stored.startswith(tried)
+    assert stored.count(b"\n") == EPISODES[work]
+    for table in {tradeoff: ("front.csv", "hypervolume.csv"), make_map: ("map.npz",)}[work]:
+        assert (run / table).read_bytes() == (whole / table).read_bytes()
+    assert not hidden(run)
 
 
 def compare_until(folder, count):
