@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from probe_env.physics.bare_chains import LAPACK
 from probe_env.physics.methods import METHODS, ON_NODES
 
 PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")
-COLOURS = dict(zip((*ON_NODES, LAPACK, *(m for m in METHODS if m not in ON_NODES)), PALETTE, strict=False))
+COLOURS = dict(zip((*ON_NODES, LAPACK, *(m for m in METHODS if m not in ON_NODES)), cycle(PALETTE), strict=False))
 MARKERS = {4: "o", 8: "s", 16: "^"}
 """By nodes a pitch."""
 SHOWN = {

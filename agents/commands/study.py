@@ -11,7 +11,7 @@ import tyro
 
 from agents.records.shipped import file_or_shipped, shipped_folder
 from probe_env import Scene, Simulator
-from probe_env.physics.methods import METHODS, method_named
+from probe_env.physics.methods import METHODS, SOLVERS, method_named
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,14 @@ class Simulate:
     options."""
     scene: Scene = field(default_factory=Scene)
     method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
-    """newmark and wilson are the study's, imex is the fast scheme, imex32 the same in single precision, implicit holds
-    with any step, explicit is central differences."""
+    """newmark and wilson are the study's, imex is the fast scheme, superelement a converged mesh condensed to its
+    floats, imex32 and superelement32 the same in single precision, implicit holds with any step, explicit is central
+    differences."""
     time_step: float | None = None
     """Time step [s]; default: the one that the study's probe is simulated with by this method."""
     nodes_per_pitch: int = 4
     """Nodes in one float pitch."""
-    solver: Literal["ticm", "banded", "transfer-matrix"] = "ticm"
+    solver: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(SOLVERS)}}}")] = "ticm"
     """Linear solver of a step of newmark and wilson."""
     start: Literal["inner", "outer"] = "inner"
     """Wall that the probe lies on at rest; outer is for the return: --scene.feed-speed -0.2 --scene.air-supply-rate

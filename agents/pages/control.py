@@ -14,13 +14,13 @@ from agents.learning import results as agent_results
 from agents.pages.headroom import SHARE, lead_of, with_law, with_planner
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
-from agents.records.columns import FAILED, KPIS, shown_of
+from agents.records.columns import KPIS, sentence_of, shown_of
 from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement, profiles
 from agents.rollouts.statistics import Interval, failures, grouped, sentences, summarise
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.fidelity import PRESETS
 
 BARS = ("best-schedule", "best-schedule-by-diameter", "tension-scheduled", "adaptive", "ppo-no-tension")
@@ -113,8 +113,8 @@ def _evaluated(folder: Path, left_out: tuple[str, ...], lead: bool = False) -> s
 def _failed(table: pd.DataFrame, of: str = "") -> str:
     """How many insertions failed, and how; ``of`` stands behind the first number."""
     counts = failures(table)
-    first, *others = reversed(FAILED)
-    return ", ".join([f"{counts[first]}{of} {FAILED[first]}", *(f"{counts[name]} {FAILED[name]}" for name in others)])
+    first, *others = [(counts[name], sentence_of(name)) for name in reversed(FAILURES)]
+    return ", ".join([f"{first[0]}{of} {first[1]}", *(f"{count} {said}" for count, said in others)])
 
 
 def agents() -> str:

@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 
 from agents.detection import anchors as detection
-from agents.pages.sources import RESULTS, command, markdown, source
+from agents.pages.sources import RESULTS, command, markdown, source, ways_to_fail
 from agents.policies.catalogue import DATA
-from agents.records.columns import FAILED
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -54,7 +53,7 @@ def snr() -> str:
         f" millimetres ({own.text()}); the most has `{means.index[0]}`.**\n\n"
         f"{markdown(HEADER, rows)}\n\n"
         f"Means over {tubes} held-out tubes of `--tube snr`, differences paired, 95 % intervals; {lost} insertions"
-        f" {' or '.join(FAILED.values())}. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
+        f" {ways_to_fail()}. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
     )
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pandas as pd
 
 from agents.evaluation import headroom as study
-from agents.pages.sources import RESULTS, command, markdown, source
+from agents.pages.sources import RESULTS, command, markdown, source, ways_to_fail
 from agents.policies.catalogue import PLC
 from agents.policies.planning.planner import PLANNERS
-from agents.records.columns import FAILED
 from agents.records.models import Figures
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -33,7 +32,7 @@ def headroom() -> str:
         f" in a tube that it only estimates {estimated['reward']:.1f}.**\n\n"
         f"{markdown(study.HEADER, study.cells(summary))}\n\n"
         f"Means over {exact['tubes']:.0f} held-out tubes, differences paired, 95 % intervals; {lost} insertions"
-        f" {' or '.join(FAILED.values())}. {source(FOLDER / 'provenance.json')}"
+        f" {ways_to_fail()}. {source(FOLDER / 'provenance.json')}"
     )
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from agents.evaluation.report import kpi_cells
 from agents.pages.headroom import SHARE, lead_of, with_planner
-from agents.pages.sources import RESULTS, command, markdown, source
+from agents.pages.sources import RESULTS, command, markdown, source, ways_to_fail
 from agents.policies.places import place_of
 from agents.policies.plc.export import structured_text
 from agents.policies.plc.law import STORED, PlantData, read_constants
 from agents.policies.plc.writing import HEADER, rows_of
-from agents.records.columns import FAILED, shown_of
+from agents.records.columns import shown_of
 from agents.records.models import Figures
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -54,7 +54,7 @@ def plc_reached() -> str:
     lost = int(failures(table[table["policy"] == "plc-law"]).sum())
     return (
         "\n".join(lines) + f"\n\nThe law's reward less that of {against}. {lost} of its insertions"
-        f" {' or '.join(FAILED.values())}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
+        f" {ways_to_fail()}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
         f" intervals. {source(FOLDER / 'provenance.json')}"
     )
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from agents.records.columns import sentence_of
 from agents.records.models import Record
 from agents.records.reading import read_json
+from probe_env.envs.task import FAILURES
 
 RESULTS = Path("results")
 
@@ -26,6 +28,11 @@ def source(path: Path) -> str:
         f"Made by `{command(record)}` at commit {record['commit']}, {machine['cores']} cores"
         f" ({processor}), numba {record['packages']['numba']}; stored in `{path.parent}/`."
     )
+
+
+def ways_to_fail() -> str:
+    """How insertions may fail, for a sentence that counts them."""
+    return " or ".join(map(sentence_of, FAILURES))
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

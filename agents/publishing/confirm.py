@@ -4,6 +4,9 @@ Code that is moved keeps its hash; code that is rewritten does not, though it ma
 ``sample``, its command with fewer tubes or trials, is run with the commit that made the results and with the present
 one, on this machine. Where all numbers agree the results are kept under the new hash, and their record says so. What
 the present code writes besides, columns of a table or rows of other figures, is told and does not count.
+
+No sample is run where only the measure changed, how code is hashed or which files a stage reads, and that commit had
+by today's measure the code and inputs of today.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 from agents.publishing.stages import APART, RECORDS, WORK, Stage, load_stages
-from agents.publishing.trees import checked_out_once, put_inputs, states_in
+from agents.publishing.trees import checked_out_once, put_inputs, states_by_today, states_in
 from agents.records.provenance import (
     CHECKOUT,
     changed_code,
@@ -63,47 +66,42 @@ def confirm_results(names: Sequence[str], since: str = "") -> None:
     rows = []
     with checked_out_once() as tree_of:
         for stage in chosen:
-            answer = _answer(stage)
-            if not answer:
-                others = confirm(stage, tree_of, since)
-                answer = f"the same: kept, but for {others} rows of other code" if others else "the same: kept"
+            answer = confirm(stage, tree_of, since)
             rows.append((stage.name, answer))
             print(f"{stage.name}: {answer}", flush=True)
     print_table("Confirmed results", ("stage", "outcome"), rows, left=2)
 
 
-def _answer(stage: Stage) -> str:
-    """Why there is nothing to compare; empty if there is."""
-    record, state = stage.record(), stage.state()
-    if not record:
-        return "never made"
-    changed = {name for name, value in state.items() if record.get(name) != value}
-    if not changed:
-        return "up to date"
-    if not changed <= {"code", "command"}:
-        return f"{' and '.join(sorted(changed))} changed: make it again"
-    return "" if stage.sample or stage.script else "no sample is known: make it again"
-
-
-def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> int:
+def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> str:
     """Run a stage's sample with the commit that made it and with this code; keep the results if they agree.
 
     Args:
-        stage: whose code or command changed.
+        stage: whose code or command may have changed.
         tree_of: commit -> its files.
         since: the commit to compare with, at which the stage was up to date; default: the newest that made or
             confirmed it.
 
     Returns:
-        how many rows of stores stay as they are, with a hash that the sample does not know: they do not count as done.
+        what was found, in words; how many rows of stores stay as they are, with a hash that the sample does not know:
+        they do not count as done.
 
     Raises:
         RuntimeError: a run failed, or the first file in which they differ; or it was not up to date then.
     """
-    record = stage.record()
+    record, state = stage.record(), stage.state()
+    changed = [name for name, value in state.items() if record.get(name) != value]
+    if not record or not changed:
+        return "up to date" if record else "never made"
     tree = tree_of(since or _last(record))
-    if since and any(record[name] != value for name, value in states_in(tree)[stage.name].items()):
+    if since and not _up_to_date(stage, record, tree):
         raise RuntimeError(f"stage {stage.name}: its results were not up to date at {since}: leave --since out")
+    if _is_the_same(stage, record, tree):
+        _keep(stage, record, {})
+        return "by today's measure the same code and inputs: kept"
+    if "inputs" in changed:
+        return f"{' and '.join(changed)} changed: make it again"
+    if not (stage.sample or stage.script):
+        return "no sample is known: make it again"
     place = WORK / f"{stage.name}-sample"
     shutil.rmtree(place, ignore_errors=True)
     folders = {"before": place / "before", "now": place / "now"}
@@ -115,15 +113,35 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> in
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
     for line in additions(*folders.values()):
         print(f"{stage.name}: {line}, which the stored results have not: make them again to have them", flush=True)
-    return _keep(stage, record, new_hashes(*folders.values()))
+    others = _keep(stage, record, new_hashes(*folders.values()))
+    return f"the same: kept, but for {others} rows of other code" if others else "the same: kept"
+
+
+def _up_to_date(stage: Stage, record: dict[str, Any], tree: Path) -> bool:
+    """Whether results were, by the code and configuration of a tree, what those make."""
+    return all(record[name] == value for name, value in states_in(tree).get(stage.name, {"code": ""}).items())
+
+
+def _is_the_same(stage: Stage, record: dict[str, Any], tree: Path) -> bool:
+    """Whether results were up to date in a tree which by today's measure has the code and inputs of today.
+
+    Rows of stores have hashes of their own, which only a sample tells.
+    """
+    stores = [name for name in record["files"] if name.endswith(".csv") and "code" in _columns(CHECKOUT / name)]
+    if stores or record["command"] != stage.command or not _up_to_date(stage, record, tree):
+        return False
+    return states_by_today(tree).get(stage.name) == stage.state()
+
+
+def _columns(path: Path) -> list[str]:
+    return list(pd.read_csv(path, nrows=0).columns)
 
 
 def _last(record: dict[str, Any]) -> str:
     """The newest commit that has made or confirmed some of the results: rows carry the hashes of its code."""
     names: set[str] = {record["commit"], *(entry["confirmed_at"] for entry in record.get("confirmed", ()))}
     for path in (CHECKOUT / name for name in record["files"] if name.endswith(".csv")):
-        columns = pd.read_csv(path, nrows=0).columns
-        if {"code", "commit"} <= set(columns):
+        if {"code", "commit"} <= set(_columns(path)):
             names |= set(pd.read_csv(path, usecols=["commit"], dtype=str)["commit"])
     return max(sorted(names), key=committed_at) if len(names) > 1 else names.pop()
 

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -41,6 +42,8 @@ from probe_env.settings import Model
 CONFIG: Final = CHECKOUT / "configs" / "results.toml"
 RECORDS: Final = CHECKOUT / "results" / "records"
 WORK: Final = CHECKOUT / "output" / "results"
+DRAWN: Final = ("probe_env.envs.plants.plant:Plant.contexts",)
+"""What stages reach and do not run, but those with tubes of a plant."""
 APART: Final = ("commit", "code")
 """Columns that say where a row comes from, not what it says."""
 
@@ -54,8 +57,8 @@ class Stage(Model):
         publish: published folder -> patterns of the files in the work folder that go there.
         code: where the code that the results depend on begins, see ``code_hash``.
         method: of the simulation; "all": all methods count.
+        plants: whether tubes are drawn of a plant; else how that is done does not count.
         reads: patterns of files that the results depend on.
-        after: stages whose results it reads.
         script: makes a sample where no option of the command does; called with a folder, by both codes.
         sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``.
         minutes: that it takes on two cores, before it has been measured here.
@@ -66,8 +69,8 @@ class Stage(Model):
     publish: dict[str, tuple[str, ...]]
     code: tuple[str, ...]
     method: str = ALL
+    plants: bool = False
     reads: tuple[str, ...] = ()
-    after: tuple[str, ...] = ()
     script: str = ""
     sample: dict[str, str] = Field(default_factory=dict)
     minutes: Annotated[float, Field(gt=0.0)]
@@ -77,7 +80,7 @@ class Stage(Model):
         files = {path for pattern in self.reads for path in CHECKOUT.glob(pattern)}
         contents = sorted(f"{path.name} {hashlib.sha256(content(path)).hexdigest()}\n" for path in files)
         inputs = hashlib.sha256("".join(contents).encode())  # blind to the folders that they are in
-        code = code_hash(self.code, self.method)
+        code = code_hash(self.code, self.method, () if self.plants else DRAWN)
         return {"command": self.command, "code": code, "inputs": inputs.hexdigest()[:16]}
 
     @property
@@ -85,6 +88,10 @@ class Stage(Model):
         """The folder for just these code, inputs and command."""
         digest = hashlib.sha256(json.dumps(self.state(), sort_keys=True).encode()).hexdigest()[:8]
         return WORK / f"{self.name}-{digest}"
+
+    def published(self) -> list[str]:
+        """Patterns of the files that it publishes, from the checkout's folder."""
+        return [f"{folder}/{pattern}" for folder, patterns in self.publish.items() for pattern in patterns]
 
     def record(self) -> dict[str, Any]:
         """What is known of the published results; empty if nothing."""
@@ -133,17 +140,28 @@ def load_stages() -> tuple[Stage, ...]:
     """The stages in their order.
 
     Raises:
-        ValueError: a stage stands before one that it needs, or twice.
+        ValueError: a stage stands before one whose results it reads, or twice.
     """
     stages = Stages.from_toml(CONFIG).stage
     for k, stage in enumerate(stages):
-        before = [other.name for other in stages[:k]]
-        unknown = [name for name in stage.after if name not in before]
-        if unknown or stage.name in before:
+        late = sources(stage, stages[k:])
+        if late:
             raise ValueError(
-                f"{CONFIG.name}: stage {stage.name}: after {', '.join(unknown)}, which must stand before it"
+                f"{CONFIG.name}: stage {stage.name} reads what {', '.join(late)} makes, which must come first"
             )
+        if stage.name in [other.name for other in stages[:k]]:
+            raise ValueError(f"{CONFIG.name}: there are two stages {stage.name}")
     return stages
+
+
+def sources(stage: Stage, stages: Sequence[Stage]) -> list[str]:
+    """Names of those whose results a stage reads, by the patterns of what it reads and they publish."""
+    there = {path.relative_to(CHECKOUT).as_posix() for pattern in stage.reads for path in CHECKOUT.glob(pattern)}
+
+    def read(published: str) -> bool:
+        return any(fnmatchcase(name, published) for name in (*there, *stage.reads))
+
+    return [other.name for other in stages if other is not stage and any(map(read, other.published()))]
 
 
 def run_results(names: Sequence[str], only_list: bool = False) -> None:
@@ -166,7 +184,10 @@ def run_results(names: Sequence[str], only_list: bool = False) -> None:
         files = ", ".join(changed_code()[:5]) or "there is no git history here"
         raise ValueError(f"published results come from clean commits only; commit first: {files}")
     for stage in todo:
-        _run(stage)
+        if stage.stale():
+            _run(stage)
+        else:
+            print(f"{stage.name}: what it reads came out as it was", flush=True)
 
 
 def _with_sources(names: Sequence[str], known: dict[str, Stage]) -> set[str]:
@@ -176,7 +197,7 @@ def _with_sources(names: Sequence[str], known: dict[str, Stage]) -> set[str]:
         name = todo.pop()
         if name not in wanted:
             wanted.add(name)
-            todo += known[name].after
+            todo += sources(known[name], list(known.values()))
     return wanted
 
 
@@ -184,8 +205,8 @@ def _print_plan(stages: Sequence[Stage]) -> list[Stage]:
     """The stages that are stale, with those that read what these make; says why, and how long they take."""
     reasons: dict[str, str] = {}
     for stage in stages:
-        sources = [name for name in stage.after if reasons.get(name)]
-        reasons[stage.name] = stage.stale() or (f"{', '.join(sources)} will change" if sources else "")
+        changing = [name for name in sources(stage, stages) if reasons.get(name)]
+        reasons[stage.name] = stage.stale() or (f"{', '.join(changing)} will change" if changing else "")
     todo = [stage for stage in stages if reasons[stage.name]]
     minutes = {stage.name: stage.record().get("seconds", 60.0 * stage.minutes) / 60.0 for stage in stages}
     rows = [(s.name, reasons[s.name] or "up to date", f"{minutes[s.name]:.0f}" if s in todo else "") for s in stages]

@@ -27,6 +27,20 @@ from agents.publishing.stages import load_stages
 print(json.dumps({stage.name: stage.state() for stage in load_stages()}))
 """
 
+BY_TODAY: Final = """
+import importlib.util, json, sys
+def load(name, path):
+    spec = importlib.util.spec_from_file_location(name, path)
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+here = sys.argv[1]
+load("agents.records.code_hash", f"{here}/agents/records/code_hash.py")
+today = load("agents.publishing.stages", f"{here}/agents/publishing/stages.py")
+stages = today.Stages.from_toml(f"{here}/configs/results.toml").stage
+print(json.dumps({stage.name: stage.state() for stage in stages}))
+"""
+
 
 @contextmanager
 def checked_out_once() -> Iterator[Callable[[str], Path]]:
@@ -58,12 +72,25 @@ def checked_out(name: str) -> Iterator[Path]:
 
 @cache
 def states_in(tree: Path) -> dict[str, dict[str, str]]:
-    """Stage -> what its results depended on, with the code and configuration in a tree."""
+    """Stage -> what its results depended on, with the code and configuration in a tree; empty where it cannot tell."""
+    return _told(tree, STATES)
+
+
+@cache
+def states_by_today(tree: Path) -> dict[str, dict[str, str]]:
+    """Stage -> what its results depend on by today's list of stages and today's hash, of the files of a tree.
+
+    Empty where a tree is too old to be looked at so.
+    """
+    return _told(tree, BY_TODAY, str(CHECKOUT))
+
+
+def _told(tree: Path, script: str, *arguments: str) -> dict[str, dict[str, str]]:
     done = subprocess.run(
-        [sys.executable, "-c", STATES], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)},
-        check=True, capture_output=True, text=True,
+        [sys.executable, "-c", script, *arguments], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)},
+        check=False, capture_output=True, text=True,
     )  # fmt: skip
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    return {} if done.returncode else dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def share_compiled(tree: Path) -> None:

@@ -44,17 +44,18 @@ class Definition(NamedTuple):
 
 
 @lru_cache
-def code_hash(roots: tuple[str, ...], method: str | None = None) -> str:
+def code_hash(roots: tuple[str, ...], method: str | None = None, without: tuple[str, ...] = ()) -> str:
     """Short hash of the code that ``roots`` depend on.
 
     Args:
         roots: where the work starts, "module:function" or "module:Class.method".
         method: of the simulation, or another solver of its linear system; ``ALL``: all of them count.
+        without: methods, "module:Class.method", that are reached by name and never run.
 
     Call it from one thread only: CPython 3.11 cannot parse in two.
     """
     digest = hashlib.sha256()
-    for text in sorted(_texts((*roots, *(method_roots(method) if method else ())))):
+    for text in sorted(_texts((*roots, *(method_roots(method) if method else ())), without)):
         digest.update(text.encode() + b"\n")
     return digest.hexdigest()[:16]
 
@@ -82,7 +83,7 @@ def class_hash(kind: type, *methods: str) -> str:
     return code_hash(tuple(f"{kind.__module__}:{kind.__qualname__}.{name}" for name in methods))
 
 
-def _texts(roots: tuple[str, ...]) -> Iterator[str]:
+def _texts(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> Iterator[str]:
     """Every reachable definition in its canonical form, its name first."""
     todo: list[Definition | None] = []
     names_used: set[str] = set()
@@ -105,6 +106,8 @@ def _texts(roots: tuple[str, ...]) -> Iterator[str]:
             parts = [*reached.node.decorator_list, *reached.node.bases, *reached.node.keywords]
             for member in reached.node.body:
                 if isinstance(member, ast.FunctionDef) and member.name in SHOWN_BY:
+                    continue
+                if isinstance(member, ast.FunctionDef) and f"{reached.module}:{reached.name}.{member.name}" in without:
                     continue
                 if isinstance(member, ast.FunctionDef) and not member.name.startswith("__"):
                     inner = Definition(reached.module, f"{reached.name}.{member.name}", member)

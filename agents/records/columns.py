@@ -34,8 +34,8 @@ CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_
 """Every table of episodes has these: rankings, comparisons and pictures need them."""
 CORE_FAILURES: Final = ("lost_drive", "diverged")
 """Alike, how episodes fail. An ending that is newer than a table ended none of its episodes."""
-FAILED: Final = {"lost_drive": "lost their drive", "diverged": "diverged"}
-"""What sentences say of episodes that failed, for each of ``FAILURES``."""
+_SAID: Final = {"lost_drive": "lost their drive"}
+"""What sentences say of episodes that failed so, where the name of the ending does not do."""
 HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
 """KPIs of which more is better."""
 COST_KPIS: Final = ("cost", "cost_lost_drive", "cost_tension", "cost_buckling")
@@ -53,6 +53,11 @@ OF_DESIGNS: Final[Kpis] = {
 def label_of(failure: str) -> str:
     """What tables say of an episode that failed so."""
     return failure.replace("_", " ")
+
+
+def sentence_of(failure: str) -> str:
+    """What sentences say of episodes that failed so: "2 lost their drive"."""
+    return _SAID.get(failure, label_of(failure))
 
 
 def kpis_of(columns: Iterable[str], known: Kpis = KPIS) -> Kpis:

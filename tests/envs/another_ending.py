@@ -75,13 +75,11 @@ def comparisons_count():
 
 
 sys.meta_path.insert(0, Edited())
-from agents.records.columns import COST_KPIS, FAILED  # noqa: E402
-
-FAILED["jammed"] = "jammed"
 from agents.design import compare  # noqa: E402
 from agents.evaluation.page.tables import ended  # noqa: E402
 from agents.evaluation.report import print_summary  # noqa: E402
 from agents.pages import control, found  # noqa: E402
+from agents.records.columns import COST_KPIS  # noqa: E402
 from agents.records.tables import EPISODES_NEWER, read_episodes  # noqa: E402
 from agents.robustness.axes import NOMINAL  # noqa: E402
 from agents.robustness.study import summary_of  # noqa: E402

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from agents.records.columns import CORE_FAILURES, FAILED
+from agents.records.columns import CORE_FAILURES, sentence_of
 from probe_env.envs.task import ENDINGS, FAILURES, Ending
 
 ROOT = Path(__file__).parents[2]
@@ -12,7 +12,8 @@ ROOT = Path(__file__).parents[2]
 
 def test_every_failure_has_its_words_and_is_stored():
     assert Ending._fields == (*ENDINGS, "out_of_time")
-    assert tuple(FAILED) == FAILURES == ENDINGS[1:]
+    assert ENDINGS[1:] == FAILURES
+    assert [sentence_of(name) for name in FAILURES] == ["lost their drive", "diverged"]
     assert set(CORE_FAILURES) <= set(FAILURES)
 
 

@@ -23,6 +23,24 @@ from agents.terminal.extras import modules_of
 ROOT = Path(__file__).parents[2]
 AGENTS, COMMANDS = modules_of("agents"), modules_of("commands")
 NO_BACKEND = ("No matching distribution found for hatchling", "Failed to establish a new connection", "ConnectionError")
+TRAINING = """
+seeds = [0]
+phases = 1
+phase_steps = 64
+[environment]
+num_envs = 4
+fidelity = { time_lapse = 20.0 }
+task = { settle_time = 0.1, time_limit = 20.0 }
+[network]
+net_arch = [8]
+[validation]
+limit = 1
+fidelity = { time_lapse = 20.0 }
+[learning]
+n_steps = 16
+batch_size = 32
+"""
+SHORT = ["--limit", "1", "--fidelity", "fast"]
 HIDDEN = """
 import sys
 class Hidden:
@@ -127,7 +145,7 @@ def test_by_name_in_an_empty_folder(run, python):
     before = installed_files(site)
 
     policies = ["ppo", "pi"] if find_spec("torch") else ["pi"]
-    evaluated = ["evaluate", *policies, "--limit", "1", "--fidelity", "fast", "--output", "out"]
+    evaluated = ["evaluate", *policies, *SHORT, "--output", "out"]
     assert "pi: 1 of 1 complete" in run("probe-env", *evaluated)[0]
     assert pd.read_csv(run.folder / "out" / "episodes.csv")["policy"].tolist() == policies
     assert (run.folder / "out" / "report.html").stat().st_size > 100_000
@@ -136,6 +154,14 @@ def test_by_name_in_an_empty_folder(run, python):
     briefly = ["--duration", "0.3", "--statistics-from", "0.1"]
     run("probe-env", "simulate", "fig11_l10", "--method", "superelement32", *briefly)
     assert (run.folder / "output" / "fig11_l10" / "signals.npz").exists()
+    run("probe-env", "render", "--view", "strip", "--at", "10", "--duration", "0.1", "--output", "out/strip.png")
+    assert (run.folder / "out" / "strip.png").stat().st_size > 10_000
+    if find_spec("torch"):
+        (run.folder / "out" / "mine.toml").write_text(TRAINING)
+        run("probe-env", "train", "out/mine.toml", "--output", "out/train")
+        assert (
+            "mine" in run("probe-env", "evaluate", "mine=out/train/seed-0/agent.npz", *SHORT, "--output", "out/mine")[0]
+        )
     assert {path.name for path in run.folder.iterdir()} == {"out", "output"}
     assert installed_files(site) == before  # nothing was written there
 

@@ -8,6 +8,7 @@ import pytest
 
 from agents.pages import rewrite as readme
 from agents.pages.blocks import MAKERS
+from probe_env.physics.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")))
@@ -56,6 +57,11 @@ def test_the_python_examples_run(page, monkeypatch, tmp_path, capsys):
     for example in EXAMPLES[page]:
         exec(compile(example, page, "exec"), {"__name__": "example"})
         assert capsys.readouterr().out.strip(), "an example says what it found"
+
+
+def test_the_page_of_methods_says_what_each_is():
+    told = (ROOT / "docs/simulation/methods.md").read_text().partition("| `method` |")[2].partition("\n\n")[0]
+    assert [name for name in METHODS if f"`{name}`" not in told] == []
 
 
 def test_the_readme_has_ten_lines_of_python():

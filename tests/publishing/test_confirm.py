@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from agents.publishing import confirm, stages, trees
 from agents.publishing.confirm import additions, confirm_results, first_difference, sampled
@@ -98,6 +99,7 @@ def stage(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "CHECKOUT", tmp_path)
     monkeypatch.setattr(confirm, "WORK", tmp_path / "output")
     monkeypatch.setattr(confirm, "load_stages", lambda: (one,))
+    monkeypatch.setattr(confirm, "states_in", lambda tree: {})
     monkeypatch.setattr(confirm, "in_history", lambda _: True)
     monkeypatch.setattr(confirm, "commit", lambda: "def")
     monkeypatch.setattr(confirm, "committed_at", lambda name: {"abc": 2, "def": 3}.get(name, 1))
@@ -148,6 +150,61 @@ def test_results_are_kept_under_the_new_hash_where_the_sample_agrees(stage, monk
     assert "numbers: the same: kept" in capsys.readouterr().out
     confirm_results(())
     assert "numbers: up to date" in capsys.readouterr().out
+
+
+def test_results_are_kept_without_a_sample_where_only_the_measure_changed(stage, monkeypatch, tmp_path):
+    """Up to date at a commit which by today's hash and list of inputs is what is here; what differs is not kept."""
+    one, path, state = stage
+    table = tmp_path / "results" / "numbers" / "table.csv"
+    table.write_text("a\n1\n")
+    record = json.loads(path.read_text()) | {"inputs": "of other files"}
+    path.write_text(json.dumps(record))
+    then = {name: record[name] for name in state}
+    monkeypatch.setattr(confirm, "states_in", lambda tree: {"numbers": then})
+    for by_today, found in (({}, "code and inputs changed"), ({"numbers": state | {"code": "x"}}, "changed: make it")):
+        monkeypatch.setattr(confirm, "states_by_today", lambda tree, known=by_today: known)
+        assert found in confirm.confirm(one, trees_at(tmp_path))
+    monkeypatch.setattr(confirm, "states_by_today", lambda tree: {"numbers": state})
+    monkeypatch.setattr(confirm, "states_in", lambda tree: {"numbers": then | {"code": "other"}})
+    assert "make it again" in confirm.confirm(one, trees_at(tmp_path))
+    monkeypatch.setattr(confirm, "states_in", lambda tree: {"numbers": then})
+    assert confirm.confirm(one, trees_at(tmp_path)) == "by today's measure the same code and inputs: kept"
+    assert one.stale() == "commit abc is not in the history"
+    assert json.loads(path.read_text())["confirmed"][0]["from"] == OLD
+
+
+def trees_at(folder):
+    return lambda name: folder / name
+
+
+def test_a_tree_is_measured_by_todays_list_and_hash(stage, tmp_path, monkeypatch):
+    """Its code and files, by a list of stages and a hash that are not its own."""
+    one, *_ = stage
+    today, tree = tmp_path / "today", tmp_path / "tree"
+    for place in (today / "configs", tree / "agents", tree / "probe_env"):
+        place.mkdir(parents=True)
+    root = Path(stages.__file__).parents[2]
+    (today / "agents").symlink_to(root / "agents")
+    one = one.model_copy(update={"reads": ("notes.txt",)})
+    (today / "configs" / "results.toml").write_text(tomli_w.dumps({"stage": [one.model_dump()]}))
+    monkeypatch.setattr(trees, "CHECKOUT", today)
+    trees.states_by_today.cache_clear()
+    for package in ("agents", "probe_env"):
+        shutil.copytree(
+            root / package, tree / package, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.nb?", "*.npz")
+        )
+    (tree / "notes.txt").write_text("1")
+    (tmp_path / "notes.txt").write_text("1")
+    assert trees.states_by_today(tree) == {"numbers": one.state()}
+    trees.states_by_today.cache_clear()
+    (tree / "notes.txt").write_text("2")
+    cases = tree / "agents" / "study" / "cases.py"
+    cases.write_text(cases.read_text().replace("def run_case(", "def run_case(extra: int, ", 1))
+    other = trees.states_by_today(tree)["numbers"]
+    assert [name for name, value in one.state().items() if other[name] != value] == ["code", "inputs"]
+    trees.states_by_today.cache_clear()
+    cases.unlink()  # as one that is too old
+    assert trees.states_by_today(tree) == {}
 
 
 def test_all_stages_can_be_compared_with_one_commit(stage, monkeypatch, tmp_path):

@@ -149,15 +149,20 @@ def test_what_makes_a_stage_stale_is_named(checkout, ran, monkeypatch):
     assert stage().stale() == "files are missing"
 
 
-def test_what_reads_a_stale_stage_is_stale(checkout, ran, monkeypatch):
+def test_what_reads_a_stale_stage_is_stale(checkout, ran, monkeypatch, capsys):
     calls, _ = ran
-    second = stage(name="more", publish={"results/more": ("*.csv",)}, after=("numbers",))
+    second = stage(name="more", publish={"results/more": ("*.csv",)}, reads=("results/numbers/*.csv",))
+    assert results.sources(second, (stage(), second)) == ["numbers"]
     monkeypatch.setattr(results, "load_stages", lambda: (stage(), second))
     run_results(("more",))
     assert [call[1] for call in calls] == ["numbers", "more"]
+    (checkout / "configs" / "c.toml").write_text("2\n")
+    run_results(("more",), only_list=True)
+    assert "numbers will change" in capsys.readouterr().out
+    (checkout / "configs" / "c.toml").write_text("1\n")
     (checkout / "results" / "numbers" / "table.csv").unlink()
     run_results(("more",))
-    assert [call[1] for call in calls] == ["numbers", "more"] * 2
+    assert [call[1] for call in calls] == ["numbers", "more", "numbers"]  # it came out as it was
 
 
 def test_a_stage_that_failed_publishes_nothing_and_goes_on_in_its_folder(checkout, ran, monkeypatch):
@@ -188,5 +193,9 @@ def test_the_shipped_stages_are_valid_and_their_code_and_inputs_exist():
         assert len(each.state()["code"]) == 16
         for pattern in each.reads:
             assert list(results.CHECKOUT.glob(pattern)), f"{each.name}: {pattern}"
+        assert each.plants == ("--tube" in each.command or each.name == "plants")
+    known = {each.name: each for each in load_stages()}
+    assert results.sources(known["headroom"], load_stages()) == ["map", "optimise"]
+    assert results.sources(known["snr"], load_stages()) == ["optimise", "plc", "snr-map", "snr-schedules"]
     with pytest.raises(ValueError, match="stage = 'nothing' is not one of"):
         run_results(("nothing",))

@@ -100,6 +100,21 @@ def test_what_changes_results_is_seen(hash_of, change):
     assert hash_of(PROGRAM | {name: PROGRAM[name].replace(before, after)}) != hash_of(PROGRAM)
 
 
+def test_a_method_that_a_result_never_runs_can_be_left_out(hash_of):
+    """As how tubes of a plant are drawn, of results of the shipped tubes."""
+    changed = PROGRAM | {"parts": PROGRAM["parts"].replace("self.size * times", "self.size + times")}
+
+    def without(name):
+        module._module.cache_clear()
+        return code_hash(("probe_env.work:run",), without=(f"probe_env.parts:Machine.{name}",))
+
+    hash_of(PROGRAM)
+    one, unused = without("step"), without("unused")
+    assert (hash_of(PROGRAM) == unused, hash_of(PROGRAM) == one) == (True, False)
+    hash_of(changed)
+    assert (without("step") == one, without("unused") == unused) == (True, False)
+
+
 def test_a_definition_may_move_to_another_file(hash_of):
     moved = PROGRAM | {
         "work": PROGRAM["work"].replace("import probe_env.tools as tools", "from probe_env import shed as tools"),

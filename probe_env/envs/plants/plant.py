@@ -6,13 +6,14 @@ task carries its scene, so that results of different plants never mix.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import qmc
 
 from probe_env.arrays import FloatArray
@@ -177,15 +178,19 @@ class Plant(Model):
     def contexts(self, count: int, seed: int = 0) -> tuple[Context, ...]:
         """So many tubes: helices in turn, and friction, stiffness and drag spread over what is known of them.
 
-        Every prefix is as balanced as it can be (Halton's sequence, scrambled by the seed); a longer list begins as a
-        shorter one. What a posterior tells of belongs together; its damping is the median in all tubes.
+        Every prefix is as balanced as it can be (Halton's sequence, scrambled by the seed; the diameters equally often,
+        each over all of the rest); a longer list begins as a shorter one. What a posterior tells of belongs together;
+        its damping is the median in all tubes.
 
         Raises:
             ValueError: the number is out of range.
         """
         if not 1 <= count <= MOST_TUBES:
             raise ValueError(f"tubes = {count!r} is outside the accepted range 1 to {MOST_TUBES}")
-        shares = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(count)
+        blocks = -(-count // len(self.diameters))
+        shares = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(blocks * len(self.diameters))
+        helices = _in_turn(shares, self.diameters)
+        shares = shares[:count]
         drawn = {
             "friction": quantiles(self.contact.friction, shares[:, 0], *FRICTION),
             "contact_stiffness": quantiles(self.contact.stiffness, shares[:, 1], *STIFFNESS),
@@ -202,10 +207,30 @@ class Plant(Model):
                 friction=round(float(drawn["friction"][k]), 4),
                 contact_stiffness=float(f"{drawn['contact_stiffness'][k]:.4g}"),
                 drag_factor=round(float(factor[k]), 4),
-                helix_diameter=self.diameters[k % len(self.diameters)],
+                helix_diameter=helices[k],
             )
             for k in range(count)
         )
+
+
+def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
+    """A diameter for each of the tubes: all in every block of so many, each over all that is known of the rest.
+
+    Were they dealt out in their order, every second tube would have one of every second diameter and, Halton's first
+    sequence being that of base 2, friction of one half of its range. So a block's diameters are paired with its tubes
+    such that sums over the tubes of a diameter so far, of its shares and their squares, stay as small as they can.
+
+    Args:
+        shares: (n, 3) of friction, stiffness and drag, n a multiple of the number of diameters.
+        diameters: [m].
+    """
+    centred = np.hstack([shares, shares**2]) - np.repeat([1.0 / 2.0, 1.0 / 3.0], shares.shape[1])
+    sums, dealt = np.zeros((len(diameters), centred.shape[1])), []
+    for block in centred.reshape(-1, *sums.shape):
+        _, tube_of = linear_sum_assignment(((sums[:, None] + block) ** 2).sum(axis=-1))
+        sums += block[tube_of]
+        dealt += [diameters[k] for k in tube_of.argsort()]
+    return dealt
 
 
 GivenPlant = Plant | str | Path | Mapping[str, Any] | None

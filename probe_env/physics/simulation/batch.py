@@ -59,8 +59,8 @@ class SimulatorBatch:
 
     Args:
         scenes: one a probe; they may differ in everything.
-        method: as for ``Simulator``; "imex" and "explicit" run four probes side by side in
-            vector registers, "imex32" eight.
+        method: as for ``Simulator``; "imex", "superelement" and "explicit" run four probes side by side in
+            vector registers, "imex32" and "superelement32" eight.
         time_step: [s].
         nodes_per_pitch: nodes in one float pitch.
         threads: at most so many; default: the cores of this process.

@@ -39,10 +39,11 @@ class Simulator(Saved):
     Args:
         scene: what to simulate; its carrier length is the one at the start.
         method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1; "imex", the fast
-            scheme; "imex32", the same in single precision, for batches; "implicit", which holds with any step;
+            scheme; "superelement", a converged mesh condensed to its floats, which environments have; "imex32" and
+            "superelement32", the same in single precision, for batches; "implicit", which holds with any step;
             "explicit", central differences.
-        time_step: [s], > 0, for imex32 at least 5e-5. Beyond ``stable_time_step`` a ``StabilityWarning`` is given,
-            nothing refused.
+        time_step: [s], > 0, for imex32 and superelement32 at least 5e-5. Beyond ``stable_time_step`` a
+            ``StabilityWarning`` is given, nothing refused.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         seed: of the perturbation.
         options: ``solver`` of the linear system of a step: "ticm" (default), "banded" (LAPACK) or "transfer-matrix";

@@ -9,7 +9,7 @@ from scipy.stats import ks_1samp, norm, uniform
 import probe_env
 from agents.vec_env import ProbeVecEnv
 from probe_env import Plant, TaskConfig
-from probe_env.envs.contexts import Context
+from probe_env.envs.contexts import HELIX_DIAMETERS, Context
 from probe_env.envs.plants.figures import Normal, middle, quantiles
 from probe_env.settings import tuples
 
@@ -156,7 +156,8 @@ def test_tubes_are_spread_over_what_is_known_and_prefixes_stay(file):
     tubes = plant.contexts(300)
     assert tubes[:7] == plant.contexts(7)
     assert plant.contexts(7, seed=1) != tubes[:7]
-    assert [c.helix_diameter for c in tubes[:4]] == [1.0, 1.4, 2.0, 1.0]
+    for k in range(0, 300, 3):
+        assert sorted(c.helix_diameter for c in tubes[k : k + 3]) == [1.0, 1.4, 2.0]
     for values, distribution in (
         ([c.friction for c in tubes], uniform(0.12, 0.10)),
         ([c.contact_stiffness for c in tubes], norm(1e5, 2e4)),
@@ -167,6 +168,26 @@ def test_tubes_are_spread_over_what_is_known_and_prefixes_stay(file):
         assert abs(np.mean([c.friction for c in tubes[:count]]) - 0.17) < 0.10 / count**0.5
     with pytest.raises(ValueError, match="tubes = 0 is outside the accepted range 1 to 4096"):
         plant.contexts(0)
+
+
+@pytest.mark.parametrize("diameters", [(1.0,), (1.0, 2.5), (1.0, 1.4, 2.0), HELIX_DIAMETERS])
+@pytest.mark.parametrize("seed", range(3))
+def test_every_diameter_has_tubes_over_all_of_the_rest(diameters, seed):
+    """Shares sum up to within one tube's of their mean, in every prefix of whole blocks: means differ by 2 / n at most.
+
+    Dealt out in turn, Halton's sequences gave every second diameter one half of the friction.
+    """
+    tube = {"helix_diameter": list(diameters)}
+    known = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"low": 0.9e5, "high": 1.1e5}}
+    tubes = Plant.model_validate({"tube": tube, "contact": known}).contexts(48, seed)
+    for count in (24, 48):
+        for name, low, width in (("friction", 0.1, 0.1), ("contact_stiffness", 0.9e5, 0.2e5)):
+            shares = {
+                d: [(getattr(c, name) - low) / width for c in tubes[:count] if c.helix_diameter == d] for d in diameters
+            }
+            assert {len(values) for values in shares.values()} == {count // len(diameters)}
+            assert np.ptp([np.mean(values) for values in shares.values()]) <= 2.0 * len(diameters) / count
+            assert all(np.ptp(values) > 0.5 for values in shares.values()) or count == 24
 
 
 def test_a_normal_figure_is_cut_off_where_its_range_ends():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
+from probe_env.physics.costs import pitch_step_seconds
 from probe_env.physics.methods import METHODS
 
 OPTIONS = {"growing": True, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
@@ -166,6 +167,8 @@ def test_a_batch_costs_what_its_groups_do():
     """Probes that fill one group of lanes cost what the longest of them does; one more makes a second group."""
     scenes = [Scene(carrier_length=length) for length in (20.0, 40.0)]
     alone = Simulator(scenes[1], "imex32", 2e-4).cost(10.0)
+    with pytest.raises(ValueError, match="method = 'new': its cost is not known until `probe-env chart` has measured"):
+        pitch_step_seconds("new", 4)
     width = METHODS["imex32"].width
     assert SimulatorBatch(scenes * (width // 2), "imex32", 2e-4).cost(10.0) == alone
     more = SimulatorBatch([*scenes * (width // 2), scenes[0]], "imex32", 2e-4)
