@@ -51,9 +51,11 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
 
     try:
         from agents.publishing.places import in_its_place
+        from agents.terminal.masking import masked
         from agents.terminal.notices import said_when_compiling
+        from probe_env.files import one_line
 
-        warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {message}\n"
+        warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(masked(str(message)))}\n"
         _show_choices()
         command = _command(name, arguments)
         with said_when_compiling():

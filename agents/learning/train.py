@@ -23,6 +23,7 @@ from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
+from agents.learning.alone import alone_in
 from agents.learning.checkpoints import BUFFER, Run, read_checkpoint, settings_that_differ, variables
 from agents.learning.config import Training
 from agents.learning.imitation import imitate
@@ -114,6 +115,9 @@ def _note_run(training: Training, seed: int, folder: Path, origin: dict[str, Any
 
 
 def _check_folder(training: Training, folder: Path, resume: bool) -> None:
+    if folder.exists():
+        with alone_in(folder):
+            pass
     if not (folder / RUN).exists():
         if (folder / CHECKPOINT).exists():
             raise FileError(folder / RUN, f"missing beside {CHECKPOINT}: restore it, or choose another folder")
@@ -175,7 +179,23 @@ def train(
         place: line of the progress bar.
         watch: is given the row of every phase once it is stored, those before the last checkpoint too; what it raises
             ends the training.
+
+    Raises:
+        ValueError: another process trains in the folder.
     """
+    with alone_in(folder):
+        return _trained(training, seed, folder, origin, threads, place, watch)
+
+
+def _trained(
+    training: Training,
+    seed: int,
+    folder: Path,
+    origin: dict[str, Any],
+    threads: int | None,
+    place: int,
+    watch: Callable[[dict[str, Any]], None],
+) -> pd.DataFrame:
     torch.set_num_threads(1)
     model, env = _new_model(training, seed, threads)
     rows = _restore(model, folder / CHECKPOINT)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import pandas as pd
 
 from agents.detection import anchors as detection
-from agents.pages.sources import RESULTS, command, markdown, source, ways_to_fail
+from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.catalogue import DATA
 from agents.records.models import Record
 from agents.records.reading import read_json
@@ -77,7 +76,10 @@ def snr_agent() -> str:
 def anchors() -> str:
     """Which policy finds smaller flaws in less time."""
     folder = RESULTS / "detection"
-    summary, record = pd.read_csv(folder / "anchors.csv"), read_json(folder / "provenance.json", Record).model_dump()
+    summary, record = (
+        stored_table(folder / "anchors.csv", "policy", "reward", "inspection_time_s", "share_within_limit"),
+        read_json(folder / "provenance.json", Record).model_dump(),
+    )
     lines = "\n".join(f"* {line}" for line in detection.sentences(summary))
     return (
         f"{markdown(detection.HEADER, detection.cells(summary))}\n\n{lines}\n\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from agents.evaluation import headroom as study
-from agents.pages.sources import RESULTS, command, markdown, source, ways_to_fail
+from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.catalogue import PLC
 from agents.policies.planning.planner import PLANNERS
 from agents.records.models import Figures
@@ -16,13 +16,14 @@ from agents.worlds import measure as worlds
 from agents.worlds.noise import STORED as NOISE
 
 FOLDER = RESULTS / "headroom"
+GAIN = ("gain", "gain_low", "gain_high")
 SHARE = "of the planner's lead [%]"
 """Heading of the column that other tables have of it."""
 
 
 def headroom() -> str:
     """Planners and policies on the same tubes."""
-    summary = pd.read_csv(FOLDER / "headroom.csv")
+    summary = stored_table(FOLDER / "headroom.csv", "policy", "tubes", "reward", *GAIN)
     rows = summary.set_index("policy")
     exact, blurred, estimated = (rows.loc[name] for name in PLANNERS)
     lost = int(failures(summary).sum())
@@ -38,7 +39,9 @@ def headroom() -> str:
 
 def planner_settings() -> str:
     """What horizon, candidates and terminal value are worth."""
-    summary = pd.read_csv(FOLDER / "settings.csv")
+    summary = stored_table(
+        FOLDER / "settings.csv", "periods", "candidates", "every", "rest", "copies", "tubes", "reward", *GAIN
+    )
     return (
         f"{markdown(study.SETTINGS_HEADER, study.setting_cells(summary))}\n\n"
         f"Means over {int(summary['tubes'].iloc[0])} training tubes, one of each helix diameter, differences paired;"
@@ -74,7 +77,9 @@ def lead_of(table: pd.DataFrame, policy: str) -> str:
 
 def world() -> str:
     """Rewards in the world of the map beside simulated ones."""
-    summary = pd.read_csv(RESULTS / "world" / "map-world.csv")
+    summary = stored_table(
+        RESULTS / "world" / "map-world.csv", "policy", "map", "simulated", "error", "error_low", "error_high"
+    )
     stored = read_json(NOISE, Figures)
     record, measured = stored.provenance.model_dump(), stored.model_extra or {}
     agreement = measured["agreement"]

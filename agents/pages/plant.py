@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import pandas as pd
-
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
 from agents.calibration.unknowns import UNKNOWNS
 from agents.evaluation import passes as passes_study
-from agents.pages.sources import RESULTS, command, markdown
+from agents.pages.sources import RESULTS, command, markdown, stored_table
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
 from agents.records.reading import read_json
+
+PASSES = ("probe", "policy", "inspects", "tubes", "reward", "inspection_time_s", "share_within_limit", "gain")
 
 
 def calibrations() -> str:
@@ -64,7 +64,10 @@ def recommendations() -> str:
 def plants() -> str:
     """Policies in plants of other bores and lengths."""
     folder = RESULTS / "plants"
-    summary, figures = pd.read_csv(folder / "gains.csv"), read_json(folder / "provenance.json", Record)
+    summary, figures = (
+        stored_table(folder / "gains.csv", "plant", "policy", "gain", "low", "high"),
+        read_json(folder / "provenance.json", Record),
+    )
     by_tension = summary[summary["policy"] == "tension-scheduled"]
     worse = by_tension[by_tension["high"] < 0.0]["plant"].tolist()
     verdict = (
@@ -83,7 +86,7 @@ def plants() -> str:
 def passes() -> str:
     """Where it is worth to look."""
     folder = RESULTS / "passes"
-    summary, figures = pd.read_csv(folder / "passes.csv"), read_json(folder / "provenance.json", Record)
+    summary, figures = stored_table(folder / "passes.csv", *PASSES), read_json(folder / "provenance.json", Record)
     entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
     by_case = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
     fast, slow = by_case["original", "fast-in", "back"], by_case["original", "best-schedule", "in"]

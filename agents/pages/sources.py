@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from agents.records.columns import sentence_of
 from agents.records.models import Record
-from agents.records.reading import read_json
+from agents.records.reading import FileError, read_csv, read_json
 from probe_env.envs.task import FAILURES
 
 RESULTS = Path("results")
@@ -17,6 +19,20 @@ RESULTS = Path("results")
 def command(record: dict[str, Any]) -> str:
     """What to type to make it again."""
     return f"probe-env results {record['stage']}" if "stage" in record else str(record["command"])
+
+
+def stored_table(path: Path, *needed: str) -> pd.DataFrame:
+    """A stored table of a study.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not CSV, or without a needed column.
+    """
+    stored = read_csv(path)
+    for name in needed:
+        if name not in stored:
+            raise FileError(path, f"column {name} is missing - restore the file, or make it again")
+    return stored
 
 
 def source(path: Path) -> str:

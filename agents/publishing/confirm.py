@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from agents.publishing.stages import APART, RECORDS, WORK, Stage, load_stages
+from agents.publishing.stages import APART, RECORDS, WORK, Stage, load_stages, texts
 from agents.publishing.trees import checked_out_once, put_inputs, states_by_today, states_in
 from agents.records.provenance import (
     CHECKOUT,
@@ -134,7 +134,7 @@ def _is_the_same(stage: Stage, record: dict[str, Any], tree: Path) -> bool:
 
 
 def _columns(path: Path) -> list[str]:
-    return list(pd.read_csv(path, nrows=0).columns)
+    return list(texts(path).columns)
 
 
 def _last(record: dict[str, Any]) -> str:
@@ -142,7 +142,7 @@ def _last(record: dict[str, Any]) -> str:
     names: set[str] = {record["commit"], *(entry["confirmed_at"] for entry in record.get("confirmed", ()))}
     for path in (CHECKOUT / name for name in record["files"] if name.endswith(".csv")):
         if {"code", "commit"} <= set(_columns(path)):
-            names |= set(pd.read_csv(path, usecols=["commit"], dtype=str)["commit"])
+            names |= set(texts(path)["commit"])
     return max(sorted(names), key=committed_at) if len(names) > 1 else names.pop()
 
 
@@ -214,7 +214,7 @@ def additions(before: Path, now: Path) -> list[str]:
 
 def _rows(path: Path) -> pd.DataFrame:
     """A table as text; the rows of a store stand in the order in which they ended, so they are sorted."""
-    table = pd.read_csv(path, dtype=str)
+    table = texts(path)
     if "code" in table:
         table = table.sort_values([name for name in table.columns if name not in APART], ignore_index=True)
     return table

@@ -35,15 +35,27 @@ def is_published(path: Path) -> bool:
     return any(fnmatchcase(name, pattern) for name in inner for pattern in PUBLISHED)
 
 
-def place(path: Path) -> Path:
-    """Where what was meant for ``path`` goes: below ``ELSEWHERE`` if it would publish results of changed code."""
+def check_may_publish(folder: Path) -> None:
+    """Raise ValueError if what is written there would publish something of changed code."""
+    reason = _reason_against(folder)
+    if reason:
+        raise ValueError(f"{reason}: commit first, or give a copy of the folder")
+
+
+def _reason_against(path: Path) -> str:
+    """Why nothing may be written there; empty if it may."""
     if not is_published(path) or not commit().endswith("+changes"):
-        return path
+        return ""
     files = changed_code()
     shown = ", ".join(files[:3]) + (f" and {len(files) - 3} more" if len(files) > 3 else "")
+    return f"{path} is published from clean commits only, and {shown} differ from the commit"
+
+
+def place(path: Path) -> Path:
+    """Where what was meant for ``path`` goes: below ``ELSEWHERE`` if it would publish results of changed code."""
+    reason = _reason_against(path)
+    if not reason:
+        return path
     elsewhere = ELSEWHERE / path.absolute().relative_to(CHECKOUT)
-    warnings.warn(
-        f"{path} is published from clean commits only, and {shown} differ from the commit: writing to {elsewhere}",
-        stacklevel=2,
-    )
+    warnings.warn(f"{reason}: writing to {elsewhere}", stacklevel=2)
     return elsewhere

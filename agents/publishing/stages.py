@@ -34,7 +34,7 @@ from agents.records.provenance import (
     write_atomically,
     write_json,
 )
-from agents.records.reading import read_json
+from agents.records.reading import FileError, read_json
 from agents.terminal.tables import print_table
 from probe_env.files import read_text
 from probe_env.settings import Model
@@ -116,7 +116,19 @@ def content(path: Path) -> bytes:
     data = path.read_bytes()
     if path.suffix != ".csv" or "code" not in data.partition(b"\n")[0].decode().strip().split(","):
         return data
-    return pd.read_csv(path, dtype=str).drop(columns=list(APART)).to_csv().encode()
+    return texts(path).drop(columns=list(APART), errors="ignore").to_csv().encode()
+
+
+def texts(path: Path) -> pd.DataFrame:
+    """A stored table, its cells as they are written.
+
+    Raises:
+        FileError: not a table.
+    """
+    try:
+        return pd.read_csv(path, dtype=str)
+    except (ValueError, pd.errors.ParserError) as error:
+        raise FileError(path, f"not a CSV table: {error} - restore the file, or make it again") from error
 
 
 class StageRecord(Record):

@@ -12,7 +12,7 @@ import tyro
 from pydantic import ValidationError
 from tyro import _strings
 
-from agents.terminal.tyro_texts import joined_lines, message_of, option_problem, options_of
+from agents.terminal.tyro_texts import joined_lines, laid_out, message_of, option_problem, options_of
 from probe_env.settings import explain
 
 OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.probe", "Contact": "--scene.contact",
@@ -38,7 +38,7 @@ def parsed(name: str, kind: type[Any], arguments: Sequence[str], example: str, d
         SystemExit: help was asked for, and printed.
     """
     given: dict[str, Any] = {
-        "prog": f"probe-env {name}", "description": f"{kind.__doc__}\n\nExample: {example}"
+        "prog": f"probe-env {name}", "description": laid_out(f"{kind.__doc__}\n\nExample: {example}")
     }  # fmt: skip
     given |= {"default": default} if default is not None else {}
     arguments = [_as_path(argument) for argument in arguments]

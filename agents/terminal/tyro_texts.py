@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import difflib
 import re
+import shutil
+import textwrap
 from collections.abc import Sequence
 from typing import Final
 
 FRAME: Final = "│ "
 RULE: Final = re.compile(r"[╭╰─-][─-]*.*[╮╯─-]")
 """A line below a title, around a box, or before what every help says."""
+LAID: Final = "\u2060"
+"""Begins what has its breaks already: a mark that is not seen."""
 LIKES: Final = 3
 """Most options that are offered for a mistyped one."""
 _OPTION: Final = re.compile(r"(?:^|[ ,])(--?[A-Za-z][\w.-]*)")
@@ -17,8 +21,16 @@ _OPTION: Final = re.compile(r"(?:^|[ ,])(--?[A-Za-z][\w.-]*)")
 
 def joined_lines(helptext: str) -> str:
     """A docstring as paragraphs of one line each: lines break where the terminal ends, not where the source does."""
+    if LAID in helptext:
+        return helptext.replace(LAID, "")
     paragraphs = re.split(r"\n[ \t]*\n", helptext.strip())
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+def laid_out(text: str) -> str:
+    """A text with breaks where the terminal ends, which tyro prints as it is: it breaks no lines above its boxes."""
+    width = shutil.get_terminal_size().columns
+    return LAID + "\n\n".join(textwrap.fill(paragraph, width) for paragraph in joined_lines(text).split("\n\n"))
 
 
 def message_of(box: str) -> str:

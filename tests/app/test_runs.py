@@ -110,9 +110,12 @@ def test_a_stopped_run_keeps_what_was_finished_and_goes_on(queue, tube, tmp_path
 
 
 def test_a_killed_worker_loses_nothing_that_was_finished(queue, tube, tmp_path):
-    """It is killed when the first insertions are stored, and the run goes on to the table of one that was not."""
+    """It is killed when the first insertion is stored, and the run goes on to the table of one that was not.
+
+    ``slow`` has as many periods left then as ``constant`` took, ten a second.
+    """
     kept = wanted(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
-    run = queue.add(kept)
+    run = queue.add(kept, [Order("pace", (10.0,))])
     deadline = time.monotonic() + LONG
     while not episodes_of(kept.output).read():
         assert time.monotonic() < deadline
@@ -120,6 +123,7 @@ def test_a_killed_worker_loses_nothing_that_was_finished(queue, tube, tmp_path):
     os.kill(queue._process.pid, signal.SIGKILL)
     assert queue.wait(run, LONG)
     assert run.state == "finished"
+    assert "the worker was lost" in run.problem
     lines = (kept.output / "episodes.jsonl").read_text().splitlines()
     assert len(lines) == 2  # nothing is lost, nothing done twice
     plan = plan_of(kept.policies, place_at(tube, "test", 1), 1, "fast")

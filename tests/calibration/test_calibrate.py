@@ -14,6 +14,7 @@ from probe_env import Plant
 KEYS = ("friction", "contact_stiffness", "drag_coefficient", "damping_time")
 
 
+@pytest.mark.processor
 def test_the_shipped_log_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
     assert main(["calibrate", "example-rig", "--output", str(tmp_path)]) == 0

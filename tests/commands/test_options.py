@@ -94,6 +94,16 @@ def test_help_breaks_where_the_terminal_ends_and_not_where_the_source_does(capsy
     assert joined_lines("One\n    (two)\n\n  three.\n") == "One (two)\n\nthree."
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_the_terminal(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    page = capsys.readouterr().out
+    assert [line for line in page.splitlines() if len(line) > 80 and not line.startswith("usage")] == []
+    assert "\u2060" not in page
+
+
 def test_a_file_whose_name_begins_with_a_dash_is_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("-x.csv", "-1"):

@@ -105,6 +105,7 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
     assert margin == -0.1
 
 
+@pytest.mark.processor
 def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
     """The same probe by an agent and by the study's feed, and what makes two searches different problems."""
     tube, fast = (Context(),), PRESETS["fast"]

@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from kills import killed_at
+from kills import kill, killed, killed_at
 
 from agents.cli import main
+from agents.learning.alone import alone_in
 from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.bundle import Agent, build_policy, load_bundle
@@ -63,6 +64,23 @@ def test_resumed_equals_never_stopped(settings, tmp_path):
     agent = load_bundle(tmp_path / "whole" / "seed-0" / BEST)
     action, _ = agent.predict(np.full(len(agent.config.observations), 0.5, dtype=np.float32), deterministic=True)
     assert (np.abs(action) <= 1.0).all()
+
+
+def _hold_and_kill(folder):
+    with alone_in(folder):
+        kill()
+
+
+def test_one_training_a_folder(tmp_path):
+    """Another is refused before anything is written; one that was killed holds nothing."""
+    folder = tmp_path / "seed-0"
+    with alone_in(folder), pytest.raises(ValueError, match="seed-0: another process trains there"):
+        train_all(Training(**PPO), tmp_path, resume=False)
+    assert not list(folder.iterdir())
+    killed(_hold_and_kill, folder)
+    with alone_in(folder):
+        pass
+    assert not list(folder.iterdir())
 
 
 def _train(folder, resume):
@@ -163,6 +181,7 @@ def test_broken_files_are_named_before_any_work(text, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.processor
 def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
     """The shipped recipe with a tiny budget and fixed seeds: warm start, then PPO.
 

@@ -1,11 +1,13 @@
 """The README and docs/ say what the stored results say, their examples run, and their links lead somewhere."""
 
+import os
 import re
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from agents.commands.registry import COMMANDS
 from agents.pages import rewrite as readme
 from agents.pages.blocks import MAKERS
 from probe_env.physics.methods import METHODS
@@ -72,12 +74,29 @@ def test_the_readme_has_ten_lines_of_python():
 def test_the_commands_exist(capsys):
     from agents.cli import main
 
-    commands = {name for page in PAGES for name in re.findall(r"^\s*probe-env (\w+)", (ROOT / page).read_text(), re.M)}
+    commands = {
+        name for page in PAGES for name in re.findall(r"^\s*probe-env ([\w-]+)", (ROOT / page).read_text(), re.M)
+    }
     assert len(commands) > 15
     for command in sorted(commands):
         with pytest.raises(SystemExit) as done:
             main([command, "--help"])
         assert done.value.code == 0
+
+
+def test_every_command_is_on_the_page_of_commands():
+    page = (ROOT / "docs/commands.md").read_text()
+    assert [name for name in COMMANDS if not re.search(rf"^probe-env {name}\b", page, re.M)] == []
+
+
+def test_every_block_is_named_where_results_are_listed():
+    """With the page that it stands on; the README's is told of below the table."""
+    listed = (ROOT / "docs/results/index.md").read_text()
+    for page, names in readme._pages().items():
+        if page != readme.README:
+            link = os.path.relpath(ROOT / page, ROOT / "docs" / "results")
+            (row,) = [line for line in listed.splitlines() if re.match(rf"\| \[[^]]+\]\({re.escape(link)}[#)]", line)]
+            assert set(re.findall(r"`(\w+)`", row.rsplit("|", 2)[1])) == set(names), page
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -122,14 +122,17 @@ def test_bar_on_a_penalty_wall():
 
 @pytest.mark.parametrize("wall", ["inner", "outer"])
 def test_point_mass_on_the_contact_spring(wall):
-    """Contact lasts pi sqrt(m / k), peak force v0 sqrt(k m); a late flag costs omega dt, halved with dt."""
+    """Contact lasts pi sqrt(m / k), peak force v0 sqrt(k m).
+
+    A flag that is late by a share s of a step finds the mass s v0 dt beyond the wall: (s omega dt)^2 of its energy,
+    half of that of its speed, as it comes and as it goes.
+    """
     k, gap, v0 = 1e5, 5e-3, 0.05
     chain = plain_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.array([gap, np.inf]))
     chain = chain._replace(axial_compliance=1e6, shear_compliance=1e6, bending_compliance=1e6, coupling_compliance=0.0)
     omega = math.sqrt(k / chain.mass)
     d, v = np.zeros((2, 3)), np.zeros((2, 3))
     d[0, 1], v[0, 1] = (0.0, -v0) if wall == "inner" else (gap, v0)
-    errors = []
     for dt in (2e-6, 1e-6):
         samples, state = integrate(chain, newmark(dt), d=d, v=v, steps=round(1.2 * math.pi / omega / dt))
         y = samples[:, 0, 1]
@@ -137,9 +140,7 @@ def test_point_mass_on_the_contact_spring(wall):
         peak, duration = k * depth.max(), (depth > 0).sum() * dt
         assert peak == pytest.approx(v0 * math.sqrt(k * chain.mass), rel=omega * dt)
         assert duration == pytest.approx(math.pi / omega, rel=omega * dt)
-        errors.append(abs(abs(state.v[0, 1]) / v0 - 1.0))
-        assert errors[-1] <= omega * dt
-    assert errors[1] < 0.7 * errors[0]
+        assert abs(abs(state.v[0, 1]) / v0 - 1.0) <= (omega * dt) ** 2
 
 
 def test_coulomb_oscillator_loses_a_fixed_amplitude_each_half_cycle():

@@ -1,6 +1,7 @@
 """Killed at a defined point, everything that stores goes on to what one that was never killed gives."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from agents.policies.maps import fit
 from agents.policies.places import place_of
 from agents.processes.workers import HERE, Workers
 from agents.rollouts.plan import Plan, run_plan
+from agents.study.cases import run_study
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -149,6 +151,28 @@ def test_a_comparison_killed_after_a_batch_goes_on(tmp_path, monkeypatch):
     assert len(lines_of(tmp_path / "run" / "designs.jsonl")) == 2
     pd.testing.assert_frame_equal(compare(comparison(), tmp_path / "run"), whole, check_exact=True)
     assert len(lines_of(tmp_path / "run" / "designs.jsonl")) == 4
+
+
+def study(folder):
+    run_study(Path("configs/scenes"), folder, 2, 0.2, ("l10", "u0"), jobs=1)
+    return pd.read_csv(folder / "ensemble.csv").drop(columns="wall_s", errors="ignore").sort_values(["case", "member"])
+
+
+def study_until(folder, count):
+    hook_replace("ensemble.csv", count, kill)
+    study(folder)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_study_killed_as_it_stores_a_run_goes_on(count, tmp_path):
+    """The runs of the charts are stored by the same store, a row as it ends."""
+    killed(study_until, tmp_path / "run", count)
+    stored = tmp_path / "run" / "ensemble.csv"
+    assert (len(pd.read_csv(stored)) if stored.exists() else 0) == count - 1
+    resumed, whole = (study(tmp_path / folder).reset_index(drop=True) for folder in ("run", "whole"))
+    pd.testing.assert_frame_equal(resumed, whole, check_exact=True)
+    assert len(whole) == 4
+    assert not hidden(tmp_path / "run")
 
 
 def closed_form(point):

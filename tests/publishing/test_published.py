@@ -19,6 +19,7 @@ APART = (
     "results/records/*.json", "results/chart/peers*",  # `make peers`
     "results/*/growth.png", "results/study/back.png",  # drawn by `probe-env readme`
     "results/render/*.png",  # shown in the docs
+    "results/app/*",  # `make time-app`
 )  # fmt: skip
 """Files of results that are of no stage."""
 UNCLEAN = ("results/agents/", "docs/results/agents.md")
@@ -47,6 +48,16 @@ def stored() -> Iterator[Path]:
         path = ROOT / name
         if path.suffix in (".csv", ".json", ".md") and path.is_file():
             yield path
+
+
+def test_every_stored_table_can_be_read():
+    """Two trainings in one folder had left bytes of nothing in their logs."""
+    for path in stored():
+        if path.suffix == ".csv" and "samples" not in path.parts:
+            assert b"\0" not in path.read_bytes(), path
+            table = pd.read_csv(path, comment="#")
+            assert len(table) > 0, path
+            assert not any(str(name).startswith("Unnamed") for name in table.columns), path
 
 
 def test_every_result_is_of_a_stage_or_is_known_to_be_apart():

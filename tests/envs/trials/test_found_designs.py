@@ -23,6 +23,7 @@ def tried():
     return try_sections(candidates, SNR, FAST), try_sections(candidates, TaskConfig(), FAST)
 
 
+@pytest.mark.processor
 def test_the_quiet_first_metres_have_the_anchor_s_signal_to_noise(tried):
     """7.5 for a 20 % groove at 0.2 m/s in a smooth tube; motion only adds: S/N is below 3 where it rings."""
     noisy, _ = tried

@@ -312,7 +312,7 @@ def constant_length(extra_nodes, seeds):
     scenes = [Scene(carrier_length=30.0)] * len(seeds)
     batch = SimulatorBatch(scenes, growing=True, perturbation=1e-7, seeds=seeds)
     for simulator in batch.simulators:
-        simulator.root += extra_nodes
+        simulator.move_root(extra_nodes)
         simulator.hold_length()
     batch.advance(None, None, 3.0)
     return batch.advance(None, None, 5.0).statistics["radial_rms_m"]

@@ -88,6 +88,7 @@ def test_its_rows_are_recommendations() -> None:
     assert Law.model_validate_json(law.model_dump_json()) == law
 
 
+@pytest.mark.processor
 def test_it_feeds_by_the_friction_that_the_tension_tells() -> None:
     """In a slippery and in a rough tube the law ends near what its rows for these frictions say.
 
