@@ -25,6 +25,8 @@ KINDS = {
 NEEDS = {"haswell": "avx2", "zen 3": "avx2", "skylake-x": "avx512f"}
 """Feature of this machine without which a kind cannot run here."""
 SHIFTS = (1, 2, 3)
+CHOSEN = "from agents.records.provenance import provenance; print(provenance()['machine']['kernels'])"
+"""Says what linear algebra and numba chose: OpenBLAS has no routines for every name, and takes Haswell's for Zen."""
 ROOT = Path(__file__).parents[1]
 
 
@@ -39,17 +41,19 @@ def configurations() -> dict[str, tuple[dict[str, str], int]]:
 
 
 def run(name: str, variables: dict[str, str], shift: int, output: Path, options: list[str]) -> tuple[int, str, float]:
-    """Exit status of pytest, its last line, and minutes; everything that it said is in ``output``."""
+    """Exit status of pytest, its last line and what was chosen, and minutes; all that it said is in ``output``."""
     begin, slug = time.monotonic(), re.sub(r"\W+", "-", name)
     environment = os.environ | variables
     if variables:  # kernels of another processor must not lie beside those of this one
         environment["NUMBA_CACHE_DIR"] = str(output / slug)
         subprocess.run([sys.executable, "-m", "probe_env.compile_kernels"], cwd=ROOT, env=environment, check=True)
+    chosen = subprocess.run([sys.executable, "-c", CHOSEN], cwd=ROOT, env=environment, capture_output=True, text=True)
     command = [sys.executable, "-m", "pytest", "-m", "processor", f"--shift-seeds={shift}", *options]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     (output / f"{slug}.txt").write_text(done.stdout + done.stderr)
     lines = done.stdout.strip().splitlines() or done.stderr.strip().splitlines() or ["no output"]
-    return done.returncode, lines[-1].strip("= "), (time.monotonic() - begin) / 60.0
+    said = f"{lines[-1].strip('= ')} ({chosen.stdout.strip()})"
+    return done.returncode, said, (time.monotonic() - begin) / 60.0
 
 
 def main() -> int:

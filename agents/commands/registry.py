@@ -19,7 +19,7 @@ class Entry(NamedTuple):
     example: str
 
 
-USERS: Final = {
+FIRST: Final = {
     "simulate": Entry(
         "study:Simulate", "one scene by any method: statistics, signals and figures",
         "probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2",
@@ -28,9 +28,27 @@ USERS: Final = {
         "feed:Evaluate", "feed policies on the same tubes: figures, a report",
         "probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast",
     ),
-    "signal": Entry(
-        "inspection:Signal", "a run as inspection shows it: X, Y, flaws, calls",
-        "probe-env signal best-schedule --flaws 10:20 30:20 50:40",
+    "render": Entry(
+        "feed:Render", "a film of an insertion, or slow motion near the tip",
+        "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
+    ),
+    "train": Entry(
+        "feed:Train", "agents after a training file, with checkpoints",
+        "probe-env train ppo --seeds 7 --output output/train/mine",
+    ),
+    "compare": Entry(
+        "design:Compare", "probe designs on the same tubes under one feed",
+        "probe-env compare original improved my-design.toml --limit 6",
+    ),
+    "design": Entry(
+        "design:DesignSearch", "a search for better probes",
+        "probe-env design --trials 100 --limit 6 --jobs 2",
+    ),
+}  # fmt: skip
+"""What the project is for."""
+PLANT: Final = {
+    "app": Entry(
+        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
     ),
     "log": Entry(
         "log:ReadLog", "a rig's log, read, shown and made a schedule of",
@@ -48,31 +66,17 @@ USERS: Final = {
         "control:Plc", "a feedback law of ten constants, for your plant's PLC",
         "probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml",
     ),
-    "render": Entry(
-        "feed:Render", "a film of an insertion, or slow motion near the tip",
-        "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
-    ),
-    "train": Entry(
-        "feed:Train", "agents after a training file, with checkpoints",
-        "probe-env train ppo --seeds 7 --output output/train/mine",
+    "signal": Entry(
+        "inspection:Signal", "a run as inspection shows it: X, Y, flaws, calls",
+        "probe-env signal best-schedule --flaws 10:20 30:20 50:40",
     ),
     "tune": Entry(
         "feed:Tune", "a search for better hyperparameters of such a file",
         "probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo",
     ),
-    "compare": Entry(
-        "design:Compare", "probe designs on the same tubes under one feed",
-        "probe-env compare original improved my-design.toml --limit 6",
-    ),
-    "design": Entry(
-        "design:DesignSearch", "a search for better probes",
-        "probe-env design --trials 100 --limit 6 --jobs 2",
-    ),
-    "app": Entry(
-        "app:App", "a page to drag a schedule, run it, watch the probe, compare", "probe-env app --tube mine.toml"
-    ),
 }  # fmt: skip
-"""What the project is for."""
+"""What a plant of one's own needs, and more."""
+USERS: Final = FIRST | PLANT
 MAKERS: Final = {
     "report": Entry("feed:Report", "the report of a stored evaluation, again", "probe-env report output/evaluation"),
     "tradeoff": Entry(
@@ -133,7 +137,11 @@ COMMANDS: Final = USERS | LISTS | MAKERS
 def first_page() -> str:
     """The help of ``probe-env`` itself, in lines of fewer than 80 characters."""
     width = max(map(len, COMMANDS)) + 2
-    groups = (("For users", USERS), ("For makers of the project's own results", MAKERS))
+    groups = (
+        ("First", FIRST),
+        ("For your plant, and more", PLANT),
+        ("For makers of the project's own results", MAKERS),
+    )
     lines = [
         "usage: probe-env COMMAND [OPTIONS]",
         "",
