@@ -16,7 +16,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
         found.anchors, found.snr, found.snr_agent,
-        plant.calibrations, plant.passes, plant.plants, plant.recommendations,
+        plant.answers, plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,

@@ -1,4 +1,4 @@
-"""What plants' users read in words: calibrations, recommendations, both passes, what is found."""
+"""What plants' users read in words: calibrations, recommendations, both passes, the app."""
 
 from __future__ import annotations
 
@@ -7,12 +7,20 @@ from typing import Any
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
 from agents.calibration.unknowns import UNKNOWNS
 from agents.evaluation import passes as passes_study
-from agents.pages.sources import RESULTS, command, markdown, stored_table
+from agents.pages.sources import RESULTS, command, markdown, source, stored_table
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
 from agents.records.reading import read_json
 
 PASSES = ("probe", "policy", "inspects", "tubes", "reward", "inspection_time_s", "share_within_limit", "gain")
+
+WAITS = {
+    "page": ("from the command to a page that can be used", 1.0, "s"),
+    "first_insertion": ("from the command to the first finished insertion, at `fast`", 1.0, "s"),
+    "insertion": ("an insertion at `fast`, alone", 1.0, "s"),
+    "drag": ("from a move of a point to another expectation", 1e3, "ms"),
+}
+"""What is waited for, and in which unit it is shown."""
 
 
 def calibrations() -> str:
@@ -106,6 +114,16 @@ def passes() -> str:
         f" in by `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
         f" {record['commit']}."
     )
+
+
+def answers() -> str:
+    """How long what takes, median and longest."""
+    folder = RESULTS / "app"
+    measured, rows = stored_table(folder / "answers.csv", "wait", "seconds").groupby("wait")["seconds"], []
+    for name, (what, factor, unit) in WAITS.items():
+        values = factor * measured.get_group(name)
+        rows.append((what, f"{values.median():.3g} {unit}", f"{values.max():.3g} {unit}", len(values)))
+    return f"{markdown(('', 'median', 'longest', 'of'), rows)}\n\n{source(folder / 'provenance.json')}"
 
 
 def _best(entry: dict[str, Any]) -> str:

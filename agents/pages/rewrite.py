@@ -106,4 +106,5 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "learning" / "world.md": ("world",),
         DOCS / "inspection" / "robustness.md": ("robustness",),
         DOCS / "inspection" / "tube.md": ("plants",),
+        DOCS / "inspection" / "app.md": ("answers",),
     }

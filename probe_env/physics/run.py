@@ -42,6 +42,9 @@ class Shapes:
     rotation: FloatArray
     tension: FloatArray
 
+    def __repr__(self) -> str:
+        return f"<Shapes of {len(self.position)} nodes at {', '.join(f'{time:g}' for time in self.time)} s>"
+
 
 @dataclass(frozen=True)
 class Run:

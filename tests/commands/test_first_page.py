@@ -42,8 +42,8 @@ def test_simulate_names_all_methods_and_units(capsys, monkeypatch):
         main(["simulate", "--help"])
     page = capsys.readouterr().out
     assert f"--method {{{','.join(METHODS)}}}" in page
-    told = page[page.index("--method") : page.index("--time-step")].partition("}")[2]
-    assert [name for name in METHODS if not re.search(rf"\b{name}\b", told)] == []
+    meanings = page[page.index("--method") : page.index("--time-step")].partition("}")[2]
+    assert [name for name in METHODS if not re.search(rf"\b{name}\b", meanings)] == []
     for option in ("--scene.feed-speed", "--scene.probe.flexural-rigidity", "--scene.contact.stiffness"):
         assert "[" in page[page.index(option) :].splitlines()[1].replace("[default", "")  # its unit
 

@@ -62,8 +62,8 @@ def test_the_python_examples_run(page, monkeypatch, tmp_path, capsys):
 
 
 def test_the_page_of_methods_says_what_each_is():
-    told = (ROOT / "docs/simulation/methods.md").read_text().partition("| `method` |")[2].partition("\n\n")[0]
-    assert [name for name in METHODS if f"`{name}`" not in told] == []
+    page = (ROOT / "docs/simulation/methods.md").read_text().partition("| `method` |")[2].partition("\n\n")[0]
+    assert [name for name in METHODS if f"`{name}`" not in page] == []
 
 
 def test_the_readme_has_ten_lines_of_python():

@@ -161,9 +161,9 @@ def test_results_are_kept_without_a_sample_where_only_the_measure_changed(stage,
     path.write_text(json.dumps(record))
     then = {name: record[name] for name in state}
     monkeypatch.setattr(confirm, "states_in", lambda tree: {"numbers": then})
-    for by_today, found in (({}, "code and inputs changed"), ({"numbers": state | {"code": "x"}}, "changed: make it")):
+    for by_today, answer in (({}, "code and inputs changed"), ({"numbers": state | {"code": "x"}}, "changed: make it")):
         monkeypatch.setattr(confirm, "states_by_today", lambda tree, known=by_today: known)
-        assert found in confirm.confirm(one, trees_at(tmp_path))
+        assert answer in confirm.confirm(one, trees_at(tmp_path))
     monkeypatch.setattr(confirm, "states_by_today", lambda tree: {"numbers": state})
     monkeypatch.setattr(confirm, "states_in", lambda tree: {"numbers": then | {"code": "other"}})
     assert "make it again" in confirm.confirm(one, trees_at(tmp_path))

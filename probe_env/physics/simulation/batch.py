@@ -20,6 +20,7 @@ from probe_env.machine import available_cores
 from probe_env.physics.kernel_call import Sampling, check_array, check_points
 from probe_env.physics.methods import method_named
 from probe_env.physics.methods.lane_group import Lane
+from probe_env.physics.run import check_size
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.signals import window_statistics
 from probe_env.physics.simulation.options import Options
@@ -27,6 +28,9 @@ from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator
 from probe_env.physics.simulation.targets import check_active, check_which
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
+
+MOST_SHOWN: Final = 8
+"""Probes of a window in its short form."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,13 @@ class Window:
     axial: FloatArray | None = None
     radial: FloatArray | None = None
     tension: FloatArray | None = None
+
+    def __repr__(self) -> str:
+        rms = ", ".join(f"{1e3 * value:.3g}" for value in self.statistics["radial_rms_m"][:MOST_SHOWN])
+        more = ", ..." if len(self.diverged) > MOST_SHOWN else ""
+        kept = "" if self.time is None else f", {len(self.time)} samples"
+        counts = f"{len(self.diverged)} probes, {self.diverged.sum()} diverged{kept}"
+        return f"<Window of {counts}; radial rms [mm]: {rms}{more}>"
 
 
 class SimulatorBatch:
@@ -190,7 +201,7 @@ class SimulatorBatch:
         A probe that diverges is reported in the window and left out from then on; the others go on.
 
         Raises:
-            ValueError: an argument is not valid.
+            ValueError: an argument is not valid, or the samples would not fit; nothing was advanced.
         """
         count = len(self)
         steps = whole_steps("duration", duration, self.time_step)
@@ -207,6 +218,7 @@ class SimulatorBatch:
         running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
         for k in running:  # all before any: the kernels check no bounds
             self._check_fits(k)
+        check_size(steps // every + 2, count)
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -173,3 +174,15 @@ def test_a_batch_costs_what_its_groups_do():
     assert SimulatorBatch(scenes * (width // 2), "imex32", 2e-4).cost(10.0) == alone
     more = SimulatorBatch([*scenes * (width // 2), scenes[0]], "imex32", 2e-4)
     assert more.cost(10.0) == 2.0 * alone
+
+
+def test_a_window_is_short_in_words_and_no_longer_than_memory():
+    batch = SimulatorBatch([Scene(carrier_length=5.0)] * 9, "imex32", 2e-4)
+    window = batch.advance(0.2, None, 0.01, keep_samples=True)
+    assert re.fullmatch(
+        r"<Window of 9 probes, 0 diverged, 10 samples; radial rms \[mm\]: ([\d.e-]+, ){8}\.\.\.>", repr(window)
+    )
+    before = batch.simulators[0].time
+    with pytest.raises(ValueError, match=r"20000002 samples of 9 points take .* GiB, more than 2"):
+        batch.advance(0.3, None, 20_000.0)
+    assert batch.simulators[0].time == before

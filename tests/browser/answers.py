@@ -1,0 +1,89 @@
+"""How long a user of the app waits: `make time-app` stores it in results/app; the machine must do nothing else."""
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import pandas as pd
+from conftest import CHROMIUM, App, opened, served
+from playwright.sync_api import Page, sync_playwright
+from test_page import FEED, PLACE, screen
+
+from agents.records.provenance import provenance, write_atomically, write_json
+
+COMMAND = "make time-app"
+COLUMNS = ["wait", "seconds"]
+MOVES = 20
+"""Of the point that is dragged, each some pixels from the one before."""
+
+
+def first_insertion(browser, folder: Path) -> tuple[float, float]:
+    """Seconds from the command to a page that can be used, and to the first finished insertion."""
+    begin = time.perf_counter()
+    with served(folder) as app, opened(browser, app) as page:
+        shown = time.perf_counter()
+        finish_run(page)
+        return shown - begin, time.perf_counter() - begin
+
+
+def finish_run(page: Page) -> None:
+    """Run the schedule that the page begins with in one tube."""
+    screen(page, 3)
+    page.get_by_role("button", name="Run", exact=True).click()
+    page.locator("[data-state=running]").wait_for()
+    page.locator("[data-state=finished]").wait_for()
+
+
+def insertion(browser, app: App) -> float:
+    """Seconds from Run to a finished insertion, in a server that has been used."""
+    with opened(browser, app) as page:
+        begin = time.perf_counter()
+        finish_run(page)
+        return time.perf_counter() - begin
+
+
+def drags(browser, app: App) -> list[float]:
+    """Seconds from each move of a point to another expectation on the page."""
+    with opened(browser, app) as page:
+        answers = []
+        x, y = page.evaluate(PLACE, [FEED, 0])
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for k in range(MOVES):
+            before = page.get_by_text("Expected:").inner_text()
+            begin = time.perf_counter()
+            page.mouse.move(x, y + 40 + 25 * (-1) ** k)
+            page.get_by_text("Expected:").filter(has_not_text=before).wait_for()
+            answers.append(time.perf_counter() - begin)
+        page.mouse.up()
+        return answers
+
+
+def measure(repeats: int, output: Path) -> None:
+    """Measure all three, print and store them."""
+    with sync_playwright() as play, tempfile.TemporaryDirectory() as folder:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        starts = [first_insertion(browser, Path(folder) / str(k)) for k in range(repeats + 1)][1:]  # caches are warm
+        with served(Path(folder) / "used") as app:
+            insertions = [insertion(browser, app) for _ in range(repeats + 1)][1:]
+            moves = drags(browser, app)
+        browser.close()
+    waits = {
+        "page": [shown for shown, _ in starts],
+        "first_insertion": [finished for _, finished in starts],
+        "insertion": insertions,
+        "drag": moves,
+    }
+    table = pd.DataFrame([(name, value) for name, values in waits.items() for value in values], columns=COLUMNS)
+    write_atomically(output / "answers.csv", table.to_csv(index=False, float_format="%.3f"))
+    write_json(output / "provenance.json", provenance(COMMAND))
+    print(table.groupby("wait", sort=False)["seconds"].describe()[["count", "min", "50%", "max"]])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--output", type=Path, default=Path("results/app"))
+    given = parser.parse_args()
+    measure(given.repeats, given.output)
