@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, Final
 
 from bokeh.document import Document
 from bokeh.events import DocumentReady
-from bokeh.models import Button, CustomJS, RadioButtonGroup
+from bokeh.models import Button, CustomJS, RadioButtonGroup, Slider
 
 from agents.app.desk import Desk, Office
 from agents.app.page.compare import CompareScreen
@@ -20,6 +21,11 @@ TITLES: Final = ("1 Tube", "2 Schedule", "3 Insertion", "4 Compare", "5 Manual")
 BEGIN: Final = 1
 TICK: Final = 100
 """Milliseconds between two looks at what has happened."""
+PATIENCE: Final = 3.0
+"""Seconds after which a picture counts as drawn though the browser has not said so."""
+MOST_SENT: Final = 1_000_000
+DRAWN: Final = "requestAnimationFrame(() => setTimeout(() => { drawn.value = sent.value; }, 0));"
+"""In the browser, behind what came with it: once all of that is painted."""
 WELCOME: Final = (
     "<p>A cable of floats is blown into a helical tube, and above some length it rings: how fast to feed it, and with"
     " how much air, is yours to choose. Drag the points of the feed schedule below, then run it under <b>Insertion</b>"
@@ -65,11 +71,16 @@ class Page:
         close.on_click(lambda: setattr(self.welcome, "visible", False))
         self.welcome.children.append(close)
         self.chosen.on_change("active", lambda attr, old, new: self.turn())
-        self._seen = -1
+        self._seen, self._sent_at = -1, 0.0
+        count: dict[str, Any] = {"start": 0, "end": MOST_SENT, "step": 1, "value": 0, "visible": False}
+        self.sent, self.drawn = Slider(**count), Slider(**count)  # pictures: numbers of the last ones
+        self.sent.js_on_change("value", CustomJS(args={"sent": self.sent, "drawn": self.drawn}, code=DRAWN))
         self.root = below(
             side_by_side(words("<h1>probe-env</h1>", width=120, styles={"flex": "0 0 130px"}), self.chosen),
             self.welcome,
             *(screen.layout for screen in self.screens),
+            self.sent,
+            self.drawn,
         )
         self.turn()
 
@@ -83,6 +94,11 @@ class Page:
             "pressed": self.manual.pressed,
         }  # fmt: skip
         document.js_on_event(DocumentReady, CustomJS(args=arguments, code=KEYS))
+        for text in (
+            self.schedule.summary, self.insertion.status, self.insertion.seen, self.insertion.flaw.caption,
+            self.manual.score,
+        ):  # fmt: skip
+            document.js_on_event(DocumentReady, text.show)  # what was said before there was a browser to show it
         document.add_periodic_callback(self.tick, TICK)
 
     def turn(self) -> None:
@@ -92,11 +108,13 @@ class Page:
         self._seen = -1
 
     def tick(self) -> None:
-        """Show what has happened since the last look."""
+        """Show what has happened since the last look, once the browser has drawn that: else it falls behind."""
         changes = self.desk.office.queue.changes
-        if changes != self._seen:
-            self._seen = changes
+        drawn = self.drawn.value == self.sent.value or time.monotonic() - self._sent_at > PATIENCE
+        if changes != self._seen and drawn:
+            self._seen, self._sent_at = changes, time.monotonic()
             self.screens[self.chosen.active or 0].refresh()
+            self.sent.value = (int(self.sent.value) + 1) % MOST_SENT
 
     def _tube_changed(self) -> None:
         self.schedule.refresh_place()

@@ -12,6 +12,7 @@ from agents.app.page.style import (
     GREY,
     INK,
     VERMILLION,
+    Live,
     below,
     chart,
     control_sheet,
@@ -40,12 +41,12 @@ class PassedFlaw:
                              width=210, stylesheets=sheet, name="flaw-before")  # fmt: skip
         self.depth = Slider(title="its depth [% of the wall]", start=1.0, end=100.0, step=1.0, value=START[1],
                             width=210, stylesheets=sheet, name="flaw-depth")  # fmt: skip
-        self.caption = words(name="flaw-words")
+        self.caption = Live(name="flaw-words")
         self.layout = below(
             words("<p class='quiet'>X and Y with a flaw where the sensor has just been: drag the diamond.</p>"),
             side_by_side(self.before, self.depth),
             side_by_side(panel(self._strip(), 300, 3), panel(self._figure(), 190, 1)),
-            self.caption,
+            self.caption.div,
         )
         self.flaw.on_change("data", lambda attr, old, new: self._dragged())
         for slider in (self.before, self.depth):

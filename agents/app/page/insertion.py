@@ -10,7 +10,7 @@ from bokeh.models import Button, MultiChoice, RadioButtonGroup, Select, Spinner,
 from agents.app.desk import Desk
 from agents.app.page.flaw import PassedFlaw
 from agents.app.page.runs import RunList
-from agents.app.page.style import below, chart, control_sheet, panel, problem, side_by_side, words
+from agents.app.page.style import Live, below, chart, control_sheet, panel, problem, side_by_side, words
 from agents.app.page.traces import Traces
 from agents.app.page.unrolled import SlowMotion, Unrolled
 from agents.app.runs.frames import COLUMNS, Frame, Order
@@ -46,7 +46,7 @@ class InsertionScreen:
         self.traces = Traces(("radial_rms_m", "feed_speed", "air_supply_rate"))
         self.signal = chart("time before now [s]", "sensor [mm]", 150)
         self.samples = self.signal.line([], [], line_width=1.2, color="#009E73").data_source
-        self.status, self.seen, self.wrong = words(name="run-words"), words(), words(name="run-problem")
+        self.status, self.seen, self.wrong = Live(name="run-words"), Live(), words(name="run-problem")
         self.list = RunList(desk, self._look_at)
         self._films = self._round = 0
         self.layout = below(
@@ -55,10 +55,10 @@ class InsertionScreen:
             side_by_side(*self._order_form()),
             self.wrong,
             side_by_side(*self._handles()),
-            self.status,
+            self.status.div,
             side_by_side(
                 panel(below(self.unrolled.layout, self.slow.layout, self.signal, self.flaw.layout), 440, 3),
-                panel(below(self.traces.layout, self.seen), 330, 2),
+                panel(below(self.traces.layout, self.seen.div), 330, 2),
                 styles={"align-items": "flex-start"},
             ),
             self.list.layout,

@@ -9,7 +9,7 @@ from bokeh.models import Button, RadioButtonGroup, Select, Slider
 
 from agents.app.desk import Desk
 from agents.app.forms.points import HOUR
-from agents.app.page.style import below, control_sheet, panel, problem, side_by_side, words
+from agents.app.page.style import Live, below, control_sheet, panel, problem, side_by_side, words
 from agents.app.page.traces import Traces
 from agents.app.page.unrolled import Unrolled
 from agents.app.runs.driven import BY_HAND
@@ -45,7 +45,7 @@ class ManualScreen:
         self.air = Slider(title="air supply [m³/h] (↓ ↑)", start=30.0, end=130.0, step=1.0, value=63.0, width=340,
                           stylesheets=sheet, name="hand-air")  # fmt: skip
         self.pressed = Slider(start=0, end=1_000_000, step=1, value=0, visible=False)  # counts the space bar
-        self.score, self.wrong = words(name="score"), words()
+        self.score, self.wrong = Live(name="score"), words()
         self.unrolled = Unrolled(whole=False)
         self.traces = Traces(("radial_rms_m", "reward"), 230)
         start.on_click(self._start)
@@ -62,7 +62,7 @@ class ManualScreen:
             side_by_side(self.rival, self.pace, start, self.hold, give_up),
             side_by_side(self.feed, self.air, self.pressed),
             self.wrong,
-            self.score,
+            self.score.div,
             side_by_side(panel(below(self.unrolled.layout), 380), panel(self.traces.layout, 380),
                          styles={"align-items": "flex-start"}),
         )  # fmt: skip

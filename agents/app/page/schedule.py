@@ -32,6 +32,7 @@ from agents.app.page.style import (
     ORANGE,
     PALETTE,
     VERMILLION,
+    Live,
     below,
     chart,
     control_sheet,
@@ -72,7 +73,7 @@ class ScheduleScreen:
         self.mirror = ColumnDataSource(dict(desk.points), name="mirror")
         self.band = ColumnDataSource({"length": [], "low": [], "middle": [], "high": []}, name="expected")
         self.lines = ColumnDataSource({"name": [], "colour": [], "dash": [], "length": [], FEED: [], AIR: []})
-        self.summary, self.wrong = words(name="expected-words"), words(name="schedule-problem")
+        self.summary, self.wrong = Live(name="expected-words"), words(name="schedule-problem")
         self._busy = False
         self.along = Range1d(0.0, 60.0)
         self.charts = [self._editable(column, label) for column, label in CHARTS]
@@ -86,7 +87,7 @@ class ScheduleScreen:
             ),
             side_by_side(*self._files()),
             self.wrong,
-            self.summary,
+            self.summary.div,
             side_by_side(
                 panel(below(*self.charts, self.vibration), 420, 3), panel(below(*self._beside()), 280, 1),
                 styles={"align-items": "flex-start"},

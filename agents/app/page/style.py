@@ -5,7 +5,17 @@ from __future__ import annotations
 from html import escape
 from typing import Any, Final
 
-from bokeh.models import Column, Div, GlobalInlineStyleSheet, InlineStyleSheet, Row, Span, UIElement
+from bokeh.models import (
+    Column,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    GlobalInlineStyleSheet,
+    InlineStyleSheet,
+    Row,
+    Span,
+    UIElement,
+)  # fmt: skip
 from bokeh.plotting import figure
 
 BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, INK, GREY = (
@@ -31,6 +41,12 @@ th:first-child, td:first-child { text-align: left; } thead th { white-space: nor
 table.folds td { white-space: normal; } small { color: #555; display: block; } td.best { font-weight: 700; }
 code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
 """
+PUT: Final = """
+const html = source.data.html[0];
+div.setv({text: html}, {silent: true});
+const view = Bokeh.index.find_one(div);
+if (view != null && view.markup_el != null) view.markup_el.innerHTML = html;
+"""
 CONTROL: Final = """
 .bk-input, .bk-btn { font-size: 15px; min-height: 34px; } label { font-size: 14px; }
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072B2; outline-offset: 1px; }
@@ -51,6 +67,33 @@ def words(html: str = "", **options: Any) -> Div:
     """Text; ``html`` is ours, what comes from files or people is escaped before."""
     given: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (0, 5, 0, 5)} | options
     return Div(text=html, stylesheets=[InlineStyleSheet(css=TEXT)], **given)
+
+
+class Live:
+    """Text that changes many times a second: put where it stands, for a ``Div`` alone lays out all charts anew.
+
+    Attributes:
+        div: where it stands.
+        show: puts it there, in the browser.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        self.div = words(**options)
+        self._source = ColumnDataSource({"html": [""]})
+        self.show = CustomJS(args={"source": self._source, "div": self.div}, code=PUT)
+        self._source.js_on_change("data", self.show)
+        self.div.tags = [self._source]  # which makes it a part of the page
+
+    @property
+    def text(self) -> str:
+        """As in ``words``."""
+        return str(self._source.data["html"][0])
+
+    @text.setter
+    def text(self, html: str) -> None:
+        if self.div.document is None:
+            self.div.text = html
+        self._source.data = {"html": [html]}
 
 
 def problem(text: str) -> str:
