@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 from conftest import CHROMIUM, App, opened, served
-from playwright.sync_api import Page, sync_playwright
-from test_page import FEED, PLACE, screen
+from playwright.sync_api import sync_playwright
+from test_page import FEED, PLACE, run
 
 from agents.records.provenance import provenance, write_atomically, write_json
 
@@ -23,23 +23,15 @@ def first_insertion(browser, folder: Path) -> tuple[float, float]:
     begin = time.perf_counter()
     with served(folder) as app, opened(browser, app) as page:
         shown = time.perf_counter()
-        finish_run(page)
+        run(page)
         return shown - begin, time.perf_counter() - begin
-
-
-def finish_run(page: Page) -> None:
-    """Run the schedule that the page begins with in one tube."""
-    screen(page, 3)
-    page.get_by_role("button", name="Run", exact=True).click()
-    page.locator("[data-state=running]").wait_for()
-    page.locator("[data-state=finished]").wait_for()
 
 
 def insertion(browser, app: App) -> float:
     """Seconds from Run to a finished insertion, in a server that has been used."""
     with opened(browser, app) as page:
         begin = time.perf_counter()
-        finish_run(page)
+        run(page)
         return time.perf_counter() - begin
 
 

@@ -55,6 +55,7 @@ def fill(page, label, text):
 def run(page, policies=()):
     screen(page, 3)
     page.get_by_role("button", name="Run", exact=True).click()
+    page.locator("[data-state=waiting], [data-state=running]").wait_for()  # not the end of the one before it
     page.locator("[data-state=finished]").wait_for()
 
 
@@ -140,7 +141,7 @@ FLAW = """() => {
 def test_a_flaw_that_is_dragged_is_seen_elsewhere_in_x_and_y(page):
     run(page)
     page.get_by_text("A flaw of 20 %").wait_for()
-    page.get_by_text("A flaw of 20 %").scroll_into_view_if_needed()  # the chart stands above it
+    page.get_by_text("A flaw of 20 %").evaluate("(words) => words.scrollIntoView(false)")  # the chart stands above it
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
     before, x_y = page.evaluate(signals), page.evaluate(FLAW)
