@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-processors test-pythons test-bounds test-app time-app lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme docs clean
+.PHONY: setup demo test test-processors test-pythons test-bounds browser test-app time-app lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme docs clean
 
 setup: $(STAMP)
 
@@ -106,15 +106,16 @@ test-ray:
 # the app in a real browser: Debian's Chromium, driven by Playwright, which neither the app nor make test needs
 CHROMIUM ?= /usr/bin/chromium
 PICTURES ?= output/app-pictures
-test-app: setup
+browser: setup
 	test -x $(CHROMIUM) || { echo "installing Debian's chromium, which takes root (or name one that you have: make test-app CHROMIUM=PATH)"; \
 		apt-get update && apt-get install --yes --no-install-recommends chromium; }
 	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[browser]'
+
+test-app: browser
 	PROBE_ENV_CHROMIUM=$(CHROMIUM) PROBE_ENV_PICTURES=$(PICTURES) $(BIN)/pytest tests/browser
 
 # how long its user waits, stored in results/app; on a machine that does nothing else
-time-app: setup
-	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[browser]'
+time-app: browser
 	PROBE_ENV_CHROMIUM=$(CHROMIUM) $(BIN)/python tests/browser/answers.py
 
 readme: setup

@@ -102,4 +102,17 @@ def _schedules() -> str:
             cells += [f"{feed[0]:.3f}", f"{3600.0 * air[0]:.0f}"]
         rows.append(cells)
     header = ["length [m]", *(f"{name}: {what}" for name in read for what in ("feed [m/s]", "air [m³/h]"))]
-    return markdown(header, rows)
+    return f"{markdown(header, rows)}\n\n{_by_map()}"
+
+
+def _by_map() -> str:
+    """What the map of the noise expects of what was searched on it, beside what the simulation has."""
+    schedule, constant = (
+        read_json(FOLDER / f"best-{name}.json", Record).model_dump() for name in ("schedule", "constant")
+    )
+    return (
+        f"On {schedule['validation_tubes']} tubes for validation the map of the noise expects"
+        f" {schedule['reward_by_map']:.1f} of this schedule and {constant['reward_by_map']:.1f} of the constant that"
+        f" was searched on it; simulated they earn {schedule['reward_simulated']:.1f} and"
+        f" {constant['reward_simulated']:.1f}."
+    )

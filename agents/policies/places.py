@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.records.reading import FileError
 from agents.records.shipped import file_or_shipped
-from agents.terminal.names import check_name, name_of
+from agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.task import TaskConfig
@@ -79,10 +79,10 @@ def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
 
 
 def _named(tube: Path, plant: Plant) -> Named:
-    check_name(name_of(tube), "a tube's file is called")
+    name = checked_name(name_of(tube), "a tube's file is called")
     bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
     digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
-    return Named(name_of(tube), digest, f"{name_of(tube)} (bore {bore:g} mm, helix {length:g} m)")
+    return Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)")
 
 
 def plant_at(tube: Path | None) -> Plant | None:

@@ -96,7 +96,7 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> st
     if since and not _up_to_date(stage, record, tree):
         raise RuntimeError(f"stage {stage.name}: its results were not up to date at {since}: leave --since out")
     if _is_the_same(stage, record, tree):
-        _keep(stage, record, {})
+        _keep(stage, record, {}, sample={})
         return "by today's measure the same code and inputs: kept"
     if "inputs" in changed:
         return f"{' and '.join(changed)} changed: make it again"
@@ -113,13 +113,14 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> st
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
     for line in additions(*folders.values()):
         print(f"{stage.name}: {line}, which the stored results have not: make them again to have them", flush=True)
-    others = _keep(stage, record, new_hashes(*folders.values()))
+    others = _keep(stage, record, new_hashes(*folders.values()), stage.sample)
     return f"the same: kept, but for {others} rows of other code" if others else "the same: kept"
 
 
 def _up_to_date(stage: Stage, record: dict[str, Any], tree: Path) -> bool:
     """Whether results were, by the code and configuration of a tree, what those make."""
-    return all(record[name] == value for name, value in states_in(tree).get(stage.name, {"code": ""}).items())
+    then = states_in(tree).get(stage.name)
+    return then is not None and all(record[name] == value for name, value in then.items())
 
 
 def _is_the_same(stage: Stage, record: dict[str, Any], tree: Path) -> bool:
@@ -230,8 +231,10 @@ def new_hashes(before: Path, now: Path) -> dict[str, str]:
     return names
 
 
-def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str]) -> int:
+def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str], sample: dict[str, str]) -> int:
     """Write the new code's hash into the record, and into rows that carry theirs; the numbers stay as they were made.
+
+    The record has the sample that was run, an empty one if there was none.
 
     A row of a store counts as done while its hash is that of the present code.
     """
@@ -246,6 +249,6 @@ def _keep(stage: Stage, record: dict[str, Any], hashes: dict[str, str]) -> int:
         if renewed != text:
             write_atomically(path, renewed)
     state = stage.state()
-    shown = {"from": record["code"], "made_by": record["commit"], "confirmed_at": commit(), "sample": stage.sample}
+    shown = {"from": record["code"], "made_by": record["commit"], "confirmed_at": commit(), "sample": sample}
     write_json(RECORDS / f"{stage.name}.json", record | state | {"confirmed": [*record.get("confirmed", ()), shown]})
     return others

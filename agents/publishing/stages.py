@@ -42,8 +42,8 @@ from probe_env.settings import Model
 CONFIG: Final = CHECKOUT / "configs" / "results.toml"
 RECORDS: Final = CHECKOUT / "results" / "records"
 WORK: Final = CHECKOUT / "output" / "results"
-DRAWN: Final = ("probe_env.envs.plants.plant:Plant.contexts",)
-"""What stages reach and do not run, but those with tubes of a plant."""
+OF_PLANTS_ALONE: Final = ("probe_env.envs.plants.plant:Plant.contexts",)
+"""How tubes of a plant are drawn: every stage reaches it by its name, those of the shipped tubes never run it."""
 APART: Final = ("commit", "code")
 """Columns that say where a row comes from, not what it says."""
 
@@ -80,7 +80,7 @@ class Stage(Model):
         files = {path for pattern in self.reads for path in CHECKOUT.glob(pattern)}
         contents = sorted(f"{path.name} {hashlib.sha256(content(path)).hexdigest()}\n" for path in files)
         inputs = hashlib.sha256("".join(contents).encode())  # blind to the folders that they are in
-        code = code_hash(self.code, self.method, () if self.plants else DRAWN)
+        code = code_hash(self.code, self.method, () if self.plants else OF_PLANTS_ALONE)
         return {"command": self.command, "code": code, "inputs": inputs.hexdigest()[:16]}
 
     @property

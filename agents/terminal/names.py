@@ -25,11 +25,6 @@ def name_problem(name: str) -> str:
     return ""
 
 
-def check_name(name: str, what: str) -> None:
-    """Raise ValueError if it may not be one; see ``checked_name``."""
-    checked_name(name, what)
-
-
 def checked_name(name: str, what: str, hint: str = "") -> str:
     """The name itself.
 

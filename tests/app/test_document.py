@@ -7,10 +7,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from bokeh.document import Document
+from bokeh.models import ColumnDataSource
 
 from agents.app.desk import Office
 from agents.app.page.comparisons import Detection
-from agents.app.page.document import page_of
+from agents.app.page.document import PATIENCE, page_of
+from agents.app.page.style import Live
 from agents.app.server import server_of
 from agents.design.compare import cells, read_comparison, summarise
 from agents.rollouts.found import a90_95, bands
@@ -43,6 +45,42 @@ def test_every_screen_is_built_and_drawn_for_ones_own_tube(office):
     page.tube.inputs["tube.helix_length"].value = "never"
     assert "tube.helix_length: Input should be a valid number" in page.tube.errors["tube.helix_length"].text
     assert page.desk.tube.plant.tube.helix_length == 30.0
+
+
+def test_the_next_picture_waits_until_the_last_one_is_drawn(office, monkeypatch):
+    """By a browser that says so, or for as long as patience lasts: what happened meanwhile is in the next one."""
+    page, pictures = page_of(office), []
+    page.add_to(Document())
+    monkeypatch.setattr(page.screens[page.chosen.active], "refresh", lambda: pictures.append(office.queue.changes))
+    page.tick()
+    assert (pictures, page.sent.value) == ([0], 1)
+    for changes in (1, 2):
+        monkeypatch.setattr(office.queue, "changes", changes, raising=False)
+        page.tick()
+    assert pictures == [0]
+    page.drawn.value = page.sent.value  # as the browser does
+    page.tick()
+    page.tick()
+    assert pictures == [0, 2]
+    page.drawn.value = page.sent.value
+    page.tick()
+    assert pictures == [0, 2]  # nothing has happened
+    monkeypatch.setattr(office.queue, "changes", 3, raising=False)
+    page.drawn.value = 0  # a browser that is lost
+    page._sent_at -= PATIENCE
+    page.tick()
+    assert pictures == [0, 2, 3]
+
+
+def test_words_that_change_often_do_not_go_through_a_div():
+    """Before there is a page they do; then the browser is given them beside it."""
+    words, document = Live(name="words"), Document()
+    words.text = "<p>one</p>"
+    assert words.div.text == "<p>one</p>"
+    document.add_root(words.div)
+    assert any(isinstance(model, ColumnDataSource) for model in document.models)
+    words.text = "<p>two</p>"
+    assert (words.text, words.div.text) == ("<p>two</p>", "<p>one</p>")
 
 
 def test_text_from_files_is_shown_as_text(office, tmp_path):

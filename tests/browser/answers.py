@@ -18,8 +18,8 @@ MOVES = 20
 """Of the point that is dragged, each some pixels from the one before."""
 
 
-def first_insertion(browser, folder: Path) -> tuple[float, float]:
-    """Seconds from the command to a page that can be used, and to the first finished insertion."""
+def first_run(browser, folder: Path) -> tuple[float, float]:
+    """Seconds from the command to a page that can be used, and to the first finished run of what it offers."""
     begin = time.perf_counter()
     with served(folder) as app, opened(browser, app) as page:
         shown = time.perf_counter()
@@ -27,8 +27,8 @@ def first_insertion(browser, folder: Path) -> tuple[float, float]:
         return shown - begin, time.perf_counter() - begin
 
 
-def insertion(browser, app: App) -> float:
-    """Seconds from Run to a finished insertion, in a server that has been used."""
+def used_run(browser, app: App) -> float:
+    """Seconds from Run to the end of what the page offers, in a server that has been used."""
     with opened(browser, app) as page:
         begin = time.perf_counter()
         run(page)
@@ -63,15 +63,15 @@ def measure(repeats: int, output: Path) -> None:
     """Measure all three, print and store them."""
     with sync_playwright() as play, tempfile.TemporaryDirectory() as folder:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        starts = [first_insertion(browser, Path(folder) / str(k)) for k in range(repeats + 1)][1:]  # caches are warm
+        starts = [first_run(browser, Path(folder) / str(k)) for k in range(repeats + 1)][1:]  # caches are warm
         with served(Path(folder) / "used") as app:
-            insertions = [insertion(browser, app) for _ in range(repeats + 1)][1:]
+            runs = [used_run(browser, app) for _ in range(repeats + 1)][1:]
             moves = drags(browser, app)
         browser.close()
     waits = {
         "page": [shown for shown, _ in starts],
-        "first_insertion": [finished for _, finished in starts],
-        "insertion": insertions,
+        "first_run": [finished for _, finished in starts],
+        "run": runs,
         "drag": moves,
     }
     table = pd.DataFrame([(name, value) for name, values in waits.items() for value in values], columns=COLUMNS)

@@ -146,6 +146,7 @@ def test_results_are_kept_under_the_new_hash_where_the_sample_agrees(stage, monk
     assert kept["code"] == state["code"]
     assert kept["commit"] == "abc"  # they are still what that commit made
     assert kept["confirmed"][0]["from"] == OLD
+    assert kept["confirmed"][0]["sample"] == {"limit": "1"}
     assert (tmp_path / "results" / "numbers" / "table.csv").read_text() == f"a,code\n1,{OLD}\n"  # as it was made
     assert "numbers: the same: kept" in capsys.readouterr().out
     confirm_results(())
@@ -170,7 +171,8 @@ def test_results_are_kept_without_a_sample_where_only_the_measure_changed(stage,
     monkeypatch.setattr(confirm, "states_in", lambda tree: {"numbers": then})
     assert confirm.confirm(one, trees_at(tmp_path)) == "by today's measure the same code and inputs: kept"
     assert one.stale() == "commit abc is not in the history"
-    assert json.loads(path.read_text())["confirmed"][0]["from"] == OLD
+    entry = json.loads(path.read_text())["confirmed"][0]
+    assert (entry["from"], entry["sample"]) == (OLD, {})  # none was run
 
 
 def trees_at(folder):
