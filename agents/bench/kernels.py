@@ -1,7 +1,7 @@
 """Speeds as ratios within one run: the machines are shared, so only ratios carry over.
 
 Every kernel is compiled and warmed up before its clock starts; the best of several repeats counts, taken in
-turns so that a slow moment of the machine hits all alike.
+turns so that a slow moment of the machine hits all alike; the ratios of single rounds are their scatter.
 """
 
 from __future__ import annotations
@@ -52,15 +52,20 @@ def run_bench(output: Path, repeats: int) -> dict[str, Any]:
 
 def best_times(jobs: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
     """Best wall time [s] of each job, warmed up once, in turns."""
+    return {name: min(times) for name, times in times_of(jobs, repeats).items()}
+
+
+def times_of(jobs: dict[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
+    """Wall times [s] of each job, one a round of all, warmed up once."""
     for job in jobs.values():
         job()
-    best = dict.fromkeys(jobs, float("inf"))
+    times: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in tqdm(range(repeats), desc=", ".join(jobs)[:40], unit="round"):
         for name, job in jobs.items():
             start = time.perf_counter()
             job()
-            best[name] = min(best[name], time.perf_counter() - start)
-    return best
+            times[name].append(time.perf_counter() - start)
+    return times
 
 
 def _solvers(repeats: int) -> dict[str, dict[str, float]]:
@@ -110,16 +115,21 @@ def _fast(repeats: int) -> dict[str, dict[str, float]]:
         name: lambda b=batch: b.advance(None, None, simulated, simulated)  # type: ignore[misc]
         for name, batch in batches.items()
     }
-    best = best_times(jobs, repeats)
+    times = times_of(jobs, repeats)
+    best = {name: min(rounds) for name, rounds in times.items()}
     rows = {}
-    for name, seconds in best.items():
+    for name, rounds in times.items():
         simulator = simulators[name] if name in simulators else batches[name].simulators[0]
-        per_second = seconds / simulated / (len(batches[name]) if name in batches else 1)
+        probes = len(batches[name]) if name in batches else 1
+        per_second = best[name] / simulated / probes
+        ratios = [study / own * probes for study, own in zip(times["newmark"], rounds, strict=True)]
         rows[name] = {
             "time_step_s": simulator.time_step,
             "ns_per_node_step": per_second * simulator.time_step / simulator.root * 1e9,
             "s_per_simulated_s": per_second,
             "simulated_second_ratio": best["newmark"] / simulated / per_second,
+            "simulated_second_ratio_low": min(ratios),
+            "simulated_second_ratio_high": max(ratios),
             "of_eight_nodes_ratio": best["newmark, 8 nodes a pitch"] / simulated / per_second,
         }
     for row in rows.values():
