@@ -89,7 +89,8 @@ def bench() -> str:
     ]
     scaling = results["scaling"]
     note = (
-        f"Best of {results['repeats']} rounds, in which all take their turns. Cost of a step grows with the number of nodes to the power {scaling['exponent']:.3f}"
+        f"Best of {results['repeats']} rounds, in which all take their turns. Cost of a step grows with the number of"
+        f" nodes to the power {scaling['exponent']:.3f}"
         f" ({scaling['nodes'][0]} to {scaling['nodes'][-1]} nodes). A new process has its first result after"
         f" {results['first_result_s']:.1f} s with cached kernels. {source(path)}"
     )
