@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.scatter import CHANCE, apart, deviation, reach
+from oracles.scatter import CHANCE, apart, deviation, of_another, reach, surely_more
 
 from agents.records.code_hash import code_hash
 from agents.study.cases import CASES, CODE, load_rows, run_case
@@ -41,33 +41,40 @@ def test_a_stored_member_is_repeated(name):
         assert row[statistic] == pytest.approx(stored[statistic], rel=chance)
 
 
+def rings_more(large: str, small: str, factor: float = 1.0, statistic: str = "radial_rms_m") -> bool:
+    """Whether one case rings more than another by a factor, other members included."""
+    return surely_more(ENSEMBLE.values(large, statistic), ENSEMBLE.values(small, statistic), factor)
+
+
 def test_vibration_grows_with_length():
-    lengths = [10, 20, 30, 40, 50, 55]
-    means = [ENSEMBLE.mean(f"l{length}") for length in lengths]
-    assert (np.diff(means) > 0.0).all()
-    for short, long in ((10, 30), (20, 40), (30, 50)):
-        assert ENSEMBLE.greater(f"l{long}", f"l{short}")
-    assert means[0] < 5e-6  # silent at 10 m
-    assert means[-1] > 0.2e-3
+    """Neighbours beyond 40 m lie within the scatter of eight members."""
+    for short, long in ((10, 20), (20, 30), (30, 40), (30, 50), (40, 55)):
+        assert rings_more(f"l{long}", f"l{short}")
+    assert rings_more("l55", "l10", 100.0)  # silent at 10 m
 
 
 def test_feed_tube_and_probe_change_the_vibration_as_claimed():
-    assert ENSEMBLE.values("u0", "radial_rms_m").max() < 1e-6
-    assert ENSEMBLE.greater("l50", "u100")
-    assert ENSEMBLE.greater("u400", "l50")
-    assert ENSEMBLE.greater("l50", "dh2500")
-    assert ENSEMBLE.mean("improved") <= ENSEMBLE.mean("l50") / 5.0
+    assert ENSEMBLE.values("u0", "radial_rms_m").max() < 0.01 * ENSEMBLE.values("l50", "radial_rms_m").min()
+    assert rings_more("l50", "u100")
+    assert rings_more("u400", "l50")
+    assert rings_more("l50", "improved", 5.0)
+    # skewed by more than half of its mean: by ranks, eight of eight, of which chance leaves 1 in 12,870
+    assert ENSEMBLE.values("dh2500", "radial_rms_m").max() < ENSEMBLE.values("l50", "radial_rms_m").min()
 
 
 def test_low_air_calms_the_acceleration():
     """Erratum 6: the displacement does not tell."""
-    assert ENSEMBLE.greater("l50", "q40", "radial_acceleration_rms_m_per_s2")
-    assert 0.4 < ENSEMBLE.mean("q40") / ENSEMBLE.mean("l50") < 2.0
+    assert rings_more("l50", "q40", statistic="radial_acceleration_rms_m_per_s2")
+    assert rings_more("q40", "l50", 0.6)
+    assert rings_more("l50", "q40", 0.4)
 
 
-def test_one_common_peak_near_14_hz():
-    assert np.median(ENSEMBLE.values("l55", "axial_peak_hz")) == pytest.approx(14.0, abs=2.0)
-    assert np.median(ENSEMBLE.values("l55", "common_peak_hz")) == pytest.approx(14.0, abs=2.0)
+@pytest.mark.parametrize("statistic", ["axial_peak_hz", "common_peak_hz"])
+def test_one_common_peak_near_14_hz(statistic):
+    """On lines 0.5 Hz apart; a whole hertz beside the study's 14 is left, less what other members scatter by."""
+    peaks = ENSEMBLE.values("l55", statistic)
+    scatter = max(float(peaks.std(ddof=1)), 0.5 / np.sqrt(12.0))
+    assert abs(peaks.mean() - 14.0) + of_another(scatter, len(peaks), members=len(peaks)) < 1.5
 
 
 def test_wilson_and_newmark_agree():
@@ -83,7 +90,8 @@ def test_wilson_and_newmark_agree():
 @pytest.mark.parametrize("length", [30, 50])
 def test_mean_root_tension_is_the_closed_form(length):
     expected = steady_root_tension(Scene.from_toml(SCENES / f"fig11_l{length}.toml"))
-    assert ENSEMBLE.mean(f"l{length}", "root_tension_mean_n") == pytest.approx(expected, rel=0.01)
+    """The stored ones are 0.3 % below it, on the study's mesh; members scatter by 0.005 %."""
+    assert ENSEMBLE.mean(f"l{length}", "root_tension_mean_n") == pytest.approx(expected, rel=0.005)
 
 
 def test_steps_of_2e_4_hold_and_5e_4_do_not():
@@ -93,8 +101,8 @@ def test_steps_of_2e_4_hold_and_5e_4_do_not():
 
 def test_a_root_between_floats_rings_more():
     """In Newmark as in imex, so it belongs to the model and not to a scheme."""
-    assert ENSEMBLE.greater("l30-offset", "l30")
-    assert ENSEMBLE.greater("l30-imex-offset", "l30-imex")
+    assert rings_more("l30-offset", "l30")
+    assert rings_more("l30-imex-offset", "l30-imex")
 
 
 def test_every_claim_gets_a_line():
