@@ -36,12 +36,24 @@ def test_it_is_written_simulated_and_told(tmp_path: Path, capsys: pytest.Capture
     assert "expected reward" in capsys.readouterr().out
 
 
+def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """``--no-simulated``: the schedule and how it was found, and no folder of episodes."""
+    (tmp_path / "tube.toml").write_text(TUBE)
+    output = tmp_path / "my.csv"
+    arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(output), "--no-simulated"]
+    assert main(["recommend", *arguments]) == 0
+    assert Schedule.read(output).position[-1] == 24.0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
+    assert "simulated on" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
         (["--output", "my.txt"], "is not a CSV file"),
         (["--policy", "my.txt"], "is not a JSON file"),
         (["nowhere.csv"], "nowhere.csv"),
+        (["own.csv", "--no-simulated"], "schedules: only a simulation compares with them"),
         (["--limit", "100"], "limit = 100 is outside"),
         (["--fidelity", "fine"], "fidelity = 'fine' is not one of"),
         (["--tube", "nowhere.toml"], "nowhere.toml"),
