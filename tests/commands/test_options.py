@@ -47,6 +47,21 @@ def test_what_is_not_understood_is_one_line(arguments, message, columns, capsys,
     assert not re.search("[─│╭╰]|--- ", line)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("calibrations --limit 7", "logs = 7 must be a multiple of 8"),
+        ("recommendations --limit 7", "tubes = 7 must be a multiple of 8"),
+        ("response --limit 0", "groups = 0 is outside the accepted range 1 to 256"),
+    ],
+)
+def test_limit_is_how_many_of_what_a_command_counts(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments.split()) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_message_is_found_in_a_box_and_below_a_rule():
     box = (
         "╭─ Value error ──╮",

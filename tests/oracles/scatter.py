@@ -65,16 +65,6 @@ def apart(first: np.ndarray, second: np.ndarray) -> float:
     return math.log(first.mean() / second.mean())
 
 
-def surely_more(large: np.ndarray, small: np.ndarray, factor: float = 1.0) -> bool:
-    """Whether a mean is more than ``factor`` times another one, and would be with other members, but for ``CHANCE``.
-
-    The relative deviations are the members' own; both the stored means and those of other members scatter by them.
-    """
-    count = len(large) + len(small)
-    spread = math.sqrt(sum(2.0 * values.var(ddof=1) / values.mean() ** 2 / len(values) for values in (large, small)))
-    return apart(large, small) - math.log(factor) > float(t.isf(CHANCE, count - 2)) * spread
-
-
 def hits_within(trials: int, least: float, most: float, chance: float = CHANCE) -> tuple[int, int]:
     """Fewest and most successes of trials with a probability between two bounds, but for ``chance`` on either side."""
     return int(binom.ppf(chance, trials, least)), int(binom.isf(chance, trials, most))

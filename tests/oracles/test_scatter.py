@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.chart.ensembles import Setting
-from oracles.scatter import CHANCE, DEVIATIONS, deviation, hits_within, of_another, reach, surely_more
+from oracles.scatter import CHANCE, DEVIATIONS, deviation, hits_within, of_another, reach
 
 MEMBERS = pd.read_csv(Path(__file__).parents[2] / "results" / "chart" / "ensembles.csv")
 DRAWS = 200_000
@@ -46,18 +46,3 @@ def test_bounds_by_hand():
     assert reach((0.3, 9), measured=8) == pytest.approx(7.89 * 0.1, rel=1e-2)  # of 7 degrees
     assert of_another(0.1, members=8) == pytest.approx(4.45 * 0.1 * np.sqrt(1 / 8 + 1 / 32), rel=1e-2)
     assert hits_within(100, 0.5, 0.5) == (32, 68)
-
-
-@pytest.mark.processor
-def test_what_is_surely_more_is_so_with_other_members(seeds):
-    """Of truths 2.2 apart most are claimed, and none of them fails with other members; of equal ones none is claimed.
-
-    A member scatters by 13 %, as radial rms does; 2,000 pairs of eight against eight, in which ``CHANCE`` is 0.2 claims
-    too many, and less: the claim leaves room for the scatter of both the stored members and others.
-    """
-    rng = np.random.default_rng(seeds(7))
-    small, equal, large = (truth * (1.0 + 0.13 * rng.normal(size=(2000, 8))) for truth in (1.0, 1.0, 2.2))
-    claimed = np.array([surely_more(a, b) for a, b in zip(large, small, strict=True)])
-    assert claimed.mean() > 0.5
-    assert (np.roll(large, 1, axis=0).mean(axis=1) > np.roll(small, 1, axis=0).mean(axis=1))[claimed].all()
-    assert sum(surely_more(a, b) for a, b in zip(equal, small, strict=True)) <= hits_within(2000, 0.0, CHANCE)[1]
