@@ -77,7 +77,9 @@ class Recommend:
     folder: Path | None = None
     """Folder of the simulated episodes and the page (report.html); default: NAME-confirmed beside the output."""
     limit: int = 24
-    """Tubes on which it is simulated, drawn anew from what is known; 0: not simulated."""
+    """Tubes on which it is simulated, drawn anew from what is known; 0: all of them."""
+    simulated: bool = True
+    """Whether it is simulated against others at all."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast or auto."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
@@ -93,7 +95,9 @@ class Recommend:
         if self.policy and self.policy.suffix != ".json":
             raise ValueError(f"policy = {str(self.policy)!r} is not a JSON file (.json), which feedback laws are")
         folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
-        confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity)
+        if self.schedules and not self.simulated:
+            raise ValueError("schedules: only a simulation compares with them; leave out --no-simulated")
+        confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity) if self.simulated else None
         recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.policy, self.workers)
 
 
@@ -101,8 +105,8 @@ class Recommend:
 class Learn:
     """Learn what calibrations and recommendations go by: wandering insertions, and a network of what they felt."""
 
-    groups: int = 12
-    """Of 32 insertions each, in one bore."""
+    groups: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 12
+    """How many, of 32 insertions each, in one bore."""
     fidelity: Literal["fast", "standard"] = "fast"
     """How closely they are simulated."""
     output: Path = Path("output/response")
@@ -127,8 +131,8 @@ class Learn:
 class Calibrations:
     """Calibrate simulated logs whose truth is known: coverage, errors, ranks, and logs of another world."""
 
-    logs: int = 40
-    """In groups of 8 of one bore and length."""
+    logs: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 40
+    """How many, in groups of 8 of one bore and length."""
     fidelity: Literal["fast", "standard"] = "standard"
     """How closely they are simulated."""
     output: Path = Path("output/calibrations")

@@ -16,7 +16,7 @@ from agents.policies.domain import OutsideDomain
 from agents.policies.places import Place, place_of
 from agents.processes.workers import HERE, Workers
 from agents.recommendation.expectation import beyond
-from agents.recommendation.search import Found, recommended, recommended_law
+from agents.recommendation.search import Optimum, recommended, recommended_law
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Plant
 
@@ -33,7 +33,7 @@ class Confirmation:
     Attributes:
         folder: of the episodes and the page.
         own: schedules of one's own to compare with, as ``evaluate`` takes them.
-        limit: tubes that are simulated; 0: none.
+        limit: tubes that are simulated; 0: all.
         fidelity: of that.
     """
 
@@ -46,17 +46,17 @@ class Confirmation:
 def recommend(
     plant: Plant | None,
     output: Path,
-    confirmation: Confirmation,
+    confirmation: Confirmation | None,
     response: Response,
     law: Path | None = None,
     workers: Workers = HERE,
-) -> Found:
+) -> Optimum:
     """Search, write the schedule and how it was found beside it, simulate it against others, print.
 
     Args:
         plant: the tubes and what is known of them; None: table 2's in the shipped lists.
         output: the schedule (.csv); NAME.json beside it says how it was found.
-        confirmation: against what, on how many tubes.
+        confirmation: against what, on how many tubes; None: it is not simulated.
         response: what is felt.
         law: file (.json) of the feedback law, where one is wanted.
         workers: of the simulation.
@@ -64,11 +64,12 @@ def recommend(
     Raises:
         ValueError: the plant, or a schedule of one's own, is not valid; nothing was written.
     """
-    seen, unseen = place_of(plant, "train"), place_of(plant, "test", confirmation.limit)
+    seen = place_of(plant, "train")
+    unseen = place_of(plant, "test", confirmation.limit) if confirmation else seen
     for text in beyond(seen.contexts, response, seen.config):
         warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
-    specs = (*confirmation.own, *OURS)
-    if confirmation.limit:
+    specs = (*(confirmation.own if confirmation else ()), *OURS)
+    if confirmation:
         plan_of(specs, unseen, 1, confirmation.fidelity)  # what cannot be compared is refused before the search
     recommendation = recommended(seen.contexts, response, seen.config)
     write_atomically(output, recommendation.schedule.to_csv())
@@ -82,8 +83,8 @@ def recommend(
         f"{output}: expected reward {recommendation.reward:.1f} over {len(seen.contexts)} draws of what is known,"
         f" root tension at least {recommendation.tension:.2g} N in 95 % of them"
     )
-    if confirmation.limit:
-        print(f"simulated on {confirmation.limit} other draws at {confirmation.fidelity}:")
+    if confirmation:
+        print(f"simulated on {len(unseen.contexts)} other draws at {confirmation.fidelity}:")
         _confirm(specs, unseen, confirmation, workers)
     return recommendation
 
@@ -94,7 +95,7 @@ def _confirm(specs: tuple[str, ...], place: Place, confirmation: Confirmation, w
     return evaluate(plan, confirmation.folder, against=NAME, workers=workers, own=own)
 
 
-def _record(recommendation: Found, plant: Plant | None, place: Place) -> dict[str, Any]:
+def _record(recommendation: Optimum, plant: Plant | None, place: Place) -> dict[str, Any]:
     return {
         "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
         "calibrated": plant is not None and plant.posterior is not None,
