@@ -21,10 +21,9 @@ from agents.study.cases import PERTURBATION
 from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.physics.methods import METHODS
-from probe_env.physics.signals import dominant_frequencies
+from probe_env.physics.signals import SAMPLE_PERIOD, dominant_frequencies
 
 SETTLE, DURATION = 2.0, 6.0  # [s]
-SAMPLE_PERIOD = 1e-3  # [s]
 STATISTICS = (
     "radial_rms_m", "radial_p99_m", "lift_off_share", "axial_rms_m", "axial_mean_m",
     "radial_acceleration_rms_m_per_s2", "tension_mean_n",

@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart.ensembles import COLUMNS, SAMPLE_PERIOD, member_statistics
+from agents.chart.ensembles import COLUMNS, member_statistics
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
 from agents.study.cases import PERTURBATION
 from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch
+from probe_env.physics.signals import SAMPLE_PERIOD
 
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]
 STRETCH = 5.0  # [m] a row

@@ -16,17 +16,19 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.chart.ensembles import CONVERGED_NODES, CONVERGED_STEP, DURATION, SAMPLE_PERIOD, SETTLE, member_statistics
+from agents.chart.ensembles import CONVERGED_NODES, CONVERGED_STEP, DURATION, SETTLE, member_statistics
 from agents.chart.errors import FLOORS
 from agents.records.code_hash import code_hash
 from agents.records.shipped import shipped_folder
 from agents.records.store import Store
-from agents.rollouts.statistics import Interval, ratio_interval
+from agents.rollouts.bootstrap import Interval
+from agents.rollouts.statistics import ratio_interval
 from agents.study.cases import PERTURBATION
 from agents.terminal.work import Work, announce
 from probe_env import Design, Scene, SimulatorBatch
 from probe_env.envs.contexts import draw_context
 from probe_env.fidelity import PRESETS, Fidelity
+from probe_env.physics.signals import SAMPLE_PERIOD
 
 CODE: Final = ("agents.chart.other_probes:run_probe",)
 KEYS: Final = ("probe", "method", "time_step_s", "nodes_per_pitch", "member")

@@ -26,8 +26,9 @@ from agents.records.journal import Journal
 from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.tables import Columns, read_csv
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Policy
-from agents.rollouts.statistics import Interval, failures, in_words, mean_interval
+from agents.rollouts.statistics import failures, in_words, mean_interval
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity

@@ -27,8 +27,9 @@ from agents.design.compare import tube_column
 from agents.design.folders import claim
 from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
 from agents.processes.workers import HERE, Workers
-from agents.records.provenance import provenance, write_atomically, write_json
-from agents.rollouts.statistics import bootstrap_ends
+from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.store import COMMIT
+from agents.rollouts.bootstrap import bootstrap_ends
 from agents.searches.database import open_study
 from agents.terminal.masking import masked
 from agents.terminal.tables import print_table
@@ -103,7 +104,7 @@ def search(
             study.add_trial(
                 create_trial(
                     params=dict(starts[number]), distributions=distributions, values=value(dict(starts[number])),
-                    system_attrs={RepeatableNSGAII._get_generation_key(): 0},
+                    system_attrs={RepeatableNSGAII._get_generation_key(): 0}, user_attrs={COMMIT: commit()},
                 )
             )  # fmt: skip
             bar.update()
@@ -115,13 +116,14 @@ def search(
                 )
             trial = study.ask()
             point = {axis: trial.suggest_float(axis, low, high) for axis, (low, high, _) in axes.items()}
+            trial.set_user_attr(COMMIT, commit())
             study.tell(trial, value(point))
             bar.update()
     return study
 
 
 def trials_table(study: optuna.Study) -> pd.DataFrame:
-    """Complete trials: number, point, objectives and whether the design is on the front."""
+    """Complete trials: number, point, objectives, the commit that made it, and whether the design is on the front."""
     complete = sorted(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)), key=lambda trial: trial.number)
     rows = [_row(k, trial) for k, trial in enumerate(complete)]
     table = pd.DataFrame(rows)
@@ -131,7 +133,8 @@ def trials_table(study: optuna.Study) -> pd.DataFrame:
 
 
 def _row(number: int, trial: FrozenTrial) -> dict[str, Any]:
-    return {"trial": number} | trial.params | dict(zip(OBJECTIVES, trial.values, strict=True))
+    values = dict(zip(OBJECTIVES, trial.values, strict=True))
+    return {"trial": number} | trial.params | values | {COMMIT: trial.user_attrs.get(COMMIT, "unknown")}
 
 
 def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> pd.DataFrame:
@@ -201,7 +204,7 @@ def run_design_search(
     setting = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
     setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed}
     setting |= tube_column(problem.tube)
-    write_json(output / "provenance.json", provenance() | setting)
+    write_json(output / "provenance.json", provenance(commits=table[COMMIT]) | setting)
     _print(front, influence, problem)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, parallel.png, found.toml)")
     return table

@@ -17,9 +17,10 @@ from agents.policies.catalogue import named_policies
 from agents.policies.places import Place
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.rollouts.found import a90_95
+from agents.rollouts.bootstrap import short
+from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import by_context, short
+from agents.rollouts.statistics import by_context
 from agents.terminal.tables import print_table
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.sensor import Sensor
@@ -60,11 +61,13 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
     if len(policies) < 2:
         raise ValueError(f"policies = {', '.join(policies)}: a ranking needs two")
     rows: dict[str, dict[str, float]] = {name: {} for name in policies}
+    commits: list[str] = []
     for what, factors in ANCHORS.items():
         task = config.model_copy(update={"sensor": scaled(config.sensor, *factors)})
         plan = Plan(named_policies(names, task, place.vibration), place.contexts, config=task,
                     fidelity=resolve_fidelity(fidelity))  # fmt: skip
         table = run_plan(plan, output / what.replace(" ", "-"), workers=workers)
+        commits += list(table["commit"])
         for name, row in rows.items():
             row[f"{A90}, {what}"] = a90_95(table, name)
             if what == USUAL:
@@ -73,7 +76,7 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
     summary = pd.DataFrame(rows).T.rename_axis("policy").reset_index()
     record = {"fidelity": resolve_fidelity(fidelity).model_dump(), "tubes": len(place.contexts)}
     write_atomically(output / "anchors.csv", summary.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "provenance.json", provenance() | record | {"agreement": agreement(summary)})
+    write_json(output / "provenance.json", provenance(commits=commits) | record | {"agreement": agreement(summary)})
     print_table(f"What is found, {len(place.contexts)} tubes", HEADER, cells(summary), left=1)
     for line in sentences(summary):
         print(line)

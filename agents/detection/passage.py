@@ -10,12 +10,12 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.rollouts.plan import Policy
-from agents.rollouts.playing import periods_of
 from probe_env import Context, Fidelity
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.gauges import SAMPLE_PERIOD
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
+from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
+from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
 
@@ -26,7 +26,7 @@ class Insertion:
     Attributes:
         passage: what the sensor went through.
         periods: a mapping of a period each: what ``Episodes`` tells of it, SI units.
-        detection: figures by name of what would be found in the length that was inspected, see ``inspection.found``.
+        detection: figures by name of what would be found in the length that was inspected, see ``inspection.tally``.
     """
 
     passage: Passage

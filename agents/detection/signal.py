@@ -18,7 +18,7 @@ from agents.policies.places import Place
 from agents.records.atomic import write_atomically
 from agents.records.provenance import provenance, write_json
 from agents.records.tables import read_episodes
-from agents.rollouts import found
+from agents.rollouts import depths
 from agents.rollouts.statistics import grouped
 from agents.terminal.tables import print_table
 from probe_env.arrays import FloatArray
@@ -218,13 +218,15 @@ def draw_curves(evaluation: Path, output: Path) -> None:
         ValueError: its episodes were stored before there was a sensor.
     """
     table = grouped(read_episodes(evaluation / "episodes.parquet"))
-    if not found.tells(table):
+    if not depths.tells(table):
         raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
-    curves = found.bands(table)
+    curves = depths.bands(table)
     output.mkdir(parents=True, exist_ok=True)
     write_atomically(output / "pod.csv", curves.to_csv(index=False, float_format="%.5g"))
     pictures.curves(curves, output / "pod.png")
     header = ("policy", "a50 [% wall]", "a90 [% wall]", "a90/95 [% wall]")
-    rows = [(str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in found.depths_of(table).to_numpy().tolist()]
+    rows = [
+        (str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in depths.depths_of(table).to_numpy().tolist()
+    ]
     print_table(f"Depths found, over {table['context'].nunique()} tubes", header, rows)
     print(f"written: {output}/ (pod.png, pod.csv)")

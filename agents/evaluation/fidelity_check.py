@@ -20,8 +20,9 @@ from agents.records.columns import KPIS, kpis_of
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_parquet
 from agents.records.tables import PROFILE
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import Interval, by_context, mean_interval
+from agents.rollouts.statistics import by_context, mean_interval
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.machine import available_cores
 from probe_env.physics.methods import METHODS

@@ -92,7 +92,9 @@ def run_headroom(names: Sequence[str], place: Place, fidelity: str, output: Path
         )  # fmt: skip
     summary = pd.DataFrame(rows)
     write_atomically(output / "headroom.csv", summary.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "provenance.json", provenance() | {"fidelity": plan.fidelity.model_dump()})
+    write_json(
+        output / "provenance.json", provenance(commits=table["commit"]) | {"fidelity": plan.fidelity.model_dump()}
+    )
     headroom_figures.by_tube(table, BAR, output / "headroom.png")
     print_table(f"Headroom, {len(place.contexts)} tubes", HEADER, cells(summary), left=1)
     return summary
@@ -122,7 +124,10 @@ def run_settings(place: Place, fidelity: str, output: Path, workers: Workers) ->
         )  # fmt: skip
     summary = pd.DataFrame(rows)
     write_atomically(output / "settings.csv", summary.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "settings-provenance.json", provenance() | {"fidelity": plan.fidelity.model_dump()})
+    write_json(
+        output / "settings-provenance.json",
+        provenance(commits=table["commit"]) | {"fidelity": plan.fidelity.model_dump()},
+    )
     headroom_figures.settings(summary, output / "settings.png")
     print_table(f"Planners, {len(place.contexts)} tubes", SETTINGS_HEADER, setting_cells(summary), left=1)
     return summary

@@ -57,7 +57,7 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
     summary = pd.DataFrame(rows)
     write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "passes.csv", summary.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "provenance.json", provenance() | {"limit": limit, "fidelity": fidelity})
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"limit": limit, "fidelity": fidelity})
     print_table(f"Both passes, {limit} tubes", HEADER, cells(summary), left=3)
     return summary
 

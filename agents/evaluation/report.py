@@ -17,8 +17,9 @@ from agents.policies.places import Place
 from agents.processes.workers import HERE, Workers
 from agents.records.columns import shown_of
 from agents.records.provenance import write_json
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
-from agents.rollouts.statistics import Interval, endings, grouped, in_words, method_and_seed, sentences, summarise
+from agents.rollouts.statistics import endings, grouped, in_words, method_and_seed, sentences, summarise
 from agents.terminal.tables import print_table
 from probe_env.envs.starts import Probes
 from probe_env.fidelity import resolve_fidelity

@@ -17,8 +17,9 @@ from agents.policies.fixed import PI, Constant, FixedPolicy, OnOff, SlowDown
 from agents.policies.on_map import MapPolicy, Privileged, TensionScheduled
 from agents.policies.places import Place
 from agents.records.provenance import write_atomically
+from agents.rollouts.bootstrap import Interval, bootstrap_ends
 from agents.rollouts.plan import Plan, Policy, run_plan
-from agents.rollouts.statistics import Interval, bootstrap_ends, by_context, grouped, mean_interval, method_and_seed
+from agents.rollouts.statistics import by_context, grouped, mean_interval, method_and_seed
 from agents.terminal.tables import print_table
 from probe_env.fidelity import resolve_fidelity
 

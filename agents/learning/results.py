@@ -11,9 +11,9 @@ import pandas as pd
 from agents.records.columns import KPIS
 from agents.records.reading import read_csv
 from agents.records.tables import CURVE
-from agents.rollouts.statistics import Interval, nested_interval, seeds_by_contexts
+from agents.rollouts.bootstrap import Interval
+from agents.rollouts.statistics import nested_interval, seeds_by_contexts
 
-RESAMPLES = 2000
 SHOWN = ("reward", "inspection_time_s", "share_within_limit", "a90_percent_wall")
 """KPIs of the table, as far as the evaluation has them."""
 
@@ -66,7 +66,7 @@ def _drawn(table: pd.DataFrame, names: Sequence[str], kpi: str, statistic: Calla
     values = [seeds_by_contexts(table, name, kpi) for name in names]
     if len({tuple(part.columns) for part in values}) != 1:
         raise ValueError(f"{', '.join(names)} were not run on the same contexts")
-    return nested_interval(statistic, *(part.to_numpy() for part in values), resamples=RESAMPLES)
+    return nested_interval(statistic, *(part.to_numpy() for part in values))
 
 
 def _percent(change: Interval) -> str:

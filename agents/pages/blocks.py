@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, found, headroom, plant, plc, robustness, scratch, simulator
+from agents.pages import control, designs, detection, headroom, plant, plc, robustness, scratch, simulator
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -15,7 +15,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
-        found.anchors, found.snr, found.snr_agent,
+        detection.anchors, detection.snr, detection.snr_agent,
         plant.answers, plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,

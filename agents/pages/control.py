@@ -18,8 +18,9 @@ from agents.records.columns import KPIS, sentence_of, shown_of
 from agents.records.models import Quality, Record, Setting
 from agents.records.reading import read_csv, read_json
 from agents.records.tables import read_episodes
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.comparison import probability_of_improvement, profiles
-from agents.rollouts.statistics import Interval, failures, grouped, sentences, summarise
+from agents.rollouts.statistics import failures, grouped, sentences, summarise
 from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.fidelity import PRESETS
 

@@ -59,10 +59,11 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
         for policy in (*DECIDING, "best-schedule"):
             gain = paired_difference(table, policy, FIXED, "reward")
             rows.append({"plant": name, "policy": policy, "gain": gain.mean, "low": gain.low, "high": gain.high})
-    write_atomically(output / "episodes.csv", pd.concat(episodes).to_csv(index=False, float_format="%.6g"))
+    every = pd.concat(episodes)
+    write_atomically(output / "episodes.csv", every.to_csv(index=False, float_format="%.6g"))
     summary = pd.DataFrame(rows)
     write_atomically(output / "gains.csv", summary.to_csv(index=False, float_format="%.4g"))
-    write_json(output / "provenance.json", provenance() | {"limit": limit, "fidelity": fidelity})
+    write_json(output / "provenance.json", provenance(commits=every["commit"]) | {"limit": limit, "fidelity": fidelity})
     print_table(f"Reward over that of the best fixed schedule, {limit} tubes a plant", HEADER, cells(summary))
     return summary
 

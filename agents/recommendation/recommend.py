@@ -16,7 +16,7 @@ from agents.policies.domain import OutsideDomain
 from agents.policies.places import Place, place_of
 from agents.processes.workers import HERE, Workers
 from agents.recommendation.expectation import beyond
-from agents.recommendation.search import Found, recommended, recommended_law
+from agents.recommendation.search import Optimum, recommended, recommended_law
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Plant
 
@@ -50,7 +50,7 @@ def recommend(
     response: Response,
     law: Path | None = None,
     workers: Workers = HERE,
-) -> Found:
+) -> Optimum:
     """Search, write the schedule and how it was found beside it, simulate it against others, print.
 
     Args:
@@ -95,7 +95,7 @@ def _confirm(specs: tuple[str, ...], place: Place, confirmation: Confirmation, w
     return evaluate(plan, confirmation.folder, against=NAME, workers=workers, own=own)
 
 
-def _record(recommendation: Found, plant: Plant | None, place: Place) -> dict[str, Any]:
+def _record(recommendation: Optimum, plant: Plant | None, place: Place) -> dict[str, Any]:
     return {
         "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
         "calibrated": plant is not None and plant.posterior is not None,

@@ -36,7 +36,7 @@ SURE: Final = 0.95
 """... in so many of the draws."""
 
 
-class Found(NamedTuple):
+class Optimum(NamedTuple):
     """A schedule and what is expected of it.
 
     Attributes:
@@ -50,7 +50,7 @@ class Found(NamedTuple):
     tension: float
 
 
-def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Found:
+def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
     """The schedule with the best expected reward over some tubes, which stand for what is known of one or of many.
 
     Args:
@@ -87,7 +87,7 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     )
     gained = config.progress_weight * (end - FIRST) - float((cost * stands_for[:, None])[range(len(path)), path].sum())
     deep = places >= config.lost_drive_from
-    return Found(schedule, gained, float(taut[range(len(path)), path][deep].min()) if deep.any() else float("inf"))
+    return Optimum(schedule, gained, float(taut[range(len(path)), path][deep].min()) if deep.any() else float("inf"))
 
 
 def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:

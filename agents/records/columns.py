@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from probe_env.envs.task.safety import COSTS
+
 Kpis = dict[str, tuple[str, float, str]]
 """KPI -> name, factor and unit for people."""
 
@@ -38,7 +40,7 @@ _SAID: Final = {"lost_drive": "lost their drive"}
 """What sentences say of episodes that failed so, where the name of the ending does not do."""
 HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
 """KPIs of which more is better."""
-COST_KPIS: Final = ("cost", "cost_lost_drive", "cost_tension", "cost_buckling")
+COST_KPIS: Final = ("cost", *(f"cost_{name}" for name in COSTS))
 """Unsafe periods of an episode and their parts; episodes that were stored before there were costs have none."""
 OVER_TUBES: Final[Kpis] = {"a90_95_percent_wall": ("a90/95", 1.0, "% wall")}
 """Figures of all tubes of a policy, no means."""

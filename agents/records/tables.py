@@ -24,7 +24,7 @@ from agents.terminal.names import name_problem
 from probe_env.envs.contexts import Context
 from probe_env.envs.task import ENDINGS
 from probe_env.files import MEBI, FileError, read_bytes, read_text
-from probe_env.inspection.found import POD_NAMES
+from probe_env.inspection.tally import POD_NAMES
 
 Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
 """A name (``agents.terminal.names``); any text; a whole number of 0 or more; a finite number; a number or nothing; a

@@ -17,8 +17,9 @@ from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.tables import Columns
 from agents.robustness.axes import AXES, NOMINAL, Disturbed, disturbed
 from agents.robustness.figures import draw_profiles
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import Interval, mean_interval, paired_difference
+from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
 from probe_env.envs.task import FAILURES
 from probe_env.fidelity import resolve_fidelity

@@ -6,18 +6,13 @@ as seeds, since they are a sample, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Final
-
 import numpy as np
 import pandas as pd
 
 from agents.records.columns import HIGH
-from agents.rollouts.statistics import CONFIDENCE, Interval, seeds_by_contexts
+from agents.rollouts.bootstrap import PERCENTILES, Interval, redrawn
+from agents.rollouts.statistics import seeds_by_contexts
 from probe_env.arrays import FloatArray
-
-RESAMPLES: Final = 2000
-ENDS: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 
 
 def probability_of_improvement(table: pd.DataFrame, first: str, second: str, kpi: str = "reward") -> Interval:
@@ -38,11 +33,8 @@ def probability_of_improvement(table: pd.DataFrame, first: str, second: str, kpi
     one, other = (part.to_numpy() for part in values)
     sign = 1.0 if kpi in HIGH else -1.0
     better = 0.5 * (1.0 + np.sign(sign * (one[:, None] - other[None])))  # (seeds, seeds, tubes)
-    rng, drawn = np.random.default_rng(0), []
-    for _ in range(RESAMPLES):
-        rows, columns, tubes = (rng.integers(size, size=size) for size in better.shape)
-        drawn.append(better[np.ix_(rows, columns, tubes)].mean())
-    return Interval(float(better.mean()), *map(float, np.percentile(drawn, ENDS)))
+    drawn = [better[np.ix_(*places)].mean() for places in redrawn(*better.shape)]
+    return Interval(float(better.mean()), *map(float, np.percentile(drawn, PERCENTILES)))
 
 
 def profiles(table: pd.DataFrame, policies: list[str], thresholds: FloatArray, kpi: str = "reward") -> pd.DataFrame:
@@ -58,15 +50,8 @@ def profiles(table: pd.DataFrame, policies: list[str], thresholds: FloatArray, k
     for policy in policies:
         values = seeds_by_contexts(table, policy, kpi).to_numpy()
         reached = values[:, :, None] >= thresholds
-        low, high = np.percentile([part.mean(axis=(0, 1)) for part in _redrawn(reached)], ENDS, axis=0)
+        drawn = [reached[rows][:, tubes].mean(axis=(0, 1)) for rows, tubes in redrawn(*values.shape)]
+        low, high = np.percentile(drawn, PERCENTILES, axis=0)
         columns = {"threshold": thresholds, "share": reached.mean(axis=(0, 1)), "low": low, "high": high}
         parts.append(pd.DataFrame({"policy": policy, **columns}))
     return pd.concat(parts, ignore_index=True)
-
-
-def _redrawn(values: np.ndarray) -> Iterator[np.ndarray]:
-    """(seeds, tubes, t) with tubes and seeds drawn anew, some thousand times."""
-    rng = np.random.default_rng(0)
-    for _ in range(RESAMPLES):
-        rows, tubes = (rng.integers(size, size=size) for size in values.shape[:2])
-        yield values[rows][:, tubes]

@@ -1,10 +1,10 @@
-"""Policies playing episodes side by side, a control period at a time: a plan's for a table, or once what was reset."""
+"""A plan's policies playing its episodes side by side, a control period at a time, the next one where one ends."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,44 +13,13 @@ from agents.records.columns import CARRIED, HEARD
 from probe_env.arrays import BoolArray
 from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes, Step
-from probe_env.envs.trials import Controller, Players
+from probe_env.envs.trials import Players
 
 if TYPE_CHECKING:
     from agents.rollouts.plan import Plan
 
 Unit = tuple[str, int, int]
 """Policy name, context number and seed of an episode."""
-
-
-class Playable(Protocol):
-    """Episodes side by side: simulated ones, or those of the map's world."""
-
-    @property
-    def running(self) -> BoolArray:
-        """(N,) which have not ended."""
-
-    def step(self, actions: npt.NDArray[np.float32], active: BoolArray | None = None) -> Step:
-        """A control period with actions (N, 2)."""
-
-
-def periods_of(
-    episodes: Playable, policies: Sequence[Controller], observation: npt.NDArray[np.float32]
-) -> Iterator[tuple[Step, BoolArray]]:
-    """Play what has been reset until it has ended; gives every period and which (N,) were in it.
-
-    Args:
-        episodes: that were reset, all N.
-        policies: N, whose episode is each.
-        observation: (N, d) that the reset gave.
-    """
-    players = Players(len(policies))
-    for k, policy in enumerate(policies):
-        players.begin(k, policy)
-    while episodes.running.any():
-        active = episodes.running.copy()
-        step = episodes.step(players.act(observation, active), active)
-        observation = step.observation
-        yield step, active
 
 
 class Ended(NamedTuple):

@@ -2,67 +2,22 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
 from scipy.stats import t as student
+from scipy.stats import trim_mean
 
 from agents.records.columns import HIGH, OVER_TUBES, kpis_of, label_of
-from agents.rollouts.found import a90_95, tells
+from agents.rollouts.bootstrap import CONFIDENCE, PERCENTILES, Interval, bootstrap_ends, redrawn, short
+from agents.rollouts.depths import a90_95, tells
 from probe_env.envs.task import ENDINGS, FAILURES
 
-CONFIDENCE: Final = 0.95
 BEST: Final = "planner"
 BAR: Final = "best-schedule"
 """Policies whose difference in reward is the planner's lead, the measure of headroom."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A mean with its confidence interval."""
-
-    mean: float
-    low: float
-    high: float
-
-    def text(self, factor: float = 1.0) -> str:
-        """Mean and interval, three digits."""
-        return f"{short(self.mean * factor)} [{short(self.low * factor)}, {short(self.high * factor)}]"
-
-
-def short(value: float, sign: str = "") -> str:
-    """Three digits; ``sign`` "+": with a sign, unless it is 0."""
-    sign = sign if value else ""
-    return f"{value:{sign}.0f}" if abs(value) >= 100.0 else f"{value:{sign}.3g}"
-
-
-def bootstrap_ends(
-    statistic: Callable[..., Any], *samples: np.ndarray, method: Literal["BCa", "percentile"] = "BCa", **options: Any
-) -> tuple[Any, Any]:
-    """Ends of a statistic's 95 % interval, drawn with a fixed seed.
-
-    BCa fails on nearly equal values: there plain percentiles serve.
-
-    Args:
-        statistic: of the samples, with ``axis`` unless ``vectorized=False``.
-        samples: independent ones (paired with ``paired=True``).
-        method: of ``scipy.stats.bootstrap``.
-        options: of it.
-    """
-    for kind in dict.fromkeys((method, "percentile")):
-        rng = np.random.default_rng(0)
-        with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-            warnings.simplefilter("ignore", DegenerateDataWarning)
-            drawn = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
-        low, high = drawn.confidence_interval
-        if np.isfinite([low, high]).all():
-            break
-    return low, high
 
 
 def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
@@ -80,21 +35,19 @@ def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
     return Interval(ratio, *map(float, bootstrap_ends(of_means, values, reference)))
 
 
-def nested_interval(statistic: Callable[..., np.ndarray], *arrays: np.ndarray, resamples: int = 2000) -> Interval:
+def nested_interval(statistic: Callable[..., np.ndarray], *arrays: np.ndarray) -> Interval:
     """A statistic of the interquartile means over training seeds of several methods' means over contexts.
 
     Args:
         statistic: of one mean a method.
         arrays: (seeds, contexts) of each method; contexts are drawn anew, the same for all, and each one's seeds.
-        resamples: how often.
     """
-    rng, drawn = np.random.default_rng(0), []
-    contexts = arrays[0].shape[1]
-    for _ in range(resamples):
-        chosen = rng.integers(contexts, size=contexts)
-        drawn.append([part[rng.integers(len(part), size=len(part))][:, chosen].mean(axis=1) for part in arrays])
+    drawn = [
+        [part[rows][:, contexts].mean(axis=1) for part, rows in zip(arrays, seeds, strict=True)]
+        for contexts, *seeds in redrawn(arrays[0].shape[1], *map(len, arrays))
+    ]
     means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
-    low, high = np.percentile(statistic(*means), [50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)])
+    low, high = np.percentile(statistic(*means), PERCENTILES)
     measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
     return Interval(float(measured), float(low), float(high))
 

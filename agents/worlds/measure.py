@@ -17,12 +17,12 @@ from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import read_csv
-from agents.rollouts.playing import periods_of
 from agents.rollouts.statistics import mean_interval
 from agents.worlds.map_episodes import MapEpisodes
 from agents.worlds.noise import STORED, Noise, Scatter, features
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.trials import periods_of
 from probe_env.physics.closed_forms import sliding_tension
 
 RECORDED: Final = (

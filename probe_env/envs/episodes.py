@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.gauges import SAMPLE_PERIOD, Gauges
+from probe_env.envs.gauges import Gauges
 from probe_env.envs.kpis import SIGNALS, Tally
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
@@ -33,8 +33,9 @@ from probe_env.envs.task import (
 from probe_env.envs.task.passes import Counted, Period, passes_of
 from probe_env.envs.task.safety import cost_terms
 from probe_env.fidelity import resolve_fidelity
-from probe_env.inspection.found import Found
+from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.closed_forms import buckling_load
+from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch, Window
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
@@ -149,7 +150,7 @@ class Episodes:
             self.batch.replace(k, simulator)
             self.start[k] = simulator.inserted_length
             self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.tally[k] = Tally(detection=Found(self.config.sensor))
+            self.tally[k] = Tally(detection=DetectionTally(self.config.sensor))
             self.gauges.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection

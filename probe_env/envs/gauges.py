@@ -15,9 +15,9 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.inspection.meter import Meter
+from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch, Window
 
-SAMPLE_PERIOD: Final = 1e-3  # [s]
 DROPPING_OUT: Final = ("rf_noise", "root_tension")
 """What keeps its last value in a period in which it drops out."""
 SHOWN: Final = (

@@ -91,8 +91,8 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         friction=contact.friction,
         cable_radius=probe.cable_diameter / 2.0,
         cable_stiffness=contact.stiffness if contact.cable else 0.0,
-        most_pressure=most_couple(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
-        most_tension=3.0 * probe.flexural_rigidity / h**2 if contact.cable else math.inf,
+        most_pressure=most_pressure(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
+        most_tension=most_tension(probe.flexural_rigidity, h) if contact.cable else math.inf,
         couple_turn=curvature if scene.couple == "tangent" else 0.0,
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,
@@ -140,13 +140,18 @@ def element_stiffness(chain: Chain) -> FloatArray:
     )
 
 
-def most_couple(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
+def most_pressure(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
     """Greatest compression [N] that the couple V l theta is given where the cable touches the walls.
 
     Beyond pi^2 EI / p^2 the cable has buckled between two floats and lies against the walls; beyond EI / h^2 its
     bending is finer than the mesh.
     """
     return flexural_rigidity * min(1.0 / element_length**2, (math.pi / float_pitch) ** 2)
+
+
+def most_tension(flexural_rigidity: float, element_length: float) -> float:
+    """Greatest tension [N] that the couple V l theta is given: beyond 3 EI / h^2 its bending is finer than the mesh."""
+    return 3.0 * flexural_rigidity / element_length**2
 
 
 def outer_start(chain: Chain, root: int) -> FloatArray:

@@ -13,7 +13,8 @@ from numba import njit
 
 from probe_env.arrays import FloatArray
 
-SPEED, SLOPE, AIR, APPEND = 0, 1, 2, 3
+SPEED, SLOPE, AIR, APPEND = range(4)
+INPUTS = 4
 """Columns of a step's inputs: u and Q / (a - A_c) at its start [m/s], du/dt over it [m/s2], nodes appended after it
 (-1: the last free one is held)."""
 
@@ -53,7 +54,7 @@ class Drive:
             room: nodes that may be appended.
             spare: nodes that may be drawn back.
         """
-        inputs = np.empty((steps, 4))
+        inputs = np.empty((steps, INPUTS))
         gain = -math.expm1(-time_step / self.air_lag) if self.air_lag > 0.0 else 1.0
         self.speed, self.air, self.travel = _inputs(
             inputs, self.speed, self.speed_target, self.ramp * time_step, self.air, self.air_target, gain,

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND
+from probe_env.physics.drive import APPEND, INPUTS
 from probe_env.physics.state import State
 
-INPUTS = 4
 CHANNELS = 4
 
 

@@ -8,6 +8,7 @@ from scipy.signal import csd, find_peaks, welch
 from probe_env.arrays import FloatArray
 from probe_env.physics.run import Run
 
+SAMPLE_PERIOD = 1e-3  # [s], of the sensor's signals wherever they are heard, drawn or judged
 LOWEST_FREQUENCY = 2.0  # [Hz]; slower is drift of the mean, not ringing
 QUIET = 1e-9  # [m]; below a nanometre a spectrum shows rounding, not motion
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 
+DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
+
 
 class State(NamedTuple):
     """Displacement and velocity (n + 1, 3), memory of the last step (n + 1, w), axial force of each element (n + 1,).

@@ -15,7 +15,7 @@ from agents.app.page.document import PATIENCE, page_of
 from agents.app.page.style import Live
 from agents.app.server import server_of
 from agents.design.compare import cells, read_comparison, summarise
-from agents.rollouts.found import a90_95, bands
+from agents.rollouts.depths import a90_95, bands
 from agents.rollouts.statistics import grouped
 
 

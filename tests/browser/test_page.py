@@ -13,7 +13,7 @@ from PIL import Image
 
 from agents.cli import main
 from agents.records.columns import kpis_of
-from agents.rollouts.statistics import short
+from agents.rollouts.bootstrap import short
 
 PLACE = """([chart, k]) => {
     const document = Bokeh.documents[0];

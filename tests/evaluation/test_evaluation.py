@@ -15,9 +15,9 @@ from agents.evaluation.report import evaluate, plan_of
 from agents.policies.fixed import Constant
 from agents.policies.places import place_of
 from agents.records.columns import CORE
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
 from agents.rollouts.statistics import (
-    Interval,
     endings,
     interquartile_mean,
     mean_interval,

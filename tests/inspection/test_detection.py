@@ -21,10 +21,10 @@ from probe_env.inspection.detection import (
     snr_at,
     threshold,
 )
-from probe_env.inspection.found import Found
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE
+from probe_env.inspection.tally import DetectionTally
 
 SENSOR = Sensor()
 CHANCE = 1e-4
@@ -84,7 +84,7 @@ def test_spiky_excursions_hide_flaws():
 
 
 def detection_of(snr, lengths, excursions=SILENT):
-    detection = Found(SENSOR)
+    detection = DetectionTally(SENSOR)
     for value, length in zip(snr, lengths, strict=True):
         detection.add(length, value, 0.0, 0.5, excursions)
     return detection
@@ -100,13 +100,13 @@ def test_an_episode_is_averaged_over_its_length():
     assert kpis["noise_peak_to_peak_v"] == 0.5
     assert kpis["a90_percent_wall"] == pytest.approx(100.0, abs=0.2)  # of what was inspected all: a hole
     assert kpis["a50_percent_wall"] == pytest.approx(100.0 * depth_found(curve, 0.5), rel=1e-12)
-    assert Found(SENSOR).kpis(60.0, 60.0)["a90_percent_wall"] == 100.0  # nothing was inspected
+    assert DetectionTally(SENSOR).kpis(60.0, 60.0)["a90_percent_wall"] == 100.0  # nothing was inspected
 
 
 def test_spikes_are_told_from_noise():
     rng = np.random.default_rng(0)
     for draw, gaussian in ((rng.normal, True), (lambda size: rng.standard_t(3, size), False)):
-        detection = Found(SENSOR)
+        detection = DetectionTally(SENSOR)
         for _ in range(300):
             detection.add(0.2, 5.0, 0.5, 0.1, draw(size=COUNT))
         assert detection.gaussian is gaussian
@@ -128,7 +128,7 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
         perturbation=1e-6,
     )
     batch.advance(None, None, 3.0)
-    meter, detection, traces, spectra = Meter(SENSOR, members, 1e-3), Found(SENSOR), [], []
+    meter, detection, traces, spectra = Meter(SENSOR, members, 1e-3), DetectionTally(SENSOR), [], []
     for second in range(seconds):
         trace = batch.advance(None, None, 1.0, keep_samples=True).radial
         meter.listen(np.arange(members), trace, np.full(members, feed))

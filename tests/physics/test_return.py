@@ -7,7 +7,7 @@ import pytest
 from oracles.scatter import of_another
 
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.chain import RISE, most_couple, outer_start
+from probe_env.physics.chain import RISE, most_pressure, outer_start
 from probe_env.physics.closed_forms import steady_tensions
 from probe_env.physics.drive import Drive
 from probe_env.physics.simulation.batch import SimulatorBatch
@@ -201,8 +201,8 @@ def test_a_cable_that_buckles_lies_against_the_tube(method, seeds):
 
 
 def test_the_couple_s_limit_is_euler_s_between_floats():
-    assert most_couple(4.8e-2, 0.025, 0.1) == pytest.approx(np.pi**2 * 4.8e-2 / 0.01)
-    assert most_couple(4.8e-2, 0.05, 0.1) == pytest.approx(4.8e-2 / 0.05**2)
+    assert most_pressure(4.8e-2, 0.025, 0.1) == pytest.approx(np.pi**2 * 4.8e-2 / 0.01)
+    assert most_pressure(4.8e-2, 0.05, 0.1) == pytest.approx(4.8e-2 / 0.05**2)
 
 
 def test_outer_start_of_two_float_sizes():

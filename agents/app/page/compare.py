@@ -28,7 +28,8 @@ from agents.evaluation.page.tables import Cell, Row, by_diameter, by_tube, ranke
 from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import limit_of, ranking, verdict
 from agents.policies.on_map import Privileged
-from agents.rollouts.statistics import Interval, method_and_seed, sentences, summarise
+from agents.rollouts.bootstrap import Interval
+from agents.rollouts.statistics import method_and_seed, sentences, summarise
 from agents.terminal.refusals import refusal
 
 SHOWN: Final = 6

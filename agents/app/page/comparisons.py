@@ -9,7 +9,7 @@ import pandas as pd
 from bokeh.models import ColumnDataSource, HoverTool, LabelSet, Span, Whisker
 
 from agents.app.page.style import DASHES, GREY, INK, PALETTE, below, chart, legend_above, limit_line, words
-from agents.rollouts import found
+from agents.rollouts import depths
 
 UNITS: Final = (("feed speed [m/s]", 1e-4), ("air supply [m³/h]", 0.1), ("radial rms [mm]", 1e-4))
 """Of the columns of the report's traces: what they are and the unit in which they are whole numbers."""
@@ -104,12 +104,12 @@ class Detection:
 
     def show(self, table: pd.DataFrame, policies: list[str]) -> None:
         """Draw policies of a table of episodes; tables from before there was a sensor have no curves."""
-        self.plot.visible = found.tells(table)
-        if not found.tells(table):
+        self.plot.visible = depths.tells(table)
+        if not depths.tells(table):
             self.caption.text = "<p class='quiet'>No curves of detection: these episodes were stored without them.</p>"
             return
         part = table[table["policy"].isin(policies)]
-        curves = {str(policy): rows for policy, rows in found.bands(part).groupby("policy")}
+        curves = {str(policy): rows for policy, rows in depths.bands(part).groupby("policy")}
         data: dict[str, list[Any]] = {name: [] for name in self.lines.data}
         bands: dict[str, list[Any]] = {name: [] for name in self.bands.data}
         for number, policy in enumerate(policies):
@@ -121,7 +121,7 @@ class Detection:
             for name, line in (("x", x + x[::-1]), ("y", low + high[::-1]), ("colour", colour)):
                 bands[name].append(line)
         self.lines.data, self.bands.data = data, bands
-        depth, least = min((found.a90_95(part, policy), policy) for policy in policies)
+        depth, least = min((depths.a90_95(part, policy), policy) for policy in policies)
         self.caption.text = (
             f"<p>Least depth found with 90 %, with 95 % confidence over the tubes: <b>{depth:.1f} %</b> of the wall, by"
             f" {escape(least)}.</p>"

@@ -10,8 +10,9 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents.processes.workers import Workers
-from agents.records.provenance import write_atomically
+from agents.records.provenance import commit, write_atomically
 from agents.records.reading import FileError, read_csv
+from agents.records.store import COMMIT
 from agents.records.tables import Columns
 from agents.terminal.work import Work, announce
 
@@ -28,7 +29,7 @@ def run_groups(
     workers: Workers,
     words: str,
 ) -> pd.DataFrame:
-    """Rows of the first groups; those that are stored are not made again.
+    """Rows of the first groups, each with the commit that made it; those that are stored are not made again.
 
     Args:
         make: rows of a group by its number, as the one item of a task.
@@ -50,13 +51,13 @@ def run_groups(
     announce(Work("group", count, lambda: sum(file.exists() for file in files), folder))
     stream = workers.stream(make, missing)
     for group, rows in tqdm(stream, total=len(missing), desc=words, unit="group"):
-        table = pd.DataFrame(rows).assign(**{FIDELITY: fidelity})
+        table = pd.DataFrame(rows).assign(**{FIDELITY: fidelity, COMMIT: commit()})
         write_atomically(files[group], table.to_csv(index=False, float_format="%.6g"))
     return pd.concat([_stored(file, fidelity, columns) for file in files], ignore_index=True)
 
 
 def _stored(file: Path, fidelity: str, columns: Columns) -> pd.DataFrame:
-    table = read_csv(file, {FIDELITY: "text", **columns})
+    table = read_csv(file, {FIDELITY: "text", COMMIT: "text", **columns})
     others = sorted(set(table[FIDELITY]) - {fidelity})
     if others:
         raise FileError(file, f"is of fidelity = {', '.join(others)!r}, not {fidelity!r}: choose another folder")

@@ -52,7 +52,7 @@ def run_study(logs: int, fidelity: str, output: Path, workers: Workers) -> dict[
     table = run_groups(make, logs // TUBES, fidelity, output, columns, workers, "calibrate")
     summary = summarised(table)
     write_atomically(output / "calibrations.csv", table.to_csv(index=False, float_format="%.6g"))
-    write_json(output / "summary.json", summary | {"provenance": provenance()})
+    write_json(output / "summary.json", summary | {"provenance": provenance(commits=table["commit"])})
     print_terms({name: f"{value:.4g}" for name, value in summary.items()})
     return summary
 

@@ -19,6 +19,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from agents.chart.ensembles import STIFFNESSES
 from agents.chart.stability import figures as draw
 from agents.chart.stability.one_mass import bounce, run_one_mass
 from agents.chart.stability.passive import run_digits, run_energy
@@ -28,7 +29,6 @@ from probe_env.physics.methods import METHODS, ON_NODES
 
 Cell = tuple[str, float, float, float, float]
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
-STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
 LENGTHS = (10.0, 50.0)  # [m]
 FRICTIONS = (0.05, 0.15, 0.3)
 WRONG = 0.05

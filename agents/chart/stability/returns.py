@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from agents.chart.ensembles import STIFFNESSES
 from agents.chart.stability.map import named_step
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
@@ -29,7 +30,6 @@ BACK: Final = {"feed_speed": -0.4, "air_supply_rate": -130.0 / 3600.0, "couple":
 """The hardest that the tasks' feed device draws and blows."""
 BOTH: Final = tuple(name for name, method in METHODS.items() if method.draws_back)
 RATIOS: Final = (0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
-STIFFNESSES: Final = (1e4, 1e5, 1e6)  # [N/m]
 LENGTHS: Final = (10.0, 30.0)  # [m]
 FRICTIONS: Final = (0.15, 0.3)
 DURATION: Final = {"explicit": 0.1}  # [s], else 0.5

@@ -10,7 +10,8 @@ import pandas as pd
 
 from agents.evaluation.page.verdict import ranking
 from agents.records.columns import KPIS, OVER_TUBES, label_of, shown_of
-from agents.rollouts.statistics import by_context, endings, paired_difference, short
+from agents.rollouts.bootstrap import short
+from agents.rollouts.statistics import by_context, endings, paired_difference
 from probe_env.envs.task import FAILURES
 
 MOST_DIAMETERS = 12

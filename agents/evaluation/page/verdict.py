@@ -8,7 +8,8 @@ from typing import Final
 
 import pandas as pd
 
-from agents.rollouts.statistics import Interval, by_context, endings, paired_difference, short
+from agents.rollouts.bootstrap import Interval, short
+from agents.rollouts.statistics import by_context, endings, paired_difference
 from probe_env.envs.task import Measure, TaskConfig
 
 MEASURES: Final[dict[Measure, tuple[str, float, str]]] = {

@@ -27,7 +27,7 @@ from agents.records.drawing import MM
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_csv
 from agents.records.tables import FRONT
-from agents.rollouts import found
+from agents.rollouts import depths
 from agents.rollouts.statistics import method_and_seed, sentences, summarise
 from probe_env.fidelity import PRESETS
 
@@ -178,12 +178,12 @@ def _pictures(done: Evaluation, summary: pd.DataFrame, fronts: pd.DataFrame | No
                 figures.policy_profiles(done.profile, folder / "profiles.png", _limit_mm(done)),
             ),
         ]
-        if found.tells(done.table):
+        if depths.tells(done.table):
             text = (
                 "Probability that a flaw is called over its depth, mean over the tubes' length, with 95 % bands over"
                 " the tubes. Depths are relative to the two anchors of the sensor (docs/inspection/signal.md)."
             )
-            drawn.append(("What is found", text, curves(found.bands(done.table), folder / "pod.png")))
+            drawn.append(("What is found", text, curves(depths.bands(done.table), folder / "pod.png")))
         if fronts is not None:
             text = "What families of policies reach when one of their parameters is swept (probe-env tradeoff)."
             drawn.insert(1, ("Fronts", text, figures.front(fronts, folder / "front.png")))

@@ -130,12 +130,12 @@ def make_map(seeds: int, output: Path, target: Path, plant: Plant | None = None)
     rms_limit(config)  # refuses a measure that no map tells of, before hours of work
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
     plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
-    run_plan(plan, output)
+    episodes = run_plan(plan, output)
     profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
     fitted.save(target)
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
-    write_json(target.with_suffix(".json"), provenance() | setting | quality)
+    write_json(target.with_suffix(".json"), provenance(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
     return fitted
 

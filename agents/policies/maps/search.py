@@ -22,7 +22,7 @@ from agents.policies.fixed import Scheduled
 from agents.policies.maps.lookup import FIRST, least_air
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from agents.policies.places import place_of
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
@@ -155,7 +155,7 @@ def run_search(
     setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
     write_atomically(output / f"{family_name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
     write_atomically(output / f"{family_name}.csv", best.to_csv())
-    write_json(output / f"{family_name}.json", provenance() | setting)
+    write_json(output / f"{family_name}.json", provenance(commits=[*simulated["commit"], commit()]) | setting)
     print(f"{family_name}: " + ", ".join(f"{name} {value:.4g}" for name, value in setting.items()))
     print(best.to_csv())
     return best

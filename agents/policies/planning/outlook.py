@@ -10,7 +10,6 @@ import numpy as np
 from probe_env import Scene
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.gauges import SAMPLE_PERIOD
 from probe_env.envs.task import (
     MEASURES,
     Outcome,
@@ -21,6 +20,7 @@ from probe_env.envs.task import (
     slack,
     travel,
 )
+from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch
 
 

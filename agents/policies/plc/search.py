@@ -20,7 +20,7 @@ from agents.policies.places import Place, place_of
 from agents.policies.plc.law import Constants, PlcLaw
 from agents.policies.plc.quasi_steady import quasi_steady_rewards
 from agents.processes.workers import Workers
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, run_plan
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
@@ -90,7 +90,7 @@ def run_law_search(
         "rewards": rewards,
         "tubes": {"map": len(whole.contexts), "simulated": limit},
     }
-    write_json(output / "plc-law.json", record | {"provenance": provenance()})
+    write_json(output / "plc-law.json", record | {"provenance": provenance(commits=simulated.commits)})
     return best
 
 
@@ -99,6 +99,7 @@ class _Simulated:
 
     def __init__(self, place: Place, folder: Path, workers: Workers) -> None:
         self.place, self.folder, self.workers, self.done = place, folder, workers, 0
+        self.commits = [commit()]  # of the laws tried on the map, which are tried anew each time
 
     def __call__(self, laws: list[Constants]) -> list[float]:
         config = self.place.config.all_shown
@@ -106,6 +107,7 @@ class _Simulated:
         plan = Plan(policies, self.place.contexts, config=config, fidelity=resolve_fidelity("fast"))
         table = run_plan(plan, self.folder / f"{self.done:04d}", progress=False, workers=self.workers)
         self.done += len(laws)
+        self.commits += list(table["commit"])
         means = table.groupby("policy")["reward"].mean()
         return [float(means[name]) for name in policies]
 

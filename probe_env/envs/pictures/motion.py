@@ -14,13 +14,12 @@ from typing import Final
 import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
+from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 
 FRAME_PERIOD: Final = 5e-3
 """Of the dynamics, between two looks at the chain [s]."""
-SAMPLE_PERIOD: Final = 1e-3
-"""Of the sensor's signals, as everywhere [s]."""
 EVERY: Final = round(FRAME_PERIOD / SAMPLE_PERIOD)
 
 

@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.pictures.motion import FRAME_PERIOD, SAMPLE_PERIOD, Motion
+from probe_env.envs.pictures.motion import FRAME_PERIOD, Motion
 from probe_env.envs.pictures.plate import (
     DPI,
     GREEN,
@@ -22,6 +22,7 @@ from probe_env.envs.pictures.plate import (
     label_of,
     limits_around,
 )  # fmt: skip
+from probe_env.physics.signals import SAMPLE_PERIOD
 
 FRAMES_PER_SECOND: Final = 25
 SLOWED: Final = 1.0 / (FRAMES_PER_SECOND * FRAME_PERIOD)

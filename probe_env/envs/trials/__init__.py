@@ -7,12 +7,12 @@ and the task of ``envs``, the physics and what is below it; knows no environment
 from probe_env.envs.trials.candidates import Candidate, Trial
 from probe_env.envs.trials.insertions import try_insertions
 from probe_env.envs.trials.judgement import check_measure, judge
-from probe_env.envs.trials.players import Controller, Foresighted, Players
+from probe_env.envs.trials.players import Controller, Foresighted, Players, periods_of
 from probe_env.envs.trials.sections import section_scenes, try_sections
 from probe_env.envs.trials.simulable import check_candidate, check_space
 from probe_env.envs.trials.stretch import Stretch, stretch_of
 
 __all__ = [
     "Candidate", "Controller", "Foresighted", "Players", "Stretch", "Trial", "check_candidate", "check_measure",
-    "check_space", "judge", "section_scenes", "stretch_of", "try_insertions", "try_sections",
+    "check_space", "judge", "periods_of", "section_scenes", "stretch_of", "try_insertions", "try_sections",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
-from probe_env.envs.trials.players import Players
+from probe_env.envs.trials.players import periods_of
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
 from probe_env.fidelity import Fidelity
 from probe_env.schedule import Schedule
@@ -30,6 +30,11 @@ def try_insertions(
     Raises:
         ValueError: a feed that is no policy with SB3's ``predict``.
     """
+    policies = []
+    for candidate in candidates:
+        if isinstance(candidate.feed, Schedule):
+            raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
+        policies.append(candidate.feed)
     count, stretch = len(candidates), stretch_of(config)
     episodes = Episodes(count, config, threads=threads, may_stand=True, fidelity=fidelity)
     options = {
@@ -42,16 +47,9 @@ def try_insertions(
     sums = {name: np.zeros((count, places)) for name in SUMS}
     failed = {name: np.zeros(count, dtype=bool) for name in FAILURES}
     guides = np.array([candidate.design.built.guide_length for candidate in candidates])
-    players = Players(count)
-    for k, candidate in enumerate(candidates):
-        if isinstance(candidate.feed, Schedule):
-            raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
-        players.begin(k, candidate.feed)
-    while episodes.running.any():
-        active = episodes.running.copy()
-        before = np.array([tally.inspected for tally in episodes.tally])
-        step = episodes.step(players.act(observation, active, episodes), active)
-        observation = step.observation
+    inspected = np.zeros(count)
+    for step, active in periods_of(episodes, policies, observation):
+        before, inspected = inspected, np.array([tally.inspected for tally in episodes.tally])
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
             for name, flags in failed.items():
@@ -67,7 +65,6 @@ def try_insertions(
                 sums["noise"][k, place] += travel / max(info["snr"], LEAST_SNR) ** 2
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
-    inspected = np.array([tally.inspected for tally in episodes.tally])
     return _gathered(sums, failed, guides, inspected, config)
 
 

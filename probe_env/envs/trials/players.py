@@ -1,17 +1,15 @@
-"""Policies that play episodes."""
+"""Policies that play episodes, and the loop in which they do."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from collections.abc import Iterator, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray
-
-if TYPE_CHECKING:
-    from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes import Episodes, Step
 
 
 class Controller(Protocol):
@@ -75,3 +73,35 @@ class Players:
             for k, state in zip(which, states, strict=True):
                 self.states[k] = state
         return actions
+
+
+class Playable(Protocol):
+    """Episodes side by side: simulated ones, or those of the map's world."""
+
+    @property
+    def running(self) -> BoolArray:
+        """(N,) which have not ended."""
+
+    def step(self, actions: npt.NDArray[np.float32], active: BoolArray | None = None) -> Step:
+        """A control period with actions (N, 2)."""
+
+
+def periods_of(
+    episodes: Playable, policies: Sequence[Controller], observation: npt.NDArray[np.float32]
+) -> Iterator[tuple[Step, BoolArray]]:
+    """Play what has been reset until it has ended; gives every period and which (N,) were in it.
+
+    Args:
+        episodes: that were reset, all N.
+        policies: N, whose episode is each.
+        observation: (N, d) that the reset gave.
+    """
+    players = Players(len(policies))
+    for k, policy in enumerate(policies):
+        players.begin(k, policy)
+    simulated = episodes if isinstance(episodes, Episodes) else None
+    while episodes.running.any():
+        active = episodes.running.copy()
+        step = episodes.step(players.act(observation, active, simulated), active)
+        observation = step.observation
+        yield step, active

@@ -17,11 +17,12 @@ from probe_env.fidelity import Fidelity
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import SPAN
+from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
 
-SETTLE, MEASURE, SAMPLE_PERIOD, PERTURBATION = 1.0, 2.0, 1e-3, 1e-7  # [s], [s], [s], [m]
+SETTLE, MEASURE, PERTURBATION = 1.0, 2.0, 1e-7  # [s], [s], [m]
 
 
 def try_sections(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from probe_env.physics.drive import AIR, SLOPE, SPEED
+from probe_env.physics.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.physics.methods.factors import explicit_factors
 from probe_env.physics.methods.imex.after_step import after_step
 from probe_env.physics.methods.imex.elimination import product
@@ -33,7 +33,6 @@ from probe_env.physics.methods.lane_group import (
     DAMPING,
     FACTORS,
     FIELDS,
-    INPUTS,
     PEAK,
     ROOT,
     SIN,

@@ -9,14 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND
+from probe_env.physics.drive import APPEND, INPUTS
 from probe_env.physics.methods.lanes import lane_count
 from probe_env.physics.state import State
 
@@ -33,8 +33,6 @@ FIELDS = 10
 # three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
 FACTORS = 27
 A, B, C = 0, 9, 18
-INPUTS = 4
-DIVERGED_RADIAL = 1.0  # [m]
 
 
 @dataclass(frozen=True)
@@ -87,28 +85,14 @@ class LaneKernel:
         Returns:
             for each probe the step at which it diverged, counted from 1, or 0; seconds that the kernel took.
         """
-        steps, used, width, precision = len(lanes[0].inputs), len(lanes), self.width, self.precision
-        packed_inputs = np.zeros((steps, INPUTS, width), dtype=precision)
-        roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
-        packed_points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
-        for k, lane in enumerate(lanes):
-            packed_inputs[:, :, k] = lane.inputs
-            roots[k], failed[k] = lane.root, 0
-            packed_points[:, k] = lane.points
-        appended = (
-            np.cumsum(packed_inputs[:, APPEND, :used], axis=0) - packed_inputs[:, APPEND, :used]
-        )  # before each step
-        held = roots[:used] + appended.astype(np.int64)
-        tops, bottoms = held.max(axis=1), held.min(axis=1)
-        nodes = int(tops.max(initial=roots.max())) + 3
-
-        parameters = np.zeros((PARAMETERS, width), dtype=precision)
-        parameters[DAMPING] = 1.0  # idle lanes divide by it
+        used, width, precision = len(lanes), self.width, self.precision
+        entered = Entered.of(lanes, width, precision)
+        parameters, roots = entered.parameters, entered.roots
+        held = entered.held_nodes(used)
+        nodes = int(held.max()) + 3
         factors = np.zeros((max(len(lane.factors) for lane in lanes), FACTORS, width), dtype=precision)
         state = np.zeros((nodes, FIELDS, width), dtype=precision)
         for k, lane in enumerate(lanes):
-            parameters[:, k] = lane.parameters
-            parameters[ROOT, k] = lane.root
             factors[: len(lane.factors), :, k] = lane.factors
             factors[len(lane.factors) :, :, k] = lane.factors[-1]
             state[: lane.root + 1, X : T + 1, k] = lane.state.d[: lane.root + 1]
@@ -120,9 +104,9 @@ class LaneKernel:
         pressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if (parameters[TURN] > 0.0).any() else ()
         begin = time.perf_counter()
         self.advance(
-            parameters, pressed, factors.reshape(-1, width), state.reshape(-1, width), packed_inputs.reshape(-1, width),
-            tops, bottoms, time_step, per_pitch, first_sample, sample_every, packed_points, roots, packed_samples,
-            packed_tension, failed,
+            parameters, pressed, factors.reshape(-1, width), state.reshape(-1, width),
+            entered.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
+            first_sample, sample_every, entered.points, roots, packed_samples, packed_tension, entered.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         for k, lane in enumerate(lanes):
@@ -136,7 +120,7 @@ class LaneKernel:
         if tension_sum is not None:
             covered = min(nodes, len(tension_sum))
             tension_sum[:covered] += packed_tension[:covered, 0]
-        return [int(failed[k]) for k in range(used)], seconds
+        return entered.failed[:used].tolist(), seconds
 
 
 @dataclass
@@ -160,6 +144,44 @@ class Lane:
     points: npt.NDArray[np.int64]
     inputs: FloatArray
     samples: FloatArray
+
+
+class Entered(NamedTuple):
+    """What a group of probes is called with, side by side in ``width`` lanes; idle ones are marked in ``failed``.
+
+    Attributes:
+        parameters: (24, width), see ``lane_parameters``; ``ROOT`` is the held node.
+        inputs: (steps, 4, width), see drive.py.
+        points: (p, width) nodes that are sampled, -1 for the root.
+        roots: (width,) held nodes.
+        failed: (width,) 0, or -1 in an idle lane; a kernel writes the step at which a probe diverged.
+    """
+
+    parameters: FloatArray
+    inputs: FloatArray
+    points: npt.NDArray[np.int64]
+    roots: npt.NDArray[np.int64]
+    failed: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, lanes: Sequence[Lane], width: int, precision: npt.DTypeLike) -> Entered:
+        """The probes in the first lanes, in a precision."""
+        parameters = np.zeros((PARAMETERS, width), dtype=precision)
+        parameters[DAMPING] = 1.0  # idle lanes divide by it
+        inputs = np.zeros((len(lanes[0].inputs), INPUTS, width), dtype=precision)
+        points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
+        roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
+        for k, lane in enumerate(lanes):
+            parameters[:, k], inputs[:, :, k], points[:, k] = lane.parameters, lane.inputs, lane.points
+            parameters[ROOT, k] = roots[k] = lane.root
+            failed[k] = 0
+        return cls(parameters, inputs, points, roots, failed)
+
+    def held_nodes(self, used: int) -> npt.NDArray[np.int64]:
+        """(steps + 1, used) node that each of the ``used`` probes holds in a step, and after the last."""
+        held = np.tile(self.roots[:used], (len(self.inputs) + 1, 1))
+        held[1:] += np.cumsum(self.inputs[:, APPEND, :used], axis=0).astype(np.int64)
+        return held
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, SLOPE, SPEED
+from probe_env.physics.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex.after_step import after_step
 from probe_env.physics.methods.imex.elimination import less_product, move_node, product, solve_node
@@ -31,7 +31,6 @@ from probe_env.physics.methods.lane_group import (
     GT,
     GX,
     GY,
-    INPUTS,
     PEAK,
     ROOT,
     SIN,

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.chain import Chain, most_couple
+from probe_env.physics.chain import Chain, most_pressure, most_tension
 from probe_env.physics.methods.ticm.after_step import FASTMATH
 
 
 def couple_limits(chain: Chain, nodes_per_pitch: int) -> tuple[float, float]:
-    """Greatest compression and tension [N] that the couple V l theta is given, see ``most_couple``.
-
-    Beyond 3 EI / h^2 in tension its bending is finer than the mesh.
-    """
+    """Greatest compression and tension [N] that the couple V l theta is given, see chain.py."""
     h = chain.element_length
     rigidity = h / chain.bending_compliance
-    return most_couple(rigidity, h, nodes_per_pitch * h), 3.0 * rigidity / h**2
+    return most_pressure(rigidity, h, nodes_per_pitch * h), most_tension(rigidity, h)
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)

@@ -11,7 +11,7 @@ from numba import njit
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.implicit.contact import ARM, moment_of_contact, push
 from probe_env.physics.methods.ticm.after_step import FASTMATH, OVERFLOW
-from probe_env.physics.methods.ticm.recursion import behind, through_field, through_point, turned
+from probe_env.physics.methods.ticm.recursion import behind, through_point, to_node, turned
 
 
 class Work(NamedTuple):
@@ -46,8 +46,7 @@ def solve(chain, root, places, law, state, work):
     _, _, tau, stiction, speed, coefficient, frozen = law
     d, P, q, T, s, w = state.d, work.P, work.q, work.T, work.s, work.w
     c, sn, h = chain.cos_phi, chain.sin_phi, chain.element_length
-    F_xx, F_yy, F_tt = chain.axial_compliance, chain.shear_compliance, chain.bending_compliance
-    F_yt = chain.coupling_compliance
+    F = chain.axial_compliance, chain.shear_compliance, chain.bending_compliance, chain.coupling_compliance
     Tj = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     T[root, :] = 0.0
     x, y, t = d[root, 0], d[root, 1], d[root, 2]
@@ -82,10 +81,9 @@ def solve(chain, root, places, law, state, work):
                 q2 -= force * arm
         P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5], P[i, 6] = p0, p1, p2, p3, p4, p5, p6
         q[i, 0], q[i, 1], q[i, 2] = q0, q1, q2
-        Tj = turned(through_field(Tj, h, F_xx, F_yy, F_tt, F_yt), c, sn)  # (22a), (26a)
-        sy += h * st  # (22b) without damping
-        sx, sy = c * sx - sn * sy, sn * sx + c * sy
-        (sx, sy, st), Tj = through_point(Tj, (sx, sy, st), (p0, p1, p2, p3, p4, p5, p6), (q0, q1, q2))
+        # (22b) without damping: L^T s
+        Tj, sj = to_node(Tj, (sx, sy + h * st, st), c, sn, h, F)
+        (sx, sy, st), Tj = through_point(Tj, sj, (p0, p1, p2, p3, p4, p5, p6), (q0, q1, q2))
         if i == 0:
             break  # the tip: (27) needs no turn
         Tj = turned(Tj, c, sn)

@@ -12,18 +12,15 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND
 from probe_env.physics.methods.lane_group import (
     CARRIER_DRAG,
-    DAMPING,
     GUIDE_DRAG,
-    INPUTS,
     MASS_RATIO,
-    PARAMETERS,
     ROOT,
     SENSOR,
     STIFFNESS,
     TENSION,
+    Entered,
     Lane,
     LaneKernel,
     lane_parameters,
@@ -94,10 +91,11 @@ class PieceKernel(LaneKernel):
         even, odd = _room(own[0])
         used, width, precision = len(lanes), self.width, self.precision
         fields, last = MODES + 2 * (even + odd), max(len(t.factors) for t in own) - 1
-        parameters, inputs, points, roots, failed = _entered(lanes, width, precision, per_pitch)
-        now = inputs[:, APPEND, :used]
-        held = (roots[:used] + (np.cumsum(now, axis=0) - now).astype(np.int64) - 1) // per_pitch  # before each step
-        rows = int((roots[:used] + now.sum(axis=0) - 1).max() // per_pitch) + 2
+        entered = Entered.of(lanes, width, precision)
+        roots = entered.roots
+        last_float = (entered.held_nodes(used) - 1) // per_pitch
+        entered.parameters[ROOT, :used] = last_float[0] + 1
+        rows = int(last_float[-1].max()) + 2
         state = np.zeros((rows, fields, width), dtype=precision)
         for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
             _pack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
@@ -107,9 +105,9 @@ class PieceKernel(LaneKernel):
         tension = np.zeros((0 if tension_sum is None else rows, width))
         begin = time.perf_counter()
         self.advance(
-            parameters, constants, factors, at, last, (0,) * even, (0,) * odd, state.reshape(-1, width),
-            inputs.reshape(-1, width), held.max(axis=1), held.min(axis=1), time_step, stacked,
-            first_sample, sample_every, points, roots, samples, tension, failed,
+            entered.parameters, constants, factors, at, last, (0,) * even, (0,) * odd, state.reshape(-1, width),
+            entered.inputs.reshape(-1, width), last_float[:-1].max(axis=1), last_float[:-1].min(axis=1), time_step,
+            stacked, first_sample, sample_every, entered.points, roots, samples, tension, entered.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
@@ -120,22 +118,7 @@ class PieceKernel(LaneKernel):
         if tension_sum is not None:
             covered = min(rows * per_pitch, lanes[0].root, len(tension_sum))
             tension_sum[:covered] += np.repeat(tension[:, 0], per_pitch)[:covered]
-        return [int(failed[k]) for k in range(used)], seconds
-
-
-def _entered(lanes: Sequence[Lane], width: int, precision: npt.DTypeLike, per_pitch: int) -> tuple[Any, ...]:
-    """Parameters, inputs, points, roots and the steps of failure of a group, idle lanes included."""
-    inputs = np.zeros((len(lanes[0].inputs), INPUTS, width), dtype=precision)
-    roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
-    points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
-    parameters = np.zeros((PARAMETERS, width), dtype=precision)
-    parameters[DAMPING] = 1.0  # idle lanes divide by it
-    for k, lane in enumerate(lanes):
-        inputs[:, :, k], points[:, k] = lane.inputs, lane.points
-        roots[k], failed[k] = lane.root, 0
-        parameters[:, k] = lane.parameters
-        parameters[ROOT, k] = (lane.root - 1) // per_pitch + 1
-    return parameters, inputs, points, roots, failed
+        return entered.failed[:used].tolist(), seconds
 
 
 def _placed(

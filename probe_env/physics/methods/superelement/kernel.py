@@ -20,11 +20,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from probe_env.physics.drive import AIR, SLOPE, SPEED
+from probe_env.physics.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex.elimination import less_product
 from probe_env.physics.methods.imex.forces import float_at, float_forces, loaded_floats, loaded_wall, magnitude
-from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, INPUTS, PEAK, ROOT, TENSION
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION
 from probe_env.physics.methods.lanes import load, splat, store, where_less
 from probe_env.physics.methods.superelement.roots import (
     MODES,

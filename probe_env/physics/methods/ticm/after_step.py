@@ -14,8 +14,6 @@ from probe_env.physics.drive import APPEND
 
 FASTMATH = {"contract"}
 
-DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
-
 OVERFLOW = 1e100  # beyond it the next product may be infinite
 
 LEAVING = 0.1  # [m]

@@ -1,6 +1,8 @@
 """The recursion (22)-(29) behind an element and behind a node, and back.
 
-Its parts are forced inline by LLVM; inlined by numba the sweep is a sixth slower.
+Its parts are forced inline by LLVM; inlined by numba the sweep is a sixth slower. What the loops of ``sweep.py`` and
+``implicit.solution`` still both spell out, the turn of what is kept and the force on a node, rounds otherwise in a part
+of its own (LLVM contracts otherwise), and in chaos that is another run.
 """
 
 from __future__ import annotations
@@ -34,6 +36,13 @@ def turned(T, c, sn):
         dif + cc * yx - ss * xy, ss * xx + b + cc * yy, sn * xt + c * yt,
         c * tx - sn * ty, sn * tx + c * ty, tt,
     )  # fmt: skip
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def to_node(T, s, c, sn, h, F):
+    """T behind an element, (22a), and s there, (22b), both in the frame of the node, (26); F as (xx, yy, tt, yt)."""
+    T_j = turned(through_field(T, h, F[0], F[1], F[2], F[3]), c, sn)
+    return T_j, (c * s[0] - sn * s[1], sn * s[0] + c * s[1], s[2])
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)

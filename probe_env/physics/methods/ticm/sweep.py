@@ -7,7 +7,7 @@ from numba import njit
 from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.ticm.after_step import DIVERGED, FASTMATH, OK, move_root, record
 from probe_env.physics.methods.ticm.equations import node_equation, update_node
-from probe_env.physics.methods.ticm.recursion import behind, through_field, through_point, turned
+from probe_env.physics.methods.ticm.recursion import behind, through_point, to_node, turned
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
@@ -19,10 +19,10 @@ def ticm_step(chain, scheme, inputs, root, state, work):
     speed, slope, air = inputs[SPEED], inputs[SLOPE], inputs[AIR]
     damped = 1.0 + chain.damping_time * scheme.B_v
     delta = chain.damping_time / damped
-    F_xx = chain.axial_compliance / damped
-    F_yy = chain.shear_compliance / damped
-    F_tt = chain.bending_compliance / damped
-    F_yt = chain.coupling_compliance / damped
+    F = (
+        chain.axial_compliance / damped, chain.shear_compliance / damped,
+        chain.bending_compliance / damped, chain.coupling_compliance / damped,
+    )  # fmt: skip
 
     # T and s of the node on the root side, already turned into the frame of the element ahead, (25)
     Tj = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -39,22 +39,20 @@ def ticm_step(chain, scheme, inputs, root, state, work):
         vy = scheme.v_d * state.d[i, 1] + scheme.v_v * state.v[i, 1] + scheme.v_a * state.memory[i, 1]
         vt = scheme.v_d * state.d[i, 2] + scheme.v_v * state.v[i, 2] + scheme.v_a * state.memory[i, 2]
 
-        Tj = through_field(Tj, h, F_xx, F_yy, F_tt, F_yt)
         # (22b), mended: L^T s + delta/(1 + delta B_v) [L^T Phi h_v,j-1 - Phi^T h_v,j]
         sx += delta * (wx - (c * vx + sn * vy))
         sy += h * st + delta * (wy + h * wt - (c * vy - sn * vx))
         st += delta * (wt - vt)
-        Tj = turned(Tj, c, sn)
-        sx, sy = c * sx - sn * sy, sn * sx + c * sy
+        Tj, sj = to_node(Tj, (sx, sy, st), c, sn, h, F)
         p = (P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5], 0.0)
-        (sx, sy, st), Tj = through_point(Tj, (sx, sy, st), p, (q[i, 0], q[i, 1], q[i, 2]))
+        (sx, sy, st), Tj = through_point(Tj, sj, p, (q[i, 0], q[i, 1], q[i, 2]))
         if i == 0:
             break  # the tip: (27) needs no turn
         Tj = turned(Tj, c, sn)
         sx, sy = c * sx - sn * sy, sn * sx + c * sy
-        wx, wy, wt = c * vx - sn * vy, sn * vx + c * vy, vt
         T[i, 0], T[i, 1], T[i, 2], T[i, 3], T[i, 4], T[i, 5], T[i, 6], T[i, 7], T[i, 8] = Tj
         s[i, 0], s[i, 1], s[i, 2] = sx, sy, st
+        wx, wy, wt = c * vx - sn * vy, sn * vx + c * vy, vt
 
     # back from the tip (27) to the root by (28)-(29)
     diverged = -1

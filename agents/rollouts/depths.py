@@ -7,13 +7,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from agents.rollouts.bootstrap import PERCENTILES, redrawn_means
 from probe_env.arrays import FloatArray
 from probe_env.inspection.detection import DEPTHS, depths_found
-from probe_env.inspection.found import POD_NAMES
+from probe_env.inspection.tally import POD_NAMES
 
-RESAMPLES: Final = 2000
-BAND: Final = (2.5, 97.5)
-"""Percentiles of a curve's band."""
 BOUND: Final = 95.0
 """Percentile of the depth found with 90 %, when tubes are drawn anew: a90/95."""
 COLUMNS: Final = ("policy", "a50_percent_wall", "a90_percent_wall", "a90_95_percent_wall")
@@ -30,16 +28,9 @@ def curves_by_tube(table: pd.DataFrame, policy: str) -> FloatArray:
     return part.groupby("context")[list(POD_NAMES)].mean().to_numpy()
 
 
-def _drawn(curves: FloatArray) -> FloatArray:
-    """(RESAMPLES, d) means over tubes that are drawn anew, with a fixed seed."""
-    rng, count = np.random.default_rng(0), len(curves)
-    weights = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
-    return np.asarray(weights @ curves / count)
-
-
 def a90_95(table: pd.DataFrame, policy: str) -> float:
     """Depth [% of the wall] that is found with 90 % over the tubes, with 95 % confidence (bootstrap over tubes)."""
-    return float(100.0 * np.percentile(depths_found(_drawn(curves_by_tube(table, policy)), 0.9), BOUND))
+    return float(100.0 * np.percentile(depths_found(redrawn_means(curves_by_tube(table, policy)), 0.9), BOUND))
 
 
 def depths_of(table: pd.DataFrame) -> pd.DataFrame:
@@ -57,7 +48,7 @@ def bands(table: pd.DataFrame) -> pd.DataFrame:
     parts = []
     for policy in dict.fromkeys(table["policy"]):
         curves = curves_by_tube(table, policy)
-        low, high = np.percentile(_drawn(curves), BAND, axis=0)
+        low, high = np.percentile(redrawn_means(curves), PERCENTILES, axis=0)
         columns = {"depth_percent_wall": 100.0 * DEPTHS, "pod": curves.mean(axis=0), "low": low, "high": high}
         parts.append(pd.DataFrame({"policy": policy, **columns}))
     return pd.concat(parts, ignore_index=True)

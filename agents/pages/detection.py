@@ -6,13 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from agents.detection import anchors as detection
+from agents.detection import anchors as anchor_runs
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.catalogue import DATA
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
-from agents.rollouts.found import depths_of
+from agents.rollouts.depths import depths_of
 from agents.rollouts.statistics import failures, grouped, paired_difference
 from probe_env.schedule import Schedule
 
@@ -80,9 +80,9 @@ def anchors() -> str:
         stored_table(folder / "anchors.csv", "policy", "reward", "inspection_time_s", "share_within_limit"),
         read_json(folder / "provenance.json", Record).model_dump(),
     )
-    lines = "\n".join(f"* {line}" for line in detection.sentences(summary))
+    lines = "\n".join(f"* {line}" for line in anchor_runs.sentences(summary))
     return (
-        f"{markdown(detection.HEADER, detection.cells(summary))}\n\n{lines}\n\n"
+        f"{markdown(anchor_runs.HEADER, anchor_runs.cells(summary))}\n\n{lines}\n\n"
         f"Over {record['tubes']} held-out tubes at `fast`; a90/95 is the depth found with 90 % over the tubes, with"
         f" 95 % confidence. Made by `{command(record)}` at commit {record['commit']}."
     )

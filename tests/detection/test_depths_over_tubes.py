@@ -7,12 +7,12 @@ import pytest
 from agents.detection import pictures
 from agents.detection.signal import draw_curves
 from agents.records.columns import KPIS
-from agents.rollouts import found
+from agents.rollouts.depths import bands, depths_of, tells
 from probe_env import Context
 from probe_env.envs.task import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
-from probe_env.inspection.found import POD_NAMES
 from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.tally import POD_NAMES
 
 
 def table(**snr):
@@ -26,7 +26,7 @@ def table(**snr):
 
 
 def test_equal_tubes_leave_nothing_to_chance():
-    depths = found.depths_of(table(one=[7.5] * 6)).iloc[0]
+    depths = depths_of(table(one=[7.5] * 6)).iloc[0]
     assert depths["a90_95_percent_wall"] == pytest.approx(depths["a90_percent_wall"], rel=1e-12)
     assert depths["a90_percent_wall"] == pytest.approx(20.0 * (4.6 + 1.2816) / 7.5, rel=2e-3)
     assert depths["a50_percent_wall"] == pytest.approx(20.0 * 4.6 / 7.5, rel=2e-3)
@@ -36,7 +36,7 @@ def test_the_bound_is_above_and_narrows_with_tubes():
     """Drawn with replacement: the bound of 4 n tubes is half as far away, as of any mean; to a quarter of it."""
     rng = np.random.default_rng(0)
     some = rng.uniform(4.0, 9.0, 12)
-    few, many = (found.depths_of(table(p=np.tile(some, n))).iloc[0] for n in (1, 4))
+    few, many = (depths_of(table(p=np.tile(some, n))).iloc[0] for n in (1, 4))
     assert few["a90_percent_wall"] == pytest.approx(many["a90_percent_wall"], rel=1e-12)
     away = [row["a90_95_percent_wall"] - row["a90_percent_wall"] for row in (few, many)]
     assert away[0] > away[1] > 0.0
@@ -46,20 +46,20 @@ def test_the_bound_is_above_and_narrows_with_tubes():
 def test_the_mean_curve_counts_and_not_the_mean_depth():
     """One tube in five where nothing is found: no depth is found with 90 % over all of them."""
     both = table(p=[8.0, 8.0, 8.0, 8.0, 1e-3])
-    assert found.depths_of(both).iloc[0]["a90_percent_wall"] == 100.0
+    assert depths_of(both).iloc[0]["a90_percent_wall"] == 100.0
     curve = 0.8 * pod_gaussian(snr_at(Sensor(), np.array([8.0])), 4.6)[0]
-    assert found.depths_of(both).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
+    assert depths_of(both).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
 
 
 def test_bands_and_their_picture(tmp_path):
     both = table(good=[7.0, 8.0, 9.0], bad=[2.0, 3.0, 4.0])
-    bands = found.bands(both)
-    assert (bands["low"] <= bands["pod"] + 1e-12).all()
-    assert (bands["pod"] <= bands["high"] + 1e-12).all()
-    assert len(bands) == 2 * len(DEPTHS)
-    assert pictures.curves(bands, tmp_path / "pod.png").stat().st_size > 5000
-    assert found.tells(both)
-    assert not found.tells(both.drop(columns=POD_NAMES[0]))
+    drawn = bands(both)
+    assert (drawn["low"] <= drawn["pod"] + 1e-12).all()
+    assert (drawn["pod"] <= drawn["high"] + 1e-12).all()
+    assert len(drawn) == 2 * len(DEPTHS)
+    assert pictures.curves(drawn, tmp_path / "pod.png").stat().st_size > 5000
+    assert tells(both)
+    assert not tells(both.drop(columns=POD_NAMES[0]))
 
 
 def test_curves_of_a_stored_evaluation(tmp_path, capsys):

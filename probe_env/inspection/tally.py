@@ -34,7 +34,7 @@ POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in
 
 
 @dataclass
-class Found:
+class DetectionTally:
     """Places of one episode: length [m], signal-to-noise of the 20 % groove, share of motion in the noise."""
 
     sensor: Sensor = field(default_factory=Sensor)
