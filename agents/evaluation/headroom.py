@@ -32,7 +32,7 @@ ALWAYS: Final = (*PLANNERS, BAR)
 """What shares are counted by is always played."""
 
 
-class Setting(NamedTuple):
+class Lookahead(NamedTuple):
     """How far, how often and how broadly a planner looks."""
 
     periods: int
@@ -53,9 +53,9 @@ class Setting(NamedTuple):
 
 
 SETTINGS: Final = (
-    Setting(1, 16, 2), Setting(2, 16, 2), Setting(4, 16, 2), Setting(8, 16, 2),
-    Setting(4, 4, 2), Setting(4, 8, 2), Setting(4, 32, 2),
-    Setting(4, 16, 1), Setting(4, 16, 4), Setting(4, 16, 2, "nothing"),
+    Lookahead(1, 16, 2), Lookahead(2, 16, 2), Lookahead(4, 16, 2), Lookahead(8, 16, 2),
+    Lookahead(4, 4, 2), Lookahead(4, 8, 2), Lookahead(4, 32, 2),
+    Lookahead(4, 16, 1), Lookahead(4, 16, 4), Lookahead(4, 16, 2, "nothing"),
 )  # fmt: skip
 """Around the one that ships: one thing at a time."""
 
@@ -133,9 +133,9 @@ def run_settings(place: Place, fidelity: str, output: Path, workers: Workers) ->
     return summary
 
 
-def shipped_setting() -> Setting:
+def shipped_setting() -> Lookahead:
     """Of the planner that goes by name."""
-    return Setting(Planner.periods, Planner.candidates, Planner.every, Planner.rest)
+    return Lookahead(Planner.periods, Planner.candidates, Planner.every, Planner.rest)
 
 
 HEADER: Final = ("policy", "reward", f"less {BAR}", "share of the planner's lead [%]", "time [s]", "within limit [%]")

@@ -33,7 +33,7 @@ BEYOND: Final = 1e4
 """Pressure of steady sliding over Euler's load from which on a scene is called stuck, and beyond all bounds."""
 
 
-class Setting(NamedTuple):
+class Discretisation(NamedTuple):
     """How a scene is simulated."""
 
     method: str
@@ -42,8 +42,8 @@ class Setting(NamedTuple):
     cable: bool
 
 
-FINE: Final = Setting("imex", BOTH_WAYS["standard"].time_step, BOTH_WAYS["standard"].nodes_per_pitch, True)
-COARSE: Final = Setting("imex", BOTH_WAYS["fast"].time_step, BOTH_WAYS["fast"].nodes_per_pitch, True)
+FINE: Final = Discretisation("imex", BOTH_WAYS["standard"].time_step, BOTH_WAYS["standard"].nodes_per_pitch, True)
+COARSE: Final = Discretisation("imex", BOTH_WAYS["fast"].time_step, BOTH_WAYS["fast"].nodes_per_pitch, True)
 BARE: Final = COARSE._replace(cable=False)
 SHORT: Final = COARSE._replace(time_step=5e-5)
 IMPLICIT: Final = SHORT._replace(method="implicit")
@@ -51,7 +51,7 @@ EVERYWHERE: Final = (COARSE, BARE, FINE)
 """Settings that all scenes are run with: the meshes and steps of both presets of the way back."""
 
 
-def run_group(scenes: Sequence[Pressed], setting: Setting, member: int, threads: int) -> list[dict[str, Any]]:
+def run_group(scenes: Sequence[Pressed], setting: Discretisation, member: int, threads: int) -> list[dict[str, Any]]:
     """A row a scene: when it diverged, else root tension and the sensor's motion over the last second.
 
     Args:
@@ -104,7 +104,7 @@ def run_pressed(output: Path, limit: int = 0, threads: int = 1) -> pd.DataFrame:
     return store.table
 
 
-def _fill(store: Store, numbers: Sequence[int], setting: Setting, member: int, threads: int) -> None:
+def _fill(store: Store, numbers: Sequence[int], setting: Discretisation, member: int, threads: int) -> None:
     """Run and store what is missing of some scenes under a setting."""
 
     def missing() -> list[int]:
@@ -124,14 +124,14 @@ def _groups(scenes: Sequence[Pressed]) -> Iterator[list[Pressed]]:
         yield from (same[begin : begin + GROUP] for begin in range(0, len(same), GROUP))
 
 
-def rows_of(table: pd.DataFrame, setting: Setting, member: int = 0) -> pd.DataFrame:
+def rows_of(table: pd.DataFrame, setting: Discretisation, member: int = 0) -> pd.DataFrame:
     """The rows of a setting, by scene."""
     key = dict(zip(KEYS[1:], (*setting, member), strict=True))
     chosen = (table[list(key)] == list(key.values())).all(axis=1)
     return table[chosen].set_index("scene").sort_index()
 
 
-def lost(table: pd.DataFrame, setting: Setting) -> list[int]:
+def lost(table: pd.DataFrame, setting: Discretisation) -> list[int]:
     """Scenes that diverged under a setting."""
     diverged = rows_of(table, setting)["diverged_at_s"]
     return [int(number) for number in diverged.index[diverged.notna()]]

@@ -16,7 +16,7 @@ from agents.chart.stability.pressed_runs import (
     MEMBERS,
     SHORT,
     STUCK,
-    Setting,
+    Discretisation,
     contested,
     lost,
     rows_of,
@@ -49,7 +49,7 @@ def markdown(table: pd.DataFrame) -> str:
     return "\n".join(lines) + f"\n\n{remarks}\n\n{beside}\n\n{beside_implicit(table)}"
 
 
-def _words(setting: Setting) -> str:
+def _words(setting: Discretisation) -> str:
     walls = "cable on the walls" if setting.cable else "floats alone"
     return f"`{setting.method}`, {setting.time_step:g} s, {setting.nodes_per_pitch} nodes a pitch, {walls}"
 
@@ -97,7 +97,7 @@ def beside_implicit(table: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def members(table: pd.DataFrame, setting: Setting, column: str) -> pd.DataFrame:
+def members(table: pd.DataFrame, setting: Discretisation, column: str) -> pd.DataFrame:
     """Scene x member of a column."""
     return pd.DataFrame({member: rows_of(table, setting, member)[column] for member in range(MEMBERS)})
 

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.helix import Helix
-from probe_env.envs.pictures.plate import DPI, SIZE, Picture, Plate, Window
+from probe_env.envs.pictures.plate import DPI, SIZE, Picture, Plate, Screen
 from probe_env.envs.pictures.traces import COLUMNS, Traces
-from probe_env.physics.simulation.batch import Window as Samples
+from probe_env.physics.simulation.batch import Window
 
 
 class Renderer:
@@ -26,9 +26,9 @@ class Renderer:
     def __init__(self, episodes: Episodes, index: int = 0) -> None:
         self.episodes, self.index = episodes, index
         self.history: list[tuple[float, ...]] = []
-        self._felt: Samples | None = None  # of the last period
+        self._felt: Window | None = None  # of the last period
         self._drawn: tuple[Plate, Helix, Traces] | None = None
-        self._window = Window()
+        self._screen = Screen()
 
     def begin(self, info: dict[str, Any]) -> None:
         """Begin with the info of a reset; the last episode is forgotten, and its tube may have been another."""
@@ -56,11 +56,11 @@ class Renderer:
 
     def show(self) -> None:
         """Show the picture in a window (needs a display and an interactive matplotlib backend)."""
-        self._window.show(self.picture())
+        self._screen.show(self.picture())
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        self._window.close()
+        self._screen.close()
 
     def _draw(self) -> tuple[Plate, Helix, Traces]:
         """Everything that stays for an episode."""
@@ -74,4 +74,4 @@ class Renderer:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies draw anew: neither pixels nor windows are copied."""
-        return self.__dict__ | {"_drawn": None, "_window": Window()}
+        return self.__dict__ | {"_drawn": None, "_screen": Screen()}

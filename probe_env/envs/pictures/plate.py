@@ -69,7 +69,7 @@ class Plate:
         self._extent[axes] = axes.get_tightbbox(renderer)
 
 
-class Window:
+class Screen:
     """Shows pictures in a window; needs a display and an interactive matplotlib backend."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from scipy.linalg import solve_banded
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain, element_blocks, element_stiffness
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import Scheme, Step, Work
+from probe_env.physics.methods.newmark import Scheme, Step, Workspace
 from probe_env.physics.state import State
 
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
@@ -24,7 +24,7 @@ def stepper(chain: Chain, scheme: Scheme) -> Step:
     damped = (1.0 + chain.damping_time * scheme.B_v) * stiffness
     elastic = _elastic_band(head, tail, damped, chain.node_count - 1)  # of the longest probe
 
-    def step(inputs: FloatArray, root: int, state: State, work: Work) -> int:
+    def step(inputs: FloatArray, root: int, state: State, work: Workspace) -> int:
         ticm.node_equations(chain, scheme, inputs, root, state, work)
         d, v, a = state.d[: root + 1], state.v[: root + 1], state.memory[: root + 1]
         h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a

@@ -53,7 +53,7 @@ def wilson(time_step: float, theta: float = 1.4) -> Scheme:
     )  # fmt: skip
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Scratch of one step: node equations P (n + 1, 6), q (n + 1, 3) and T (n + 1, 9), s (n + 1, 3)."""
 
     P: FloatArray
@@ -62,12 +62,12 @@ class Work(NamedTuple):
     s: FloatArray
 
 
-def workspace(nodes: int) -> Work:
+def workspace(nodes: int) -> Workspace:
     """Scratch arrays for a chain of ``nodes`` nodes."""
-    return Work(np.zeros((nodes, 6)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
+    return Workspace(np.zeros((nodes, 6)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
 
 
-Step = Callable[[FloatArray, int, State, Work], int]
+Step = Callable[[FloatArray, int, State, Workspace], int]
 """(inputs of a step, root, state, work) -> first diverged node or -1."""
 Solver = Callable[[Chain, Scheme], Step]
 """A solver of the linear system (17)-(18), constant matrices prepared."""
@@ -93,7 +93,7 @@ def _solved_by(scheme_of: Callable[[float], Scheme], solver: Solver) -> Prepare:
 
 
 def _step_by_step(
-    chain: Chain, step: Step, work: Work, inputs: FloatArray, root: int, state: State, sampling: Sampling
+    chain: Chain, step: Step, work: Workspace, inputs: FloatArray, root: int, state: State, sampling: Sampling
 ) -> tuple[int, int, int, int]:
     """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
     row, due = 0, sampling.first

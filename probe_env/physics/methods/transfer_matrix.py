@@ -14,7 +14,7 @@ from numba import njit
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import Scheme, Step, Work
+from probe_env.physics.methods.newmark import Scheme, Step, Workspace
 from probe_env.physics.state import State
 
 
@@ -23,7 +23,7 @@ def stepper(chain: Chain, scheme: Scheme) -> Step:
     return partial(step, chain, scheme)
 
 
-def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Work) -> int:
+def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Workspace) -> int:
     """One step; returns the first diverged node or -1 (a lost solution counts as diverged: node 0)."""
     ticm.node_equations(chain, scheme, inputs, root, state, work)
     h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.memory

@@ -14,7 +14,7 @@ from probe_env.physics.methods.ticm.after_step import FASTMATH, OVERFLOW
 from probe_env.physics.methods.ticm.recursion import behind, through_point, to_node, turned
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Scratch of a step: T (n + 1, 9) and s (n + 1, 3) of the TICM, P (n + 1, 7) and q (n + 1, 3).
 
     P and q without and with contact; iterate and solution w (n + 1, 3); bounds of frozen friction (n + 1,); flags
@@ -33,11 +33,11 @@ class Work(NamedTuple):
     flags: npt.NDArray[np.int64]
 
 
-def workspace(nodes: int) -> Work:
+def workspace(nodes: int) -> Workspace:
     """Scratch for a chain of ``nodes`` nodes."""
     T, p, free_p, q = np.zeros((nodes, 9)), np.zeros((nodes, 7)), np.zeros((nodes, 7)), np.zeros((nodes, 3))
     s, free_q, iterate, w = q.copy(), q.copy(), q.copy(), q.copy()
-    return Work(T, s, free_p, free_q, p, q, iterate, w, np.zeros(nodes), np.zeros((nodes, 2), dtype=np.int64))
+    return Workspace(T, s, free_p, free_q, p, q, iterate, w, np.zeros(nodes), np.zeros((nodes, 2), dtype=np.int64))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)

@@ -47,7 +47,7 @@ def to_node(T, s, c, sn, h, F):
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def through_point(T, s, P, q):
-    """S and T behind a node, (24): A = I + T P, then A T' = T and A s' = s + T q; P as in ``Work``, then xt."""
+    """S and T behind a node, (24): A = I + T P, then A T' = T and A s' = s + T q; P as in ``Workspace``, then xt."""
     xx, xy, xt, yx, yy, yt, tx, ty, tt = T
     p0, p1, p2, p3, p4, p5, p6 = P
     axx = 1.0 + xx * p0 + xt * p3
