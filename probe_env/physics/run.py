@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 from tqdm import tqdm
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.kernel_call import CHANNELS
 
 if TYPE_CHECKING:
     import pandas as pd
 
 QUANTITIES: Final = {"axial": "m", "radial": "m", "rotation": "rad", "tension": "N"}
 """Signals of a run and their units."""
-MOST_SAMPLES: Final = 2**31
-"""Bytes that the samples of one call may take."""
 
 
 @dataclass(frozen=True)
@@ -150,48 +145,6 @@ class Run:
 def point_name(point: str | float) -> str:
     """Name of a point given by name or by distance from the tip in metres."""
     return point if isinstance(point, str) else f"{float(point):g} m"
-
-
-def shapes_of(stored: list[tuple[float, FloatArray, FloatArray]], h: float) -> Shapes:
-    """Snapshots from stored (time, d, axial force) of a probe with elements of length ``h`` [m]."""
-    d = np.array([entry[1] for entry in stored])[:, ::-1]
-    return Shapes(
-        time=np.array([entry[0] for entry in stored]),
-        position=np.arange(d.shape[1]) * h,
-        axial=d[:, :, 0].copy(),
-        radial=d[:, :, 1].copy(),
-        rotation=d[:, :, 2].copy(),
-        tension=np.array([entry[2][-2::-1] for entry in stored]),
-    )
-
-
-def check_size(rows: int, points: int) -> None:
-    """Raise ValueError where the samples would take more than ``MOST_SAMPLES`` bytes."""
-    size = 8 * CHANNELS * rows * points
-    if size > MOST_SAMPLES:
-        raise ValueError(
-            f"duration, sample_period, points: {rows} samples of {points} points take {size / 2**30:.3g} GiB, more than"
-            f" {MOST_SAMPLES / 2**30:g}: sample less often or fewer points, or advance in pieces"
-        )
-
-
-def snapshot_steps(snapshots: Sequence[float], time_step: float, first: int, steps: int) -> list[int]:
-    """Steps of a run that begins with step ``first`` after which its snapshots are due, from their times [s].
-
-    Raises:
-        ValueError: not on a time step of the run, or not ascending.
-    """
-    ratios = [time / time_step - first for time in snapshots]
-    for time, ratio in zip(snapshots, ratios, strict=True):
-        if not (-1e-6 <= ratio <= steps + 1e-6 and abs(ratio - round(ratio)) <= 1e-6):
-            raise ValueError(
-                f"snapshots: {time!r} s is not on a time step of {time_step:g} s within this run,"
-                f" {first * time_step:g} to {(first + steps) * time_step:g} s"
-            )
-    whole = [round(ratio) for ratio in ratios]
-    if any(later <= earlier for earlier, later in itertools.pairwise(whole)):
-        raise ValueError(f"snapshots = {list(snapshots)!r} s must ascend")
-    return whole
 
 
 @contextmanager

@@ -20,10 +20,10 @@ from probe_env.machine import available_cores
 from probe_env.physics.kernel_call import Sampling, check_array, check_points
 from probe_env.physics.methods import method_named
 from probe_env.physics.methods.lane_group import Lane
-from probe_env.physics.run import check_size
 from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.signals import window_statistics
 from probe_env.physics.simulation.options import Options
+from probe_env.physics.simulation.recording import check_size
 from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator
 from probe_env.physics.simulation.targets import check_active, check_which
 from probe_env.scene import Scene

@@ -15,12 +15,13 @@ from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.physics.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.costs import pitch_step_seconds
 from probe_env.physics.drive import Drive
-from probe_env.physics.kernel_call import CHANNELS, Sampling, check_state
+from probe_env.physics.kernel_call import Sampling, check_state
 from probe_env.physics.methods import method_named, solver_named, ticm
 from probe_env.physics.methods.method import Advance
-from probe_env.physics.run import Run, check_size, point_name, shapes_of, shown, snapshot_steps
+from probe_env.physics.run import Run, shown
 from probe_env.physics.saved import Saved, check_names, check_types
-from probe_env.physics.simulation.options import DEFAULTS, Options
+from probe_env.physics.simulation.options import DEFAULTS, Options, check_options
+from probe_env.physics.simulation.recording import Recording, node_of, snapshot_steps
 from probe_env.physics.simulation.targets import check_targets
 from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
@@ -81,7 +82,7 @@ class Simulator(Saved):
     ) -> None:
         check_known(type(self).__name__, options, DEFAULTS)
         given = DEFAULTS | options
-        _check_numbers(method, time_step, nodes_per_pitch, given)
+        check_options(method, time_step, nodes_per_pitch, given)
         self.scene, self.method, self.solver = scene, method, given["solver"]
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
         self.growing, self.time_lapse = given["growing"], given["time_lapse"]
@@ -276,7 +277,8 @@ class Simulator(Saved):
         """
         steps = whole_steps("duration", duration, self.time_step)
         every = whole_steps("sample_period", sample_period, self.time_step)
-        nodes = np.array([self._node(point) for point in points], dtype=np.int64)
+        h, length = self.chain.element_length, self.root * self.chain.element_length
+        nodes = np.array([node_of(point, self.sensor, length, h) for point in points], dtype=np.int64)
         if self.growing and len(snapshots) > 0:
             raise ValueError(f"snapshots = {list(snapshots)!r} s need a constant length, and this probe is growing")
         stops = snapshot_steps(snapshots, self.time_step, self.steps_done, steps)
@@ -284,38 +286,20 @@ class Simulator(Saved):
         if self._error is not None:
             raise self._error
         self.check_fits()
+        recording = Recording(self.chain, self.state, self.root, nodes, steps, every)
         self.set_targets(feed_speed, air_supply_rate)
-        check_size(steps // every + 1, len(nodes))
-        samples = np.zeros((steps // every + 1, len(nodes), CHANNELS))
-        tension_sum = np.zeros(self.chain.node_count)
-        ticm.record(self.state, self.root, nodes, samples, 0, np.zeros(self.chain.node_count))
-        start, start_root, done = self.steps_done, self.root, 0
-        shapes: list[tuple[float, FloatArray, FloatArray]] = []
+        first, done = self.steps_done, 0
         with shown(progress, self.time, steps * self.time_step) as tell:
             while True:
                 if done in stops:
-                    shapes.append((self.time, self.state.d.copy(), self.state.axial_force.copy()))
+                    recording.keep_shape(self.time, self.state)
                 if done == steps:
                     break
                 stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
-                rows = samples[done // every + 1 :]
-                counts = np.zeros(2, dtype=np.int64)
-                self.advance_steps(stretch, Sampling(every - done % every, every, nodes, rows, tension_sum, counts))
+                self.advance_steps(stretch, recording.sampling(done))
                 done += stretch
                 tell(self.time)
-        h = self.chain.element_length
-        return Run(
-            time=(start + every * np.arange(len(samples))) * self.time_step,
-            axial=samples[:, :, 0],
-            radial=samples[:, :, 1],
-            rotation=samples[:, :, 2],
-            tension=samples[:, :, 3],
-            points=tuple(point_name(point) for point in points),
-            distance_from_tip=np.where(nodes < 0, start_root, nodes) * h,
-            mean_tension=tension_sum[start_root - 1 :: -1] / max(len(samples) - 1, 1),
-            position=(np.arange(start_root) + 0.5) * h,
-            shapes=shapes_of(shapes, h) if shapes else None,
-        )
+        return recording.as_run(first, self.time_step, points)
 
     def advance_steps(self, steps: int, sampling: Sampling) -> None:
         """Steps in one go; raises if the state diverges."""
@@ -385,31 +369,3 @@ class Simulator(Saved):
         if kernel is None:
             raise ValueError(f"method = {self.method!r} does not run in lanes")
         return kernel.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
-
-    def _node(self, point: str | float) -> int:
-        """Node of a point; -1 for the root, which moves as the probe grows."""
-        length = self.root * self.chain.element_length
-        if isinstance(point, str):
-            named = {"sensor": self.sensor, "tip": 0, "root": -1}
-            if point not in named:
-                raise ValueError(
-                    f"points: {point!r} is not sensor, tip, root or a distance from the tip of 0 to {length:g} m"
-                )
-            return named[point]
-        if not 0.0 <= point <= length + 1e-9:
-            raise ValueError(f"points: {point!r} m from the tip is outside the inserted length 0 to {length:g} m")
-        return round(point / self.chain.element_length)
-
-
-def _check_numbers(method: str, time_step: float, nodes_per_pitch: int, options: Options) -> None:
-    """Raise ValueError where a step, a mesh or an option is out of range."""
-    within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
-    method_named(method).check_step(time_step)
-    within("time_lapse", options["time_lapse"], 1.0, 1000.0, "")
-    within("ramp", options["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
-    within("air_lag", options["air_lag"], 0.0, 1e3, "s")
-    within("perturbation", options["perturbation"], 0.0, 1e-3, "m")
-    if options["start"] not in ("inner", "outer"):
-        raise ValueError(f"start = {options['start']!r} is not one of inner, outer")
-    if isinstance(nodes_per_pitch, bool) or nodes_per_pitch != int(nodes_per_pitch) or not 1 <= nodes_per_pitch <= 64:
-        raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
