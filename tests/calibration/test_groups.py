@@ -6,6 +6,7 @@ import pytest
 
 from agents.calibration.simulated.groups import run_groups
 from agents.processes.workers import Workers
+from agents.records.provenance import commit
 from probe_env.files import FileError
 
 COLUMNS = {"reward": "number"}
@@ -32,6 +33,7 @@ def test_what_was_interrupted_goes_on(tmp_path):
     assert (tmp_path / "group-0.csv").read_text() == done
     assert table["reward"].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
     assert set(table["fidelity"]) == {"fast"}
+    assert set(table["commit"]) == {commit()}
 
 
 def test_other_fidelities_are_not_mixed(tmp_path):
@@ -44,8 +46,8 @@ def test_other_fidelities_are_not_mixed(tmp_path):
     ("text", "said"),
     [
         ("group,tube\n0,0\n", "column"),
-        ("group,tube,reward,fidelity\n0,0,loud,fast\n", "line 2: reward = 'loud' is not a number"),
-        ("group,tube,reward,fidelity\n0,0\n", "line 2: 2 values for 4 columns"),
+        ("group,tube,reward,fidelity,commit\n0,0,loud,fast,0123456789ab\n", "line 2: reward = 'loud' is not a number"),
+        ("group,tube,reward,fidelity,commit\n0,0\n", "line 2: 2 values for 5 columns"),
         (None, r"group-2\.csv"),
     ],
 )

@@ -1,5 +1,7 @@
 """The anchors of the sensor: what a ranking by what is found hangs on."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -39,13 +41,18 @@ def test_each_anchor_moves_its_own_end() -> None:
         scaled(sensor, 0.3, 1.0)
 
 
+MADE_AT = ("0123456789ab", "cdef01234567")
+
+
 def episodes(policy: str, noise: float, sensor: Sensor) -> pd.DataFrame:
     """Two tubes whose curve of detection is a step at what is found at this noise."""
     depth = 0.2 * noise / sensor.quiet_snr
     row = {f"pod_at_{100 * d:.3g}_percent_wall": float(d >= depth) for d in DEPTHS}
     assert depths_found(np.array([list(row.values())]), 0.9)[0] <= 1.0
     kpis = {"reward": -noise, "inspection_time_s": 100.0, "share_within_limit": 1.0, "length_with_snr_over_3_m": 55.0}
-    return pd.DataFrame([{"policy": policy, "context": k, "seed": 0} | kpis | row for k in range(2)])
+    return pd.DataFrame(
+        [{"policy": policy, "context": k, "seed": 0, "commit": MADE_AT[k]} | kpis | row for k in range(2)]
+    )
 
 
 def test_a_table_has_every_policy_with_every_anchor(tmp_path, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
@@ -59,6 +66,7 @@ def test_a_table_has_every_policy_with_every_anchor(tmp_path, monkeypatch, capsy
     summary = run_anchors(tuple(noises), place_of(None, "test", 2), "fast", tmp_path, HERE)
     assert [entry[1:] for entry in seen] == [(7.5 * quiet, 3.0 * shaken) for quiet, shaken in ANCHORS.values()]
     assert len({name for name, _, _ in seen}) == len(ANCHORS)
+    assert json.loads((tmp_path / "provenance.json").read_text())["commit"] == ", ".join(MADE_AT)
     by_policy = summary.set_index("policy")
     assert by_policy[f"{A90}, {USUAL}"].idxmin() == "pi"
     assert (by_policy[f"{A90}, quiet doubled"] < by_policy[f"{A90}, {USUAL}"]).all()

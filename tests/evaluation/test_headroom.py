@@ -13,6 +13,9 @@ from agents.policies.planning.planner import PLANNERS
 from agents.processes.workers import HERE
 from agents.rollouts.statistics import sentences, share_of_lead
 
+MADE_AT = ("0123456789ab", "cdef01234567")
+"""Commits of an evaluation that was gone on with."""
+
 
 def table(rewards: dict[str, list[float]]) -> pd.DataFrame:
     """Episodes with these rewards, a tube each."""
@@ -20,6 +23,7 @@ def table(rewards: dict[str, list[float]]) -> pd.DataFrame:
         {
             "policy": policy, "context": k, "seed": 0, "reward": value, "inspection_time_s": 300.0 + k,
             "share_within_limit": 0.9, "lost_drive": False, "diverged": k == 0 and policy == "pi",
+            "commit": MADE_AT[k % 2],
         }
         for policy, values in rewards.items() for k, value in enumerate(values)
     ]  # fmt: skip
@@ -70,7 +74,9 @@ def test_planners_are_played_beside_what_is_named(plans, tmp_path, capsys) -> No
     assert rows.loc["pi", "gain"] == pytest.approx(1.1)
     assert rows.loc["pi", "diverged"] == 1
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"headroom.csv", "headroom.png", "provenance.json"}
-    assert json.loads((tmp_path / "out" / "provenance.json").read_text())["fidelity"]["time_lapse"] == 4.0
+    record = json.loads((tmp_path / "out" / "provenance.json").read_text())
+    assert record["fidelity"]["time_lapse"] == 4.0
+    assert record["commit"] == ", ".join(MADE_AT)
     assert "Headroom, 3 tubes" in capsys.readouterr().out
 
 
@@ -82,4 +88,5 @@ def test_settings_go_around_the_one_that_ships(plans, tmp_path) -> None:  # type
     changed = [sum(a != b for a, b in zip(s, shipped_setting(), strict=True)) for s in SETTINGS]
     assert sorted(changed) == [0] + [1] * (len(SETTINGS) - 1)  # one thing at a time
     assert (tmp_path / "settings.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "settings-provenance.json").read_text())["commit"] == ", ".join(MADE_AT)
     assert PLANNERS["planner"] == {}  # as the class has it

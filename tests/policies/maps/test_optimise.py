@@ -12,11 +12,13 @@ from agents.policies.catalogue import BY_DIAMETER, make_policy
 from agents.policies.maps import search as optimise
 from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
 from agents.policies.maps.vibration_map import stored_map
+from agents.records.provenance import commit
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig(privileged=True)
+SIMULATED_AT = "0123456789ab"
 DATA = Path(optimise.__file__).parents[1] / "data"
 
 
@@ -64,12 +66,14 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
         return -((schedule.feed_speed[0] - 0.1) ** 2) * 100.0 - (schedule.air_supply_rate[0] * 3600.0 - 80.0) ** 2 / 1e3
 
     monkeypatch.setattr(MapCost, "reward", reward)
-    monkeypatch.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0]}))
+    monkeypatch.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]}))
     folders = [tmp_path / name for name in ("once", "again")]
     for folder in folders:
         best = run_search("best-constant", 250, folder, tmp_path / "work", stored_map())
     trials = [pd.read_csv(folder / "best-constant-trials.csv") for folder in folders]
     pd.testing.assert_frame_equal(*trials, check_exact=True)
+    made_at = json.loads((folders[0] / "best-constant.json").read_text())["commit"]
+    assert made_at.split(", ") == [SIMULATED_AT, commit()]
     assert len(trials[0]) == 256  # whole generations of 16
     assert best.feed_speed[0] == pytest.approx(0.1, rel=0.02)
     assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
@@ -79,7 +83,7 @@ def search_until(folder, number):
     """Killed when the ``number``-th file is about to be put in its place; 0: never."""
     cost = pytest.MonkeyPatch()
     cost.setattr(MapCost, "reward", lambda _, schedule: -((schedule.feed_speed[0] - 0.1) ** 2))
-    cost.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0]}))
+    cost.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]}))
     for name in FILES:
         hook_replace(name, 1 if FILES.index(name) + 1 == number else 0, kill)
     run_search("best-constant", 40, folder, folder / "work", stored_map())

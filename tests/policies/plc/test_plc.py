@@ -24,6 +24,7 @@ from agents.policies.plc.law import (
 from agents.policies.plc.quasi_steady import quasi_steady_rewards
 from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
 from agents.processes.workers import HERE
+from agents.records.provenance import commit
 from probe_env import Context, spread_contexts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
@@ -185,7 +186,7 @@ def test_a_search_goes_from_the_map_to_the_simulation(tmp_path, monkeypatch) -> 
 
     def run_plan(plan, folder, progress, workers):  # type: ignore[no-untyped-def]
         rewards = {name: float(by_map(policy, plan.contexts, None)[0]) for name, policy in plan.policies.items()}
-        return pd.DataFrame({"policy": list(rewards), "reward": list(rewards.values())})
+        return pd.DataFrame({"policy": list(rewards), "reward": list(rewards.values()), "commit": "0123456789ab"})
 
     monkeypatch.setattr(search, "quasi_steady_rewards", by_map)
     monkeypatch.setattr(search, "run_plan", run_plan)
@@ -195,6 +196,8 @@ def test_a_search_goes_from_the_map_to_the_simulation(tmp_path, monkeypatch) -> 
     assert trials["reward"].iloc[-1] > trials["reward"].iloc[0]
     assert np.abs(point_of(optimum) - point_of(goal)).max() < 0.2
     assert read_constants(tmp_path / "plc-law.json") == optimum
+    record = json.loads((tmp_path / "plc-law.json").read_text())
+    assert record["provenance"]["commit"].split(", ") == [commit(), "0123456789ab"]
     with pytest.raises(ValueError, match="limit = 0 is outside the accepted range 1 to 96"):
         run_law_search(10, 1, 0, tmp_path, HERE, stored_map())
 
