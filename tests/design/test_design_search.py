@@ -71,6 +71,14 @@ def test_broken_off_in_any_trial_equals_never_broken_off(number, tmp_path, whole
     assert run(tmp_path, 30).equals(whole)
 
 
+def test_every_trial_knows_the_commit_that_made_it(tmp_path, monkeypatch):
+    """Those of a search that goes on with other code, too."""
+    for trials, made_at in ((11, "0123456789ab"), (21, "cdef01234567")):
+        monkeypatch.setattr("agents.design.search.commit", lambda made_at=made_at: made_at)
+        table = run(tmp_path, trials)
+    assert (table["commit"] == ["0123456789ab"] * 11 + ["cdef01234567"] * 10).all()
+
+
 def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path, whole):
     """Each run is killed in its fourth trial, by turns asked and judged but not yet told, and just told."""
     kills = 0
