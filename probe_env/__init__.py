@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import gymnasium
 
-from probe_env.machine import ensure_kernel_cache
+from probe_env.kernel_cache import ensure_kernel_cache
 
 ensure_kernel_cache()  # before anything imports a kernel
 

@@ -19,6 +19,7 @@ from typing import Final
 
 from agents.publishing.stages import WORK, Stage
 from agents.records.provenance import CHECKOUT
+from probe_env.kernel_cache import STAMP
 
 KERNELS: Final = Path("probe_env/physics")
 STATES: Final = """
@@ -100,7 +101,7 @@ def share_compiled(tree: Path) -> None:
     if [path.relative_to(here) for path in sources] != sorted(path.relative_to(there) for path in there.rglob("*.py")):
         return
     if all(path.read_bytes() == (there / path.relative_to(here)).read_bytes() for path in sources):
-        for path in here.rglob("*.nb[ic]"):
+        for path in (*here.rglob("*.nb[ic]"), *here.rglob(STAMP)):
             target = there / path.relative_to(here)
             target.parent.mkdir(exist_ok=True)
             shutil.copyfile(path, target)

@@ -1,4 +1,4 @@
-"""Without a home and in an installation that is read-only, kernels are compiled and kept in a folder of one's own."""
+"""Compiled kernels: kept in one's own folder where nothing else can be written, and forgotten with their sources."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import probe_env
-from probe_env import machine
+from probe_env import kernel_cache
 
 USE = """
 from probe_env.physics.drive import Drive, _inputs
@@ -73,12 +73,51 @@ def test_a_folder_that_cannot_be_written_is_named(installation):
     assert "neither NUMBA_CACHE_DIR = /dev/null/chosen nor the package's folder" in warning
 
 
+KERNEL = """
+from numba import njit
+from probe_env.physics.other import value
+@njit(cache=True)
+def kernel():
+    return value()
+"""
+OTHER = """
+from numba import njit
+@njit
+def value():
+    return {value}
+"""
+CALL = """
+from probe_env.physics.kernel import kernel
+print(kernel(), sum(kernel.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.parametrize("beside", [True, False], ids=["beside the sources", "in a home"])
+def test_kernels_are_forgotten_when_what_is_compiled_into_them_changes(tmp_path, beside):
+    """numba looks at a kernel's own file alone: it would go on with what other files had in them."""
+    package = tmp_path / "site" / "probe_env"
+    shutil.copytree(Path(probe_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "physics" / "kernel.py").write_text(KERNEL)
+    if not beside:
+        for folder in (package, package / "physics"):
+            (folder / "__pycache__").touch()
+    environment = {name: text for name, text in os.environ.items() if not name.startswith(("NUMBA", "XDG", "COV"))}
+    environment |= {"HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path), "PYTHONPATH": str(tmp_path / "site")}
+    outcomes = []
+    for value in (1, 1, 2):
+        (package / "physics" / "other.py").write_text(OTHER.format(value=value))
+        done = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, cwd="/")
+        outcomes.append(done.stdout.split() or done.stderr)
+    assert outcomes == [["1", "0"], ["1", "1"], ["2", "0"]]
+    assert bool(list(package.rglob("*.nbc"))) == beside
+
+
 @pytest.mark.parametrize("kind", ["open", "link", "file"])
 def test_a_folder_that_others_may_write_is_not_trusted(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
-    planted = machine._folder()
-    assert machine._folder() == planted  # one's own is taken again
+    planted = kernel_cache._folder()
+    assert kernel_cache._folder() == planted  # one's own is taken again
     planted.rmdir()
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
@@ -89,14 +128,14 @@ def test_a_folder_that_others_may_write_is_not_trusted(tmp_path, monkeypatch, ki
         planted.symlink_to(elsewhere)
     else:
         planted.touch()
-    chosen = machine._folder()
+    chosen = kernel_cache._folder()
     assert chosen != planted
     assert chosen.is_dir()
     assert chosen.stat().st_mode & 0o077 == 0
 
 
 def test_no_folder_at_all_is_an_error_that_says_what_to_do(monkeypatch):
-    monkeypatch.setattr(machine, "_numba_has_one", lambda: False)
+    monkeypatch.setattr(kernel_cache, "_numbas_folder", lambda: None)
     monkeypatch.setattr(tempfile, "tempdir", "/dev/null/temporary")
     with pytest.raises(RuntimeError, match="set NUMBA_CACHE_DIR to one that can"):
-        machine.ensure_kernel_cache()
+        kernel_cache.ensure_kernel_cache()

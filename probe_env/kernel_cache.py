@@ -1,0 +1,133 @@
+"""Where compiled kernels are kept, and that they are those of the sources.
+
+numba keeps them beside the sources, else in the user's cache folder; without either ``njit(cache=True)`` raises when a
+kernel is imported. It takes a kernel as long as its own file is what it was, whatever happened to the functions of
+other files that are compiled into it. Both must therefore be seen to before the first kernel is imported.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import stat
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import numba
+
+SOURCES: Final = Path(__file__).absolute().parent / "physics"
+STAMP: Final = "sources.sha256"
+"""File beside the compiled kernels: of what sources they are."""
+
+
+def ensure_kernel_cache() -> None:
+    """Choose a temporary folder for compiled kernels if numba has none, and warn of it; forget those of other sources.
+
+    Worker processes inherit the choice.
+
+    Raises:
+        RuntimeError: there is no folder that can be written at all.
+    """
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # for debuggers: nothing is compiled
+        return
+    kept_in = _numbas_folder()
+    if kept_in is None:
+        _use_temporary_folder()
+        kept_in = _numbas_folder()
+    if kept_in is not None:
+        forget_outdated(kept_in)
+
+
+def forget_outdated(kept_in: Path) -> None:
+    """Delete compiled kernels, unless the stamp beside them says that they are of these sources.
+
+    Args:
+        kept_in: where numba keeps the compiled functions of this file.
+    """
+    beside_sources = kept_in.name == "__pycache__"
+
+    def folder_of(sources: Path) -> Path:
+        if beside_sources:
+            return sources / "__pycache__"
+        return kept_in.parent / f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"  # as numba has it
+
+    stamp, now = folder_of(SOURCES) / STAMP, _hash_of_sources()
+    with suppress(OSError):  # somebody else's, or another process does the same
+        if stamp.exists() and stamp.read_text() == now:
+            return
+        for sources in {path.parent for path in _sources()}:
+            for path in folder_of(sources).glob("*.nb[ic]"):
+                path.unlink(missing_ok=True)
+        stamp.parent.mkdir(exist_ok=True)
+        stamp.write_text(now)
+
+
+def _sources() -> Iterator[Path]:
+    """Files that kernels are compiled of."""
+    yield from SOURCES.glob("*.py")
+    yield from (SOURCES / "methods").rglob("*.py")
+
+
+def _hash_of_sources() -> str:
+    hashed = hashlib.sha256()
+    for path in sorted(_sources()):
+        hashed.update(f"{path.relative_to(SOURCES).as_posix()}\n".encode() + path.read_bytes())
+    return hashed.hexdigest()
+
+
+def _numbas_folder() -> Path | None:
+    """Where numba keeps the compiled functions of this file, if anywhere; nothing is compiled."""
+    try:
+        return Path(str(numba.njit(cache=True)(_numbas_folder).stats.cache_path))
+    except RuntimeError as error:
+        if "locator" not in str(error):
+            raise
+        return None
+
+
+def _use_temporary_folder() -> None:
+    try:
+        folder = _folder()
+    except OSError as error:
+        raise RuntimeError(
+            "no folder can be written to keep compiled kernels in: set NUMBA_CACHE_DIR to one that can"
+        ) from error
+    given = os.environ.get("NUMBA_CACHE_DIR", "")
+    given = given and f"NUMBA_CACHE_DIR = {given} nor "
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    numba.config.reload_config()  # type: ignore[no-untyped-call]
+    warnings.warn(
+        f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
+        " can be written; set NUMBA_CACHE_DIR to choose another",
+        stacklevel=4,
+    )
+
+
+def _folder() -> Path:
+    """The user's own folder among the temporary ones, or a new one if somebody else made that.
+
+    Compiled code is loaded from it: nobody else may write there.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else "user"  # where there is none, temporary folders are one's own
+    folder = Path(tempfile.gettempdir()) / f"probe_env-kernels-{user}"
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        if not _is_private(folder):
+            folder = Path(tempfile.mkdtemp(prefix="probe_env-kernels-"))
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder, not a link to one, is the user's and closed to others."""
+    entry = folder.lstat()
+    if not stat.S_ISDIR(entry.st_mode):
+        return False
+    return not hasattr(os, "getuid") or (entry.st_uid == os.getuid() and not entry.st_mode & 0o077)
