@@ -45,15 +45,16 @@ def rings_more(large: str, small: str, factor: float = 1.0) -> bool:
     """Whether one case's mean radial rms is more than ``factor`` times another's, and by ranks it is more at all.
 
     The factors of this file leave room: by the members' own deviations, and with the scatter of the stored means as
-    well as that of others (Student's t of 14 degrees), other members fail with at most ``CHANCE``, or as it is said.
+    well as that of others (Student's t of 14 degrees), other members fail with at most ``CHANCE``.
     """
     return ENSEMBLE.mean(large) > factor * ENSEMBLE.mean(small) and (factor < 1.0 or ENSEMBLE.greater(large, small))
 
 
 def test_vibration_grows_with_length():
-    """From 40 to 50 m members made anew fail by 4 in 10,000; from 50 to 55 m eight tell no growth, but no fall."""
-    for short, long in ((10, 20), (20, 30), (30, 40), (40, 50), (10, 30), (20, 40), (30, 50), (40, 55)):
+    """From 40 to 50 and from 50 to 55 m eight members tell no growth (1.53 and 1.24 times), but no fall."""
+    for short, long in ((10, 20), (20, 30), (30, 40), (10, 30), (20, 40), (30, 50), (40, 55)):
         assert rings_more(f"l{long}", f"l{short}")
+    assert rings_more("l50", "l40", 0.92)
     assert rings_more("l55", "l50", 0.78)
     assert ENSEMBLE.mean("l10") < 5e-6  # silent: 2.06e-6, members scatter by 1.4 %
     assert ENSEMBLE.mean("l55") > 0.2e-3  # 0.47e-3, members scatter by 12 %
@@ -69,9 +70,9 @@ def test_feed_tube_and_probe_change_the_vibration_as_claimed():
 
 
 def test_low_air_calms_the_acceleration():
-    """Erratum 6: the displacement does not tell. Members made anew go beyond its factor of 2 by 5 in 10,000."""
+    """Erratum 6: the displacement does not tell: 1.23 times, of which eight members leave 0.65 to 2.32 to chance."""
     assert ENSEMBLE.greater("l50", "q40", "radial_acceleration_rms_m_per_s2")
-    assert 0.6 < ENSEMBLE.mean("q40") / ENSEMBLE.mean("l50") < 2.0
+    assert 0.65 < ENSEMBLE.mean("q40") / ENSEMBLE.mean("l50") < 2.33
 
 
 @pytest.mark.parametrize("statistic", ["axial_peak_hz", "common_peak_hz"])
