@@ -12,6 +12,7 @@ from agents.publishing import confirm, stages, trees
 from agents.publishing.confirm import additions, confirm_results, first_difference, sampled
 from agents.publishing.stages import Stage
 from agents.publishing.trees import put_inputs, share_compiled
+from probe_env.kernel_cache import STAMP
 
 OLD = "0123456789abcdef"
 RECORD = {
@@ -73,9 +74,11 @@ def test_kernels_are_compiled_once_where_the_simulator_is_the_same(tmp_path, mon
         (folder / "kernel.py").write_text(text)
     compiled = Path("probe_env/physics/__pycache__/kernel.advance-1.py311.nbi")
     (tmp_path / "here" / compiled).parent.mkdir()
-    (tmp_path / "here" / compiled).write_bytes(b"code")
+    files = (compiled, compiled.with_name(STAMP))  # without the stamp they would be forgotten there
+    for file in files:
+        (tmp_path / "here" / file).write_bytes(b"code")
     share_compiled(tmp_path / "there")
-    assert (tmp_path / "there" / compiled).exists() is shared
+    assert all((tmp_path / "there" / file).exists() is shared for file in files)
 
 
 def test_a_sample_is_the_command_with_other_options():
