@@ -10,6 +10,7 @@ import sys
 from probe_env.envs.starts import WAY_BACK
 from probe_env.fidelity import BOTH_WAYS
 from probe_env.physics.methods import METHODS
+from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 
@@ -18,7 +19,10 @@ def compile_kernels() -> None:
     """Run a short scene with every method, and one of both passes with the method that they are simulated with."""
     for number, method in enumerate(METHODS.values(), start=1):
         print(f"kernels of {method.name} ({number} of {len(METHODS)})", file=sys.stderr)
-        Simulator(Scene(carrier_length=1.0), method.name, method.usual_step).run(1e-3)
+        short = Scene(carrier_length=1.0)
+        Simulator(short, method.name, method.usual_step).run(1e-3)
+        if method.alone_share < 1.0:  # then one probe has a kernel of its own
+            SimulatorBatch([short] * method.width, method.name, method.usual_step).advance(duration=1e-3)
     pressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
     Simulator(pressed, BOTH_WAYS["standard"].method, 1e-4).run(1e-3)
 

@@ -29,6 +29,7 @@ from probe_env.physics.state import at_rest
 
 NEWMARK_STEP, FAST_STEP = 1e-4, 2e-4
 IN_LANES = tuple(name for name, method in METHODS.items() if method.lanes and method.usual_step >= FAST_STEP)
+ALONE = ("imex", "superelement32")
 SCALING_NODES = (500, 1000, 2000, 5000, 10000, 20000)
 
 
@@ -101,7 +102,8 @@ def _fast(repeats: int) -> dict[str, dict[str, float]]:
     simulators = {
         name: Simulator(Scene(), time_step=NEWMARK_STEP, nodes_per_pitch=nodes) for name, nodes in kinds.items()
     }
-    simulators["imex, one probe"] = Simulator(Scene(), "imex", FAST_STEP)
+    for method in ALONE:
+        simulators[f"{method}, one probe"] = Simulator(Scene(), method, FAST_STEP)
     lanes = {f"{method}, {METHODS[method].width} lanes": method for method in IN_LANES}
     batches = {
         name: SimulatorBatch([Scene()] * METHODS[method].width, method, FAST_STEP, threads=1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,11 +43,13 @@ class LaneKernel:
         advance: the kernel, see ``imex.imex_advance``.
         factors: (k, 27) of a chain and a time step [s].
         precision: of the numbers in a lane.
+        alone_share: time that a probe by itself takes, of that of a full group.
     """
 
     advance: Callable[..., Any]
     factors: Callable[[Chain, float], FloatArray] | None
     precision: npt.DTypeLike
+    alone_share: float = field(default=1.0, kw_only=True)
 
     @property
     def width(self) -> int:

@@ -116,6 +116,27 @@ def any_less(typing_context: Any, a: Any, b: Any) -> Any:
     return types.boolean(a, a), code
 
 
+def _neighbours(first: int) -> Any:
+    """An intrinsic of two lanes values one after the other: as many lanes of both as one has, from ``first`` on."""
+
+    def neighbours(typing_context: Any, a: Any, b: Any) -> Any:
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            count = signature.args[0].count
+            start = first % count
+            picked = ir.Constant(ir.VectorType(ir.IntType(32), count), [start + lane for lane in range(count)])
+            return builder.shuffle_vector(*arguments, picked)
+
+        return a(a, a), code
+
+    return neighbours
+
+
+from_behind = intrinsic(_neighbours(-1))
+"""``from_behind(a, b)``: b moved one lane on; the first lane has the last of a."""
+from_ahead = intrinsic(_neighbours(1))
+"""``from_ahead(a, b)``: a moved one lane back; the last lane has the first of b."""
+
+
 def _arithmetic(symbol: Any, instruction: str) -> None:
     @intrinsic
     def vector_operation(typing_context: Any, a: Any, b: Any) -> Any:

@@ -67,6 +67,11 @@ class Method:
         """Probes side by side in a group."""
         return self.lanes.width if self.lanes else 1
 
+    @property
+    def alone_share(self) -> float:
+        """Time that a probe by itself takes, of that of a full group."""
+        return self.lanes.alone_share if self.lanes else 1.0
+
     def check_step(self, time_step: float) -> None:
         """Raise ValueError if a step [s] is so small that rounding shows."""
         if time_step < self.least_step:

@@ -172,10 +172,12 @@ class SimulatorBatch:
     def cost(self, duration: float) -> float:
         """Processor time [s] that ``duration`` [s] of all will take about, over all threads, see ``Simulator.cost``.
 
-        A group costs what its longest probe does.
+        A group costs what its longest probe does in full lanes.
         """
         groups = self._groups([k for k in range(len(self)) if not self.simulators[k].diverged])
-        return sum(max(self.simulators[k].cost(duration) for k in group) for group in groups)
+        alone = method_named(self.method).alone_share
+        longest = ((max(self.simulators[k].cost(duration) for k in group), len(group)) for group in groups)
+        return sum(cost if count == 1 else cost / alone for cost, count in longest)
 
     def replace(self, index: int, simulator: Simulator) -> None:
         """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
@@ -232,14 +234,22 @@ class SimulatorBatch:
         return self._window(signals, running, every, keep_samples)
 
     def _groups(self, running: list[int]) -> list[list[int]]:
-        """Probes that advance together: of a kind, about equally long, as many as the kernel has lanes."""
-        kernel = method_named(self.method).lanes
+        """Probes that advance together: of a kind, about equally long, as many as the kernel has lanes.
+
+        So few that each by itself takes less time do that.
+        """
+        method = method_named(self.method)
+        kernel = method.lanes
         kinds: dict[Hashable, list[int]] = {}
         for k in sorted(running, key=lambda k: self.simulators[k].root):
             kind = kernel.kind(self.simulators[k].lane_constants()[1]) if kernel else None
             kinds.setdefault(kind, []).append(k)
-        width = method_named(self.method).width
-        return [same[start : start + width] for same in kinds.values() for start in range(0, len(same), width)]
+        groups: list[list[int]] = []
+        for same in kinds.values():
+            for start in range(0, len(same), method.width):
+                group = same[start : start + method.width]
+                groups += [[k] for k in group] if len(group) * method.alone_share < 1.0 else [group]
+        return groups
 
     def _check_fits(self, k: int) -> None:
         simulator = self.simulators[k]

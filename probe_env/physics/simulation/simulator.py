@@ -202,12 +202,14 @@ class Simulator(Saved):
     def cost(self, duration: float) -> float:
         """Processor time [s] that ``duration`` [s] will take about, on the machine that measured the chart's costs.
 
-        One probe takes as long as a group that fills the lanes. A probe that grows is counted with the nodes that it
+        One probe takes as long as a group that fills the lanes, or the share of it that its method declares. A probe
+        that grows is counted with the nodes that it
         will have half-way, at the present feed speed.
         """
         growth = 0.5 * duration * self.drive.growth * self.drive.speed_target
         nodes = min(self.root + growth / self.chain.element_length, self.chain.node_count - 1)
-        step = pitch_step_seconds(self.method, self.nodes_per_pitch) * method_named(self.method).width
+        method = method_named(self.method)
+        step = pitch_step_seconds(self.method, self.nodes_per_pitch) * method.width * method.alone_share
         return float(nodes / self.nodes_per_pitch * duration / self.time_step * step)
 
     @property

@@ -13,8 +13,10 @@ import numpy as np
 from probe_env.physics.chain import build_chain
 from probe_env.physics.methods.method import lane_method
 from probe_env.physics.methods.stability import TABLE_2_DAMPING
-from probe_env.physics.methods.superelement.group import MEMORY, PieceKernel
+from probe_env.physics.methods.superelement.along import superelement_advance_along
+from probe_env.physics.methods.superelement.group import PieceKernel
 from probe_env.physics.methods.superelement.kernel import superelement_advance
+from probe_env.physics.methods.superelement.packing import MEMORY
 from probe_env.physics.methods.superelement.start import released
 from probe_env.physics.methods.superelement.tables import longest_step
 from probe_env.scene import Scene
@@ -38,9 +40,10 @@ def superelement_contact_step(scene: Scene, nodes_per_pitch: int) -> float:
     return longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, BREAKS)
 
 
+_kernel = partial(PieceKernel, superelement_advance, None, along=superelement_advance_along)
 _named = partial(
     lane_method, order=2, usual_step=2e-4, stable_step=superelement_step, contact_step=superelement_contact_step,
     memory=MEMORY, start=released, draws_back=False,
 )  # fmt: skip
-SUPERELEMENT = _named("superelement", PieceKernel(superelement_advance, None, np.float64))
-SUPERELEMENT32 = _named("superelement32", PieceKernel(superelement_advance, None, np.float32), least_step=5e-5)
+SUPERELEMENT = _named("superelement", _kernel(np.float64, alone_share=0.5))
+SUPERELEMENT32 = _named("superelement32", _kernel(np.float32, alone_share=0.33), least_step=5e-5)

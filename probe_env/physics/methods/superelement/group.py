@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
+from probe_env.physics.drive import APPEND
 from probe_env.physics.methods.lane_group import (
     CARRIER_DRAG,
     GUIDE_DRAG,
@@ -25,40 +26,32 @@ from probe_env.physics.methods.lane_group import (
     LaneKernel,
     lane_parameters,
 )  # fmt: skip
-from probe_env.physics.methods.superelement.pitch import ENDS
+from probe_env.physics.methods.superelement.along_root import LINKS, OWN
+from probe_env.physics.methods.superelement.packing import floats_of, in_blocks, pack, room, root_tables, unpack
 from probe_env.physics.methods.superelement.roots import (
     MODES,
-    PT,
-    PX,
-    VT,
-    VX,
     RootTables,
-    T,
-    V,
-    X,
     displacements,
     place_roots,
 )  # fmt: skip
-from probe_env.physics.methods.superelement.tables import CONSTANTS, FACTORS, LEAST, MOST, Tables, tables
-from probe_env.physics.state import State
-
-MOMENTUM = 3
-MEMORY = MOMENTUM + 4 * MOST
-"""Momentum, then q and p of the even and of the odd modes; rows of floats alone are in use."""
-
+from probe_env.physics.methods.superelement.tables import CONSTANTS, FACTORS, Tables, tables
 
 INSTEAD = "imex with 8 nodes a pitch simulates it"
-ROOMS = (LEAST, (3, 3), (MOST, MOST))
-"""Even and odd modes of which there is a kernel."""
 
 
 @dataclass(frozen=True)
 class PieceKernel(LaneKernel):
-    """What advances a group whose rows are floats with the piece of cable behind them."""
+    """What advances a group whose rows are floats with the piece of cable behind them.
+
+    Attributes:
+        along: the kernel of a probe alone, bit for bit the same.
+    """
+
+    along: Callable[..., Any] = field(kw_only=True)
 
     def kind(self, factors: Any) -> Hashable:
         """The kernel that has room for a probe's modes: compiled otherwise, it rounds otherwise."""
-        return _room(factors)
+        return room(factors)
 
     def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Any]:
         """Parameters and tables of a probe.
@@ -87,8 +80,10 @@ class PieceKernel(LaneKernel):
         tension_sum: FloatArray | None = None,
     ) -> tuple[list[int], float]:
         """See ``LaneKernel.run``."""
+        if len(lanes) == 1:
+            return self._run_alone(lanes[0], time_step, per_pitch, first_sample, sample_every, tension_sum)
         own: list[Tables] = [lane.factors for lane in lanes]
-        even, odd = _room(own[0])
+        even, odd = room(own[0])
         used, width, precision = len(lanes), self.width, self.precision
         fields, last = MODES + 2 * (even + odd), max(len(t.factors) for t in own) - 1
         entered = Entered.of(lanes, width, precision)
@@ -98,8 +93,8 @@ class PieceKernel(LaneKernel):
         rows = int(last_float[-1].max()) + 2
         state = np.zeros((rows, fields, width), dtype=precision)
         for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
-            _pack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
-        stacked = _root_tables(own, width, even, odd, last + 1)
+            pack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
+        stacked = root_tables(own, width, even, odd, last + 1)
         constants, factors, at = _placed(stacked, roots, rows, precision)
         samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
         tension = np.zeros((0 if tension_sum is None else rows, width))
@@ -112,13 +107,59 @@ class PieceKernel(LaneKernel):
         seconds = time.perf_counter() - begin
         for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
             lane.root = int(roots[k])
-            _unpack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
+            unpack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
             displacements(stacked, state.reshape(-1, width), fields, lane.root, k, lane.state.d)
             lane.samples[...] = samples[..., k]
         if tension_sum is not None:
             covered = min(rows * per_pitch, lanes[0].root, len(tension_sum))
             tension_sum[:covered] += np.repeat(tension[:, 0], per_pitch)[:covered]
         return entered.failed[:used].tolist(), seconds
+
+    def _run_alone(
+        self,
+        lane: Lane,
+        time_step: float,
+        per_pitch: int,
+        first_sample: int,
+        sample_every: int,
+        tension_sum: FloatArray | None,
+    ) -> tuple[list[int], float]:
+        """``run`` of one probe that has no company: its floats are in the lanes."""
+        table: Tables = lane.factors
+        (even, odd), width, precision = room(table), self.width, self.precision
+        fields = MODES + 2 * (even + odd)
+        last_float = (lane.root + int(lane.inputs[:, APPEND].sum()) - 1) // per_pitch
+        blocks = last_float // width + 2
+        rows = np.zeros((blocks * width, fields))
+        pack(rows, lane.state, lane.root, per_pitch, table, even)
+        state = in_blocks(rows, width, precision)
+        parameters = np.repeat(lane.parameters[:, None], width, axis=1).astype(precision)
+        stacked = root_tables([table], 1, even, odd, len(table.factors))
+        constants = np.zeros((2 * CONSTANTS, width), dtype=precision)
+        constants[:CONSTANTS] = stacked.pieces[0, -1][:, None]
+        settled = (len(table.factors) - 1) // width + 1  # first block whose floats share their factors
+        row = np.minimum(np.arange((settled + 1) * width), len(table.factors) - 1)
+        factors = np.zeros(((settled + 2) * OWN, width), dtype=precision)
+        factors[: (settled + 1) * OWN] = in_blocks(table.factors[row, :OWN], width, precision)
+        links = np.zeros((len(table.factors) + 1, LINKS), dtype=precision)
+        links[:-1] = table.factors[:, OWN:]
+        samples, tension = np.zeros(lane.samples.shape), np.zeros(0 if tension_sum is None else len(rows))
+        floats = in_blocks(floats_of(lane.parameters, table, len(rows)), width, precision)
+        begin = time.perf_counter()
+        failed, lane.root = self.along(
+            parameters, constants, factors, links, floats, (0,) * even, (0,) * odd, state,
+            lane.inputs.astype(precision), lane.root, time_step, stacked, np.zeros((2 * fields, 1), dtype=precision),
+            first_sample, sample_every, lane.points, samples, tension,
+        )  # fmt: skip
+        seconds = time.perf_counter() - begin
+        after = state.reshape(blocks, fields, width).transpose(0, 2, 1).reshape(-1, fields)
+        unpack(after, lane.state, lane.root, per_pitch, table, even)
+        displacements(stacked, after.reshape(-1, 1), fields, lane.root, 0, lane.state.d)
+        lane.samples[...] = samples
+        if tension_sum is not None:
+            covered = min(len(rows) * per_pitch, lane.root, len(tension_sum))
+            tension_sum[:covered] += np.repeat(tension, per_pitch)[:covered]
+        return [failed], seconds
 
 
 def _placed(
@@ -133,58 +174,3 @@ def _placed(
     at = np.zeros(rows, dtype=np.int64)
     place_roots(stacked, constants, factors, at, last, roots)
     return constants, factors, at
-
-
-def _room(table: Tables) -> tuple[int, int]:
-    """Least of ``ROOMS`` that holds a probe's even and odd modes."""
-    return next(room for room in ROOMS if table.even <= room[0] and table.odd <= room[1])
-
-
-def _modes(table: Tables, even: int) -> list[tuple[int, int]]:
-    """Where a probe's modes are: column of the memory and field of q; p follows."""
-    evens = [(MOMENTUM + 2 * j, MODES + 2 * j) for j in range(table.even)]
-    return evens + [(MOMENTUM + 2 * (table.even + j), MODES + 2 * (even + j)) for j in range(table.odd)]
-
-
-def _pack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
-    count = (root - 1) // per_pitch + 1
-    floats = slice(0, root, per_pitch)
-    rows[:count, X : T + 1] = state.d[floats]
-    rows[:count, VX : VT + 1] = state.v[floats]
-    rows[:count, V] = state.axial_force[floats]
-    memory = state.memory[floats]
-    rows[:count, PX : PT + 1] = memory[:, :3]
-    for column, field in _modes(table, even):
-        rows[:count, field : field + 2] = memory[:, column : column + 2]
-
-
-def _unpack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
-    """``_pack`` backwards; the axial force is that of the piece at all its places."""
-    count = (root - 1) // per_pitch + 1
-    floats = slice(0, root, per_pitch)
-    state.d[floats], state.v[floats] = rows[:count, X : T + 1], rows[:count, VX : VT + 1]
-    state.axial_force[:root] = np.repeat(rows[:count, V], per_pitch)[:root]
-    memory = state.memory[floats]
-    memory[:, :3] = rows[:count, PX : PT + 1]
-    for column, field in _modes(table, even):
-        memory[:, column : column + 2] = rows[:count, field : field + 2]
-
-
-def _root_tables(own: Sequence[Tables], width: int, even: int, odd: int, rows: int) -> RootTables:
-    """Tables side by side, those with fewer modes or rows of factors than the group filled up."""
-    modes, places = even + odd, len(own[0].root_factors)
-    size = ENDS + 2 * modes
-    stacked = RootTables(
-        np.zeros((width, places + 1, CONSTANTS)), np.zeros((width, rows, FACTORS)),
-        np.zeros((width, places, rows, FACTORS)), np.zeros((width, places, size, size)),
-        np.zeros((width, places, places, 3, ENDS + modes)), np.zeros(size), np.zeros(size),
-    )  # fmt: skip
-    for k, table in enumerate(own):
-        stacked.pieces[k] = table.pieces
-        row = np.minimum(np.arange(rows), len(table.factors) - 1)
-        stacked.factors[k], stacked.root_factors[k] = table.factors[row], table.root_factors[:, row]
-        mode = np.r_[: table.even, even : even + table.odd]
-        kept = np.r_[:ENDS, ENDS + mode, ENDS + modes + mode]
-        stacked.growth[k][:, kept[:, None], kept] = table.growth
-        stacked.shape[k][..., np.r_[:ENDS, ENDS + mode]] = table.shape
-    return stacked

@@ -7,7 +7,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.physics.chain import Chain
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.superelement.group import MEMORY, MOMENTUM
+from probe_env.physics.methods.superelement.packing import MEMORY, MOMENTUM
 from probe_env.physics.methods.superelement.pitch import ENDS, MIRROR
 from probe_env.physics.methods.superelement.tables import K_EVEN, K_ODD, tables
 from probe_env.physics.state import State, at_rest

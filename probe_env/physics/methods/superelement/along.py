@@ -1,0 +1,207 @@
+"""The superelement's step of one probe: neighbouring floats in the lanes, bit for bit what ``kernel.py`` gives.
+
+A group of probes costs what its lanes do, full or not. Here the lanes are as many floats in a row of one probe: what a
+float and its piece do by themselves is done for a block of them at once, and only the two sweeps through the chain,
+u_i = E_i r_i - F_i u_{i-1} and v_i = u_i - U_i v_{i+1}, go from float to float. Every number is made by the same
+functions from the same numbers.
+
+Field f of float i lies in row (i // lanes) fields + f of the state, lane i % lanes.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.physics.methods.factors import linear_weights
+from probe_env.physics.methods.imex.forces import loaded_wall, magnitude
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION
+from probe_env.physics.methods.lanes import from_ahead, from_behind, load, splat, store, where_less
+from probe_env.physics.methods.superelement.along_root import OWN, bring, place_root, sample, take_back
+from probe_env.physics.methods.superelement.roots import MODES, VT, VX, VY, V, X, Y, grow
+from probe_env.physics.methods.superelement.step import (
+    axial_force,
+    float_kick,
+    middle_of,
+    momentum_kick,
+    move_float,
+    piece_forces,
+    root_force,
+    symmetric,
+)
+from probe_env.physics.methods.superelement.tables import CONSTANTS
+from probe_env.physics.state import DIVERGED_RADIAL
+
+LEVER, GAP, DRAG, BEHIND = range(4)
+FLOATS = 4
+"""Of a float: its lever, gap and drag, and half the mass of the piece behind it."""
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def three(state, q):
+    """Three fields in a row."""
+    return load(state, q), load(state, q + 1), load(state, q + 2)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def all_from_behind(a, b):
+    """``from_behind`` of the nine figures that a piece gives the float ahead."""
+    return (
+        from_behind(a[0], b[0]), from_behind(a[1], b[1]), from_behind(a[2], b[2]),
+        from_behind(a[3], b[3]), from_behind(a[4], b[4]), from_behind(a[5], b[5]),
+        from_behind(a[6], b[6]), from_behind(a[7], b[7]), from_behind(a[8], b[8]),
+    )  # fmt: skip
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def all_from_ahead(a, b):
+    """``from_ahead`` of x, y and theta."""
+    return from_ahead(a[0], b[0]), from_ahead(a[1], b[1]), from_ahead(a[2], b[2])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def link(a, b, c, links, row, f, x, y, t):
+    """``less_product`` of one float."""
+    return (
+        ((a - links[row, f + 2] * t) - links[row, f + 1] * y) - links[row, f] * x,
+        ((b - links[row, f + 5] * t) - links[row, f + 4] * y) - links[row, f + 3] * x,
+        ((c - links[row, f + 8] * t) - links[row, f + 7] * y) - links[row, f + 6] * x,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def superelement_advance_along(
+    parameters,
+    constants,
+    factors,
+    links,
+    floats,
+    evens,
+    odds,
+    state,
+    inputs,
+    root,
+    dt,
+    tables,
+    near,
+    first,
+    every,
+    points,
+    samples,
+    tension,
+):
+    """Steps of one probe that is held at ``root``; see ``kernel.superelement_advance``.
+
+    Args:
+        parameters: (24, lanes) of the probe, the same in all lanes.
+        constants: (2 CONSTANTS, lanes) of a pitch, and of the block with the root.
+        factors: ((blocks + 1) OWN, lanes) E of the floats; one block serves all beyond; then that of the root's block.
+        links: (k + 1, LINKS) F and U of the floats, the last but one serves all beyond, the last is the root's.
+        floats: (blocks FLOATS, lanes).
+        evens: as long as there are even modes.
+        odds: as long as there are odd ones.
+        state: (blocks fields, lanes) with a block at rest beyond the last one.
+        inputs: (steps, 4), see drive.py.
+        root: node that is held.
+        dt: [s].
+        tables: of the probe alone.
+        near: (2 fields, 1) scratch: two floats and their pieces.
+        first: steps until the first sample.
+        every: steps between samples.
+        points: (p,), -1 for the root.
+        samples: (k, p, 4).
+        tension: (rows,), unless empty, gains the axial force of the pieces.
+
+    Returns:
+        the step at which it diverged, from 1, or 0; the node that is held.
+    """
+    zero = splat(parameters, 0.0)
+    rest = links[0, 0] - links[0, 0]
+    lag = linear_weights(float(parameters[DAMPING, 0]), dt)[1]
+    lanes, fields = state.shape[1], MODES + 2 * (len(evens) + len(odds))
+    beyond, places = len(factors) // OWN - 2, tables.pieces.shape[1] - 1
+    theta, tau = linear_weights(load(parameters, DAMPING), dt)
+    before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
+    curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
+    wall = loaded_wall(parameters)
+    row, due, held = 0, first, len(links) - 1
+    place_root(tables, constants, factors, links, root)
+    for step in range(len(inputs)):
+        speed, slope = splat(parameters, inputs[step, SPEED]), splat(parameters, inputs[step, SLOPE])
+        air = splat(parameters, inputs[step, AIR])
+        top, peak = (root - 1) // places, zero
+        last = top // lanes
+        ux = uy = ut = rest
+        behind = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
+        here = three(state, X)
+        for b in range(last + 1):
+            q, c = b * fields, CONSTANTS if b == last else 0
+            f = (beyond + 1 if b == last else min(b, beyond)) * OWN
+            further = three(state, q + fields + X)
+            ahead = all_from_ahead(here, further)
+            own = load(floats, b * FLOATS + LEVER), load(floats, b * FLOATS + GAP), load(floats, b * FLOATS + DRAG)
+            half = load(floats, b * FLOATS + BEHIND)
+            kick = float_kick(constants, c, state, q, own, wall, curvature, half, speed, slope, air, here[1])
+            height = magnitude(here[1])
+            peak = where_less(peak, height, height, peak)
+            done, carried = piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt)
+            nearer = all_from_behind(behind, carried)
+            rx, ry, rt = momentum_kick(state, q, kick, done, nearer, dt, before, now, weight)
+            rx, ry, rt = symmetric(factors, f, rx, ry, rt)
+            store(state, q + VX, rx)
+            store(state, q + VY, ry)
+            store(state, q + VT, rt)
+            for lane in range(min(lanes, top + 1 - b * lanes)):
+                i = b * lanes + lane
+                r = held if i == top else min(i, held - 1)
+                ux, uy, ut = link(
+                    state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], links, r, 0, ux, uy, ut
+                )
+                state[q + VX, lane], state[q + VY, lane], state[q + VT, lane] = ux, uy, ut
+            behind, here = carried, further
+        q = last * fields
+        for lane in range(top + 1 - last * lanes, lanes):  # beyond the root nothing moves
+            state[q + VX, lane], state[q + VY, lane], state[q + VT, lane] = 0.0, 0.0, 0.0
+        ux = uy = ut = rest
+        velocity = middle = (zero, zero, zero)  # of the block ahead: v_m, d_before + tau v_m
+        for back in range(last + 1):
+            b = last - back
+            q = b * fields
+            for up in range(max(0, (b + 1) * lanes - 1 - top), lanes):
+                lane = lanes - 1 - up
+                i = b * lanes + lane
+                r = held if i == top else min(i, held - 1)
+                ux, uy, ut = link(
+                    state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], links, r, 9, ux, uy, ut
+                )
+                state[q + VX, lane], state[q + VY, lane], state[q + VT, lane] = ux, uy, ut
+            moved = three(state, q + VX)
+            ux, uy, ut = state[q + VX, 0], state[q + VY, 0], state[q + VT, 0]
+            half_way = middle_of(state, q, moved, tau)
+            velocity, middle = all_from_ahead(moved, velocity), all_from_ahead(half_way, middle)
+            c = CONSTANTS if b == last else 0
+            axial, more = axial_force(constants, c, evens, odds, state, q, moved, velocity, half_way, middle, dt, tau)
+            if b == last:
+                axial = axial + more + root_force(constants, c, half_way, middle)
+            store(state, q + V, axial)
+            move_float(state, q, moved, dt)
+            velocity, middle = moved, half_way
+        due -= 1
+        store(parameters, PEAK, peak)
+        highest = 0.0
+        for lane in range(lanes):
+            highest = max(highest, parameters[PEAK, lane])
+        if not (abs(state[Y, 0]) <= DIVERGED_RADIAL and highest <= DIVERGED_RADIAL):
+            return step + 1, root
+        if due == 0:
+            sample(tables, state, fields, root, near, points, samples[row])
+            for i in range(min(len(tension), top + 1)):
+                tension[i] += state[(i // lanes) * fields + V, i % lanes]
+            due, row = every, row + 1
+        if inputs[step, APPEND] > 0.0:
+            bring(state, fields, top, near)
+            grow(tables, near, fields, root - top * places, 0, lag)
+            take_back(state, fields, top, near)
+            root += 1
+            place_root(tables, constants, factors, links, root)
+    return 0, root
