@@ -57,7 +57,9 @@ def run_groups(
 
 
 def _stored(file: Path, fidelity: str, columns: Columns) -> pd.DataFrame:
-    table = read_csv(file, {FIDELITY: "text", COMMIT: "text", **columns})
+    table = read_csv(file, {FIDELITY: "text", **columns}, newer={COMMIT: "text"})
+    if COMMIT not in table:  # begun when rows did not know theirs
+        table[COMMIT] = ""
     others = sorted(set(table[FIDELITY]) - {fidelity})
     if others:
         raise FileError(file, f"is of fidelity = {', '.join(others)!r}, not {fidelity!r}: choose another folder")

@@ -40,7 +40,7 @@ def signals(batch, windows=2):
     return [np.concatenate([getattr(part, name) for part in parts]) for name in ("axial", "radial", "tension")]
 
 
-@pytest.fixture(scope="module", params=["imex", "imex32"])
+@pytest.fixture(scope="module", params=["imex", "imex32", "superelement", "superelement32"])
 def single(request):
     """Method, and the samples of every scene run on its own by Simulator."""
     results = []

@@ -1,0 +1,69 @@
+"""A probe alone, with its floats in the lanes, is bit for bit the probe that has company."""
+
+import numpy as np
+import pytest
+
+from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
+from probe_env.physics.methods import METHODS
+from probe_env.physics.methods.lane_group import Lane
+
+LENGTHS = (0.4, 0.8, 1.3, 7.0)
+"""Carrier cable [m] behind 0.5 m of guide: fewer floats than lanes, and some blocks of them."""
+
+
+def lane_of(simulator, steps, rows, points):
+    state = type(simulator.state)(*(values.copy() for values in simulator.state))
+    inputs = simulator.inputs_of_steps(steps)
+    return Lane(*simulator.lane_constants(), state, simulator.root, points, inputs, np.zeros((rows, len(points), 4)))
+
+
+def both_ways(scene, method, time_step, steps, **options):
+    """What a kernel gives of a probe by itself, and of the same probe in the midst of two others."""
+    kernel, results = METHODS[method].lanes, []
+    longer = scene.model_copy(update={"carrier_length": scene.carrier_length + 1.2})
+    for company in ((), (longer, longer)):
+        members = [Simulator(s, method, time_step, seed=3, perturbation=1e-6, **options) for s in (scene, *company)]
+        points = np.array([0, members[0].sensor, members[0].sensor + 2, members[0].root - 1, -1], dtype=np.int64)
+        lanes = [lane_of(member, steps, steps // 5, points) for member in members]
+        tension = np.zeros(members[0].chain.node_count)
+        failed, _ = kernel.run(lanes, time_step, 4, 5, 5, tension)
+        results.append((failed[0], lanes[0].root, lanes[0].samples, tension, *lanes[0].state))
+    return results
+
+
+@pytest.mark.processor
+@pytest.mark.parametrize("stiffness", [1e5, 2.5e5])  # modes: two and one, three and three
+@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("method", ["superelement", "superelement32"])
+def test_it_is_the_probe_that_has_company(method, length, stiffness):
+    """Held, and fed in over floats and blocks of them: state, samples at and between floats, sums of tension."""
+    scene = Scene(
+        carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5}, contact={"stiffness": stiffness}
+    )
+    for options in ({}, {"growing": True, "time_lapse": 40.0}):
+        alone, beside = both_ways(scene, method, 1e-4, 1500, **options)
+        assert alone[0] == beside[0] == 0
+        assert alone[1] == beside[1]
+        for own, other in zip(alone[2:], beside[2:], strict=True):
+            assert np.abs(own).max() > 0.0
+            assert (own == other).all()
+    places = Simulator(scene, method, 1e-4).root
+    assert alone[1] > places + 8 * 4  # the root has gone beyond the lanes of a block
+
+
+@pytest.mark.parametrize("method", ["superelement", "superelement32"])
+def test_it_diverges_in_the_same_step(method):
+    scene = Scene(carrier_length=3.0)
+    with pytest.warns(StabilityWarning):
+        alone, beside = both_ways(scene, method, 4e-4, 4000)
+    assert alone[0] == beside[0] > 0
+
+
+def test_so_few_run_alone_that_each_takes_less_time():
+    """And cost what they do: of ten probes a group and two alone, in double precision two groups and two together."""
+    for method, grouped in (("superelement32", [8, 1, 1]), ("superelement", [4, 4, 2]), ("imex32", [8, 2])):
+        batch = SimulatorBatch([Scene(carrier_length=5.0)] * 10, method)
+        assert [len(group) for group in batch._groups(list(range(10)))] == grouped
+        share, own = METHODS[method].alone_share, batch.simulators[0].cost(1.0)
+        whole = sum(count > 1 for count in grouped)
+        assert batch.cost(1.0) == pytest.approx(own * (grouped.count(1) + whole / share))
