@@ -88,7 +88,9 @@ def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
         for k in range(count)
     ]  # fmt: skip
     results, plain, calls = [], METHODS[method], []
-    fenced = replace(plain, lanes=replace(plain.lanes, advance=guarded(plain.lanes.advance, calls)))
+    kernels = [name for name in ("advance", "along") if hasattr(plain.lanes, name)]
+    fences = {name: guarded(getattr(plain.lanes, name), calls) for name in kernels}
+    fenced = replace(plain, lanes=replace(plain.lanes, **fences))
     for kind in (fenced, plain):  # the guarded first: it names what it finds
         monkeypatch.setitem(METHODS, method, kind)
         batch = SimulatorBatch(scenes, method, step, growing=True, time_lapse=1000.0, perturbation=1e-6, threads=1)

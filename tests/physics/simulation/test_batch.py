@@ -133,7 +133,8 @@ def test_statistics_of_consecutive_windows_join_their_differences():
 
 def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
     method, expected = single
-    broken = SCENES[0].model_copy(update={"contact": {"stiffness": 5e6}})  # far too stiff for 2e-4 s
+    stiffness = 5e5 if "superelement" in method else 5e6  # far too stiff for 2e-4 s
+    broken = SCENES[0].model_copy(update={"contact": {"stiffness": stiffness}})
     with pytest.warns(UserWarning, match="beyond the known stable limit"):
         batch = SimulatorBatch([SCENES[3], broken, SCENES[0]], method, seeds=(3, 9, 0), **OPTIONS)
     parts = [batch.advance(0.3, 0.02, 0.2, keep_samples=True) for _ in range(2)]
