@@ -17,9 +17,8 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -38,7 +37,6 @@ from agents.records.provenance import (
 )
 from agents.terminal.tables import print_table
 
-NO_NAMES: Final[Mapping[str, str]] = MappingProxyType({})
 COMPARED: Final = (".csv", ".npz", ".toml")
 
 
@@ -110,7 +108,7 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> st
     put_inputs(stage, tree)  # what the results were made from may have been published after the commit
     _run(stage, record["command"], tree, folders["before"])
     _run(stage, stage.command, CHECKOUT, folders["now"])
-    difference = first_difference(folders["before"], folders["now"], stage.renamed)
+    difference = first_difference(folders["before"], folders["now"])
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
     for line in additions(*folders.values()):
@@ -174,22 +172,19 @@ def _run(stage: Stage, command: str, tree: Path, folder: Path) -> None:
         )
 
 
-def first_difference(before: Path, now: Path, renamed: Mapping[str, str] = NO_NAMES) -> str:
-    """What differs between the results in two folders; empty if nothing does.
-
-    ``renamed`` are columns that have got another name since, old -> new.
-    """
+def first_difference(before: Path, now: Path) -> str:
+    """What differs between the results in two folders; empty if nothing does."""
     names = [sorted(str(p.relative_to(f)) for p in f.rglob("*") if p.suffix in COMPARED) for f in (before, now)]
     if not names[0]:
         return f"{before} holds nothing to compare"
     if names[0] != names[1]:
         return f"the files differ: {', '.join(sorted(set(names[0]) ^ set(names[1])))}"
-    return next((f"{name} differs" for name in names[0] if not _equal(before / name, now / name, renamed)), "")
+    return next((f"{name} differs" for name in names[0] if not _equal(before / name, now / name)), "")
 
 
-def _equal(one: Path, other: Path, renamed: Mapping[str, str]) -> bool:
+def _equal(one: Path, other: Path) -> bool:
     if one.suffix == ".csv":
-        left, right = (_rows(path, renamed).drop(columns=list(APART), errors="ignore") for path in (one, other))
+        left, right = (_rows(path).drop(columns=list(APART), errors="ignore") for path in (one, other))
         return _holds(right, left)
     if one.suffix == ".npz":
         with np.load(one) as left, np.load(other) as right:
@@ -218,11 +213,9 @@ def additions(before: Path, now: Path) -> list[str]:
     return lines
 
 
-def _rows(path: Path, renamed: Mapping[str, str] = NO_NAMES) -> pd.DataFrame:
+def _rows(path: Path) -> pd.DataFrame:
     """A table as text; the rows of a store stand in the order in which they ended, so they are sorted."""
     table = texts(path)
-    if set(renamed) <= set(table.columns):
-        table = table.rename(columns=dict(renamed))
     if "code" in table:
         table = table.sort_values([name for name in table.columns if name not in APART], ignore_index=True)
     return table

@@ -61,7 +61,6 @@ class Stage(Model):
         reads: patterns of files that the results depend on.
         script: makes a sample where no option of the command does; called with a folder, by both codes.
         sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``.
-        renamed: columns that have got another name, old -> new: tables that have all the old names are compared so.
         minutes: that it takes on two cores, before it has been measured here.
     """
 
@@ -74,7 +73,6 @@ class Stage(Model):
     reads: tuple[str, ...] = ()
     script: str = ""
     sample: dict[str, str] = Field(default_factory=dict)
-    renamed: dict[str, str] = Field(default_factory=dict)
     minutes: Annotated[float, Field(gt=0.0)]
 
     def state(self) -> dict[str, str]:

@@ -56,15 +56,6 @@ def test_what_is_written_besides_is_told(tmp_path):
     assert first_difference(other, one) == "table.csv differs"  # what is lost is a difference
 
 
-def test_columns_that_have_got_another_name_are_compared_by_the_new_one(tmp_path):
-    """Also where an old name is the new one of another column; a table without the old names is as it is."""
-    before, now = folder(tmp_path / "before", "t,root_t\n1,2\n"), folder(tmp_path / "now", "sensor_t,t\n1,2\n")
-    names = {"t": "sensor_t", "root_t": "t"}
-    assert first_difference(before, now) == "table.csv differs"
-    assert first_difference(before, now, names) == first_difference(now, now, names) == ""
-    assert first_difference(before, folder(tmp_path / "other", "sensor_t,t\n2,1\n"), names) == "table.csv differs"
-
-
 def test_a_file_that_is_not_there_is_a_difference(tmp_path):
     one, other = folder(tmp_path / "before"), folder(tmp_path / "now")
     (other / "map.npz").unlink()
