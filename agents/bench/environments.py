@@ -28,7 +28,8 @@ def bench_environments() -> dict[str, Any]:
     return {
         "steps_per_second": _steps_per_second(),
         "share_outside_kernel": _share_outside_kernel(),
-        "episode_s_per_probe": {name: _episode(name) for name in ("standard", "fast")},
+        "episode_s_per_probe": {name: _episode(name, EPISODE_PROBES) for name in ("standard", "fast")},
+        "episode_s_alone": {name: _episode(name, 1) for name in ("standard", "fast")},
         "carrier_length_m": LENGTH,
     }
 
@@ -82,16 +83,16 @@ def _share_outside_kernel() -> float:
     return 1.0 - (batch.kernel_seconds - inside) / total
 
 
-def _episode(fidelity: str) -> float:
-    """Wall time [s] of a whole insertion at 0.2 m/s and 63 m3/h, per probe, in a batch of 16 on all cores."""
+def _episode(fidelity: str, count: int) -> float:
+    """Wall time [s] of a whole insertion at 0.2 m/s and 63 m3/h, per probe, in a batch of ``count`` on all cores."""
     config = TaskConfig()
-    episodes = Episodes(EPISODE_PROBES, config, fidelity=fidelity)
-    rngs = {k: np.random.default_rng(k) for k in range(EPISODE_PROBES)}
+    episodes = Episodes(count, config, fidelity=fidelity)
+    rngs = {k: np.random.default_rng(k) for k in range(count)}
     start = time.perf_counter()
-    episodes.reset(range(EPISODE_PROBES), rngs)
-    action = np.tile(config.action(0.2, 63.0 / 3600.0), (EPISODE_PROBES, 1))
-    with tqdm(total=275, desc=f"episode, {fidelity}", unit="s") as bar:
+    episodes.reset(range(count), rngs)
+    action = np.tile(config.action(0.2, 63.0 / 3600.0), (count, 1))
+    with tqdm(total=275, desc=f"episode, {fidelity}, {count}", unit="s") as bar:
         while episodes.running.any():
             episodes.step(action, episodes.running.copy())
             bar.update()
-    return (time.perf_counter() - start) / EPISODE_PROBES
+    return (time.perf_counter() - start) / count

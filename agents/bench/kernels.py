@@ -29,7 +29,7 @@ from probe_env.physics.state import at_rest
 
 NEWMARK_STEP, FAST_STEP = 1e-4, 2e-4
 IN_LANES = tuple(name for name, method in METHODS.items() if method.lanes and method.usual_step >= FAST_STEP)
-ALONE = ("imex", "superelement32")
+ALONE = ("imex", "superelement", "superelement32")
 SCALING_NODES = (500, 1000, 2000, 5000, 10000, 20000)
 
 
@@ -208,7 +208,8 @@ def _print(results: dict[str, Any]) -> None:
     print_table(title, ("kind, environments", "steps/s", "times the single one"), rows)
     print(f"share of a step outside the kernel, batch of 16: {100.0 * environments['share_outside_kernel']:.1f} %")
     for name, seconds in environments["episode_s_per_probe"].items():
-        print(f"an episode of fidelity {name}, batch of 16, all cores: {seconds:.2f} s a probe")
+        alone = environments["episode_s_alone"][name]
+        print(f"an episode of fidelity {name}: batch of 16, all cores {seconds:.2f} s a probe; alone {alone:.2f} s")
     scaling = results["scaling"]
     costs = ", ".join(f"{cost:.0f}" for cost in scaling["ns_per_node_step"])
     span = f"{SCALING_NODES[0]} to {SCALING_NODES[-1]} nodes"

@@ -102,14 +102,14 @@ def environments() -> str:
     path = RESULTS / "bench" / "bench.json"
     results = read_json(path, Record).model_dump()
     rows = results["environments"]
-    rates, episode = rows["steps_per_second"], rows["episode_s_per_probe"]
+    rates, episode, alone = rows["steps_per_second"], rows["episode_s_per_probe"], rows["episode_s_alone"]
     lines = ["| environments | steps/s | times the single one |", "|---|---|---|"]
     lines += [f"| {name} | {rate:.0f} | {rate / rates['single']:.1f} |" for name, rate in rates.items()]
     note = (
         f"Steps of 0.1 s of `Snapshot-v1` with {rows['carrier_length_m']:g} m of carrier cable. Outside the kernel a"
         f" batch of 16 spends {100.0 * rows['share_outside_kernel']:.0f} % of its time. A whole `Insertion-v1` episode"
         f" at 0.2 m/s costs {episode['standard']:.1f} s a probe with `standard`, {episode['fast']:.1f} s with `fast`"
-        " (batch of 16, all cores)."
+        f" (batch of 16, all cores); alone {alone['standard']:.1f} s and {alone['fast']:.1f} s."
     )
     return "\n".join(lines) + f"\n\n{note} {source(path)}"
 

@@ -18,7 +18,7 @@ import pandas as pd
 
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
-from agents.study.cases import DURATION, PERTURBATION, sensor_statistics
+from agents.study.cases import DURATION, PERTURBATION
 from agents.study.members import KEYS, load_members, run_members
 from agents.study.spectra import SHOWN, densities, highest_peak
 from probe_env import Run, Scene, SimulationError, Simulator, StabilityWarning
@@ -137,8 +137,8 @@ def run_trip(trip: Trip, scenes: Path, member: int, duration: float) -> dict[str
         run = simulator.advance(duration=duration - before, points=("sensor", "root"))
     except SimulationError as error:
         return row | {"diverged_at_s": error.time}
-    row |= sensor_statistics(run, 0.0)
-    row["tension_mean_n"] = point_statistics(run, "root", 0.0)["tension_mean_n"]
+    row |= point_statistics(run, "sensor", 0.0)
+    row["root_tension_mean_n"] = point_statistics(run, "root", 0.0)["tension_mean_n"]
     row["tension_error"] = _tension_error(run, scene)
     for name, signal in (("axial", run.axial[:, 0]), ("radial", run.radial[:, 0])):
         row[f"{name}_highest_hz"], row[f"{name}_highest_m"] = highest_peak(signal, run.sample_period)

@@ -115,7 +115,7 @@ def _tensions(e: Ensemble, paired: list[Trip], scenes: Path) -> Iterator[Finding
             fast = _tension_error(e, [trip for trip in steady if trip.feed > USUAL_FEED])
             shown = [trip for trip in steady if trip == Trip(probe, "back", trip.carrier_length)]
             roots = "; ".join(
-                f"{trip.carrier_length} m {e.mean(trip.name, 'tension_mean_n'):.2f}"
+                f"{trip.carrier_length} m {e.mean(trip.name, 'root_tension_mean_n'):.2f}"
                 f" against {steady_root_tension(trip.scene(scenes)):.2f} N"
                 for trip in shown
             )

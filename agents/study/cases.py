@@ -15,7 +15,7 @@ import pandas as pd
 from agents.records.code_hash import code_hash
 from agents.records.store import Store
 from agents.study.members import KEYS, load_members, run_members
-from probe_env import Run, Scene, SimulationError, Simulator, StabilityWarning
+from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.physics.signals import point_statistics
 
 PERTURBATION = 1e-7  # [m]; a float rests a few micrometres deep in its contact spring
@@ -88,16 +88,10 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
     except SimulationError as error:
         return row | {"diverged_at_s": error.time}
     start = duration * (2.0 / 3.0 if case.settles else 0.25)
-    row |= sensor_statistics(run, start)
+    row |= point_statistics(run, "sensor", start)
     row["tip_radial_max_m"] = float(run.radial[:, run.column("tip")].max())  # the start's swing included
-    row["tension_mean_n"] = point_statistics(run, "root", start)["tension_mean_n"]
+    row["root_tension_mean_n"] = point_statistics(run, "root", start)["tension_mean_n"]
     return row
-
-
-def sensor_statistics(run: Run, start: float) -> dict[str, float]:
-    """``point_statistics`` of the sensor; tension without a place is the root's, here as everywhere."""
-    felt = point_statistics(run, "sensor", start)
-    return {f"sensor_{name}" if name.startswith("tension_") else name: value for name, value in felt.items()}
 
 
 def run_study(

@@ -168,7 +168,7 @@ def _ours(e: Ensemble) -> Iterator[Finding]:
 def _walls_and_tension(e: Ensemble, scenes: Path) -> Iterator[Finding]:
     cases = [name for name in ("l30", "l50") if e.has(name)]
     if cases:
-        mean = [e.mean(name, "tension_mean_n") for name in cases]
+        mean = [e.mean(name, "root_tension_mean_n") for name in cases]
         exact = [steady_root_tension(Scene.from_toml(scenes / f"fig11_{name}.toml")) for name in cases]
         rows = zip(cases, mean, exact, strict=True)
         result = "; ".join(f"{name[1:]} m: {ours:.2f} against {closed:.2f} N" for name, ours, closed in rows)

@@ -12,7 +12,6 @@ from tqdm import tqdm
 
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.study import figures
-from agents.study.cases import sensor_statistics
 from agents.terminal.tables import print_table
 from probe_env import Run, Simulator
 from probe_env.physics.signals import dominant_frequencies, point_statistics
@@ -67,9 +66,10 @@ def simulate_scene(
             bar.update(time - bar.n)
 
         run = simulator.run(duration, points=("sensor", "tip", "root"), snapshots=snapshots, progress=show)
+    statistics = point_statistics(run, "sensor", statistics_from)
     root = point_statistics(run, "root", statistics_from)
-    tension = {name: root[name] for name in ("tension_mean_n", "tension_rms_n")}
-    statistics = sensor_statistics(run, statistics_from) | tension
+    statistics["root_tension_mean_n"] = root["tension_mean_n"]
+    statistics["root_tension_rms_n"] = root["tension_rms_n"]
     _store(simulator, run, statistics, statistics_from, output, name)
     return statistics
 
@@ -128,6 +128,6 @@ def _store(simulator: Simulator, run: Run, statistics: dict[str, float], start: 
 def print_statistics(statistics: dict[str, float], title: str) -> None:
     """The sensor's statistics as a table."""
     rows = [(label, f"{statistics[key] * factor:.4g}", unit) for label, key, factor, unit in ROWS]
-    rows.append(("root tension, mean", f"{statistics['tension_mean_n']:.4g}", "N"))
-    rows.append(("root tension, rms", f"{statistics['tension_rms_n']:.4g}", "N"))
+    rows.append(("root tension, mean", f"{statistics['root_tension_mean_n']:.4g}", "N"))
+    rows.append(("root tension, rms", f"{statistics['root_tension_rms_n']:.4g}", "N"))
     print_table(title, ("at the sensor", "value", "unit"), rows)

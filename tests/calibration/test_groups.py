@@ -2,6 +2,7 @@
 
 import os
 
+import pandas as pd
 import pytest
 
 from agents.calibration.simulated.groups import run_groups
@@ -34,6 +35,16 @@ def test_what_was_interrupted_goes_on(tmp_path):
     assert table["reward"].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
     assert set(table["fidelity"]) == {"fast"}
     assert set(table["commit"]) == {commit()}
+
+
+def test_groups_of_before_rows_knew_their_commit_go_on(tmp_path):
+    run(tmp_path, count=2)
+    first = tmp_path / "group-0.csv"
+    older = pd.read_csv(first).drop(columns="commit")
+    first.write_text(older.to_csv(index=False))
+    table = run(tmp_path)
+    assert first.read_text() == older.to_csv(index=False)
+    assert table["commit"].tolist() == [""] * len(older) + [commit()] * (len(table) - len(older))
 
 
 def test_other_fidelities_are_not_mixed(tmp_path):

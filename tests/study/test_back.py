@@ -37,7 +37,7 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(way):
     trip = Trip("original", way, 3, settling=1.0)
     row = run_trip(trip, SCENES, 1, 2.0)
     assert row["tension_error"] < 0.01
-    assert math.copysign(1.0, row["tension_mean_n"]) == (1.0 if way == "in" else -1.0)
+    assert math.copysign(1.0, row["root_tension_mean_n"]) == (1.0 if way == "in" else -1.0)
     assert row["radial_mean_m"] == pytest.approx(0.0 if way == "in" else 5.2e-3, abs=1e-4)
     repeated = run_trip(trip, SCENES, 1, 2.0)
     pd.testing.assert_series_equal(pd.Series(repeated), pd.Series(row), check_exact=True)
@@ -65,7 +65,7 @@ def rows(back, fed, peak):
             "case": name, "member": k, "duration_s": 8.0, "diverged_at_s": diverged,
             "radial_rms_m": value * (1 + k / 50), "axial_rms_m": value,
             "radial_highest_m": high, "axial_highest_m": high, "radial_highest_hz": 14.0, "axial_highest_hz": 14.0,
-            "tension_error": 0.002, "tension_mean_n": -3.75,
+            "tension_error": 0.002, "root_tension_mean_n": -3.75,
         }
         for name, value, high, diverged in (
             (trip.name, back, peak, np.nan if back < 1.0 else 1.5), (trip.beside().name, fed, 1e-4, np.nan)

@@ -36,7 +36,7 @@ def test_a_stored_member_is_repeated(name):
     case = next(case for case in CASES if case.name == name)
     row = run_case(case, SCENES, 1, 8.0)
     stored = TABLE[(TABLE["case"] == name) & (TABLE["member"] == 1)].iloc[0]
-    for statistic, scatter in (("axial_mean_m", 1e-4), ("tension_mean_n", 5e-5), ("radial_rms_m", 0.015)):
+    for statistic, scatter in (("axial_mean_m", 1e-4), ("root_tension_mean_n", 5e-5), ("radial_rms_m", 0.015)):
         chance = reach((scatter, 1), (scatter, 1), chance=CHANCE / 3)
         assert row[statistic] == pytest.approx(stored[statistic], rel=chance)
 
@@ -97,7 +97,7 @@ def test_wilson_and_newmark_agree():
 def test_mean_root_tension_is_the_closed_form(length):
     """The stored ones are 0.3 % below it, on the study's mesh; members scatter by 0.005 %."""
     expected = steady_root_tension(Scene.from_toml(SCENES / f"fig11_l{length}.toml"))
-    assert ENSEMBLE.mean(f"l{length}", "tension_mean_n") == pytest.approx(expected, rel=0.005)
+    assert ENSEMBLE.mean(f"l{length}", "root_tension_mean_n") == pytest.approx(expected, rel=0.005)
 
 
 def test_steps_of_2e_4_hold_and_5e_4_do_not():
