@@ -33,7 +33,7 @@ FIRST: Final = {
         "probe-env render --policy ppo --fidelity fast --output output/ppo.gif",
     ),
     "train": Entry(
-        "feed:Train", "agents after a training file, with checkpoints",
+        "training:Train", "agents after a training file, with checkpoints",
         "probe-env train ppo --seeds 7 --output output/train/mine",
     ),
     "compare": Entry(
@@ -71,7 +71,7 @@ PLANT: Final = {
         "probe-env signal best-schedule --flaws 10:20 30:20 50:40",
     ),
     "tune": Entry(
-        "feed:Tune", "a search for better hyperparameters of such a file",
+        "training:Tune", "a search for better hyperparameters of such a file",
         "probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo",
     ),
 }  # fmt: skip
@@ -125,7 +125,7 @@ MAKERS: Final = {
     "bench": Entry("study:Bench", "the kernels' speed", "probe-env bench --repeats 3"),
     "scaling": Entry("study:Scaling", "what more cores bring", "probe-env scaling --output output/scaling"),
     "results": Entry("results:Results", "everything published, where it is stale", "probe-env results --plan"),
-    "readme": Entry("readme:Readme", "the documents' tables, from stored results", "probe-env readme --check"),
+    "readme": Entry("results:Readme", "the documents' tables, from stored results", "probe-env readme --check"),
 }  # fmt: skip
 """What the results and the documents are made with."""
 LISTS: Final = {

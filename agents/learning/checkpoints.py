@@ -16,9 +16,13 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.learning.config import Training
 from agents.records.models import Stored
+from agents.records.provenance import write_atomically
+from agents.records.reading import read_json
 from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.settings import explain
 
+RUN: Final = "run.json"
+"""How a run began, beside its checkpoint."""
 BUFFER: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 """Arrays of a replay buffer."""
 COUNTS: Final = ("num_timesteps", "_n_updates")
@@ -200,3 +204,44 @@ def _numbers(group: Named) -> Iterator[float]:
 def _check_count(place: str, value: Any, most: int = 2**62) -> None:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
         raise _WrongError(f"{place} = {str(value)[:40]} is not a whole number from 0 to {most}")
+
+
+def save_checkpoint(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
+    """Weights, optimisers, counts and learning curve, atomically; of off-policy algorithms also the replay buffer."""
+    state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows}
+    state["counts"] = {"num_timesteps": model.num_timesteps, "_n_updates": int(getattr(model, "_n_updates", 0))}
+    state["variables"] = {name: getattr(model, name).detach() for name in variables(model)}
+    config = noted(path.with_name(RUN))
+    if config is not None:
+        state["config"] = config.model_dump_json()
+    replay = getattr(model, "replay_buffer", None)
+    if replay is not None:
+        state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
+        state["replay_place"] = {"pos": int(replay.pos), "full": bool(replay.full)}
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_atomically(path, buffer.getvalue())
+
+
+def noted(path: Path) -> Training | None:
+    """Settings of a run as they are noted."""
+    return read_json(path, Run).config if path.exists() else None
+
+
+def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
+    """Set the model as it was at the checkpoint; the learning curve until then. Tensors and plain data only."""
+    if not path.exists():
+        return []
+    state = read_checkpoint(path, model, noted(path.with_name(RUN)))
+    model.set_parameters(state["parameters"])
+    for name, value in state["counts"].items():
+        setattr(model, name, value)
+    for name, value in state["variables"].items():
+        getattr(model, name).data.copy_(value)
+    replay = getattr(model, "replay_buffer", None)
+    if replay is not None:
+        for name, values in state["replay"].items():
+            getattr(replay, name)[:] = values.numpy()
+        replay.pos, replay.full = state["replay_place"]["pos"], state["replay_place"]["full"]
+    rows: list[dict[str, Any]] = state["rows"]
+    return rows

@@ -6,7 +6,6 @@ begins with new episodes, so weights, optimiser and step count are all that a ch
 
 from __future__ import annotations
 
-import io
 import json
 import time
 from collections.abc import Callable
@@ -24,7 +23,7 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from agents.learning.alone import alone_in
-from agents.learning.checkpoints import BUFFER, Run, read_checkpoint, settings_that_differ, variables
+from agents.learning.checkpoints import RUN, Run, read_checkpoint, restore, save_checkpoint, settings_that_differ
 from agents.learning.config import Training
 from agents.learning.imitation import imitate
 from agents.learning.view_env import ViewVecEnv
@@ -41,7 +40,7 @@ from agents.vec_env import ProbeVecEnv
 from agents.worlds.vec_env import vec_env
 from probe_env.fidelity import resolve_fidelity
 
-CHECKPOINT, BEST, CURVE, RUN = "checkpoint.pt", "agent.npz", "learning.csv", "run.json"
+CHECKPOINT, BEST, CURVE = "checkpoint.pt", "agent.npz", "learning.csv"
 
 
 def train_all(
@@ -198,7 +197,7 @@ def _trained(
 ) -> pd.DataFrame:
     torch.set_num_threads(1)
     model, env = _new_model(training, seed, threads)
-    rows = _restore(model, folder / CHECKPOINT)
+    rows = restore(model, folder / CHECKPOINT)
     imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
     if rows:
         _write_curve(rows, folder)  # the checkpoint tells: the curve may be of the phase before
@@ -228,7 +227,7 @@ def _trained(
             trained = {"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin
             rows.append(_validated(training, model, trained, folder, rows, threads))
             rows[-1] |= {"wall_s": wall, "kernel_s": batch.kernel_seconds - kernels}
-            _save(model, rows, folder / CHECKPOINT)
+            save_checkpoint(model, rows, folder / CHECKPOINT)
             _write_curve(rows, folder)
             watch(rows[-1])
     return pd.DataFrame(rows)
@@ -276,47 +275,6 @@ def _logger(folder: Path, phase: int) -> Logger:
     formats = [make_output_format("csv", str(logs), f"-{phase:04d}")]
     formats.append(make_output_format("tensorboard", str(logs / "tensorboard")))
     return Logger(str(logs), formats)
-
-
-def _save(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
-    """Weights, optimisers, counts and learning curve, atomically; of off-policy algorithms also the replay buffer."""
-    state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows}
-    state["counts"] = {"num_timesteps": model.num_timesteps, "_n_updates": int(getattr(model, "_n_updates", 0))}
-    state["variables"] = {name: getattr(model, name).detach() for name in variables(model)}
-    config = _noted(path.with_name(RUN))
-    if config is not None:
-        state["config"] = config.model_dump_json()
-    replay = getattr(model, "replay_buffer", None)
-    if replay is not None:
-        state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
-        state["replay_place"] = {"pos": int(replay.pos), "full": bool(replay.full)}
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    write_atomically(path, buffer.getvalue())
-
-
-def _noted(path: Path) -> Training | None:
-    """Settings of a run as they are noted."""
-    return read_json(path, Run).config if path.exists() else None
-
-
-def _restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
-    """Set the model as it was at the checkpoint; the learning curve until then. Tensors and plain data only."""
-    if not path.exists():
-        return []
-    state = read_checkpoint(path, model, _noted(path.with_name(RUN)))
-    model.set_parameters(state["parameters"])
-    for name, value in state["counts"].items():
-        setattr(model, name, value)
-    for name, value in state["variables"].items():
-        getattr(model, name).data.copy_(value)
-    replay = getattr(model, "replay_buffer", None)
-    if replay is not None:
-        for name, values in state["replay"].items():
-            getattr(replay, name)[:] = values.numpy()
-        replay.pos, replay.full = state["replay_place"]["pos"], state["replay_place"]["full"]
-    rows: list[dict[str, Any]] = state["rows"]
-    return rows
 
 
 def print_curves(curves: pd.DataFrame) -> None:

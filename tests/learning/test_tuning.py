@@ -13,10 +13,11 @@ from kills import killed_at
 
 from agents.cli import main
 from agents.learning import tuning as module
+from agents.learning.checkpoints import RUN
 from agents.learning.config import LIMITS, Training
 from agents.learning.results import load_curves
 from agents.learning.space import ROLLOUT, USUAL, Range, axes_of
-from agents.learning.train import CHECKPOINT, RUN
+from agents.learning.train import CHECKPOINT
 from agents.learning.tuning import JUDGES, Tuning, search
 from agents.policies.bundle import ALGORITHMS
 from probe_env.files import FileError
@@ -164,7 +165,7 @@ def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
         (tmp_path / name).mkdir()
     _search(tmp_path / "whole")
     folder, place = tmp_path / "killed", tmp_path / "killed" / "trials" / "0001" / "seed-3"
-    assert killed_at("agents.learning.train._save", 3, _search, folder, after=True)
+    assert killed_at("agents.learning.train.save_checkpoint", 3, _search, folder, after=True)
     assert (place / CHECKPOINT).exists()
     _search(folder)
     table = table_of(folder)

@@ -21,8 +21,9 @@ from agents.cli import main
 from agents.design.compare import Comparison
 from agents.evaluation.page.stored import read_evaluation
 from agents.evaluation.report import write_report
+from agents.learning.checkpoints import RUN
 from agents.learning.config import Training
-from agents.learning.train import CHECKPOINT, RUN, train_all
+from agents.learning.train import CHECKPOINT, train_all
 from agents.policies.bundle import Description, Network, _hash, build_policy, save_bundle
 from agents.policies.catalogue import name_and_spec, named_policies
 from agents.policies.fixed import Constant

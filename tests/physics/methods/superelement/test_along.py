@@ -37,9 +37,7 @@ def both_ways(scene, method, time_step, steps, **options):
 @pytest.mark.parametrize("method", ["superelement", "superelement32"])
 def test_it_is_the_probe_that_has_company(method, length, stiffness):
     """Held, and fed in over floats and blocks of them: state, samples at and between floats, sums of tension."""
-    scene = Scene(
-        carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5}, contact={"stiffness": stiffness}
-    )
+    scene = Scene(carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5}, contact={"stiffness": stiffness})
     for options in ({}, {"growing": True, "time_lapse": 40.0}):
         alone, beside = both_ways(scene, method, 1e-4, 1500, **options)
         assert alone[0] == beside[0] == 0
