@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from conftest import CHROMIUM, App, opened, served
 from playwright.sync_api import sync_playwright
-from test_page import FEED, PLACE, run
+from test_page import FEED, PLACE, fill, run
 
 from agents.records.provenance import provenance, write_atomically, write_json
 
@@ -30,6 +30,17 @@ def first_run(browser, folder: Path) -> tuple[float, float]:
 def used_run(browser, app: App) -> float:
     """Seconds from Run to the end of what the page offers, in a server that has been used."""
     with opened(browser, app) as page:
+        begin = time.perf_counter()
+        run(page)
+        return time.perf_counter() - begin
+
+
+def insertion(browser, app: App) -> float:
+    """Seconds from Run to the end of one insertion by the best schedule, with no other policy beside it."""
+    with opened(browser, app) as page:
+        fill(page, "open a schedule file", "best-schedule")
+        page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
+        page.evaluate("() => { Bokeh.documents[0].get_model_by_name('policies').value = []; }")
         begin = time.perf_counter()
         run(page)
         return time.perf_counter() - begin
@@ -60,18 +71,20 @@ def drags(browser, app: App) -> list[float]:
 
 
 def measure(repeats: int, output: Path) -> None:
-    """Measure all three, print and store them."""
+    """Measure all of them, print and store them."""
     with sync_playwright() as play, tempfile.TemporaryDirectory() as folder:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         starts = [first_run(browser, Path(folder) / str(k)) for k in range(repeats + 1)][1:]  # caches are warm
         with served(Path(folder) / "used") as app:
             runs = [used_run(browser, app) for _ in range(repeats + 1)][1:]
+            insertions = [insertion(browser, app) for _ in range(repeats)]
             moves = drags(browser, app)
         browser.close()
     waits = {
         "page": [shown for shown, _ in starts],
         "first_run": [finished for _, finished in starts],
         "run": runs,
+        "insertion": insertions,
         "drag": moves,
     }
     table = pd.DataFrame([(name, value) for name, values in waits.items() for value in values], columns=COLUMNS)
