@@ -25,8 +25,9 @@ from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity, choose_fidelity
 from probe_env.physics.run import Run
-from probe_env.physics.simulation.batch import SimulatorBatch, Window
+from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.simulator import Simulator
+from probe_env.physics.simulation.window import Window
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
 
 __all__ = [

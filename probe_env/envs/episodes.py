@@ -36,8 +36,9 @@ from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.signals import SAMPLE_PERIOD
-from probe_env.physics.simulation.batch import SimulatorBatch, Window
+from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.simulator import Simulator
+from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps
 

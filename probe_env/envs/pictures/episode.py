@@ -12,7 +12,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.helix import Helix
 from probe_env.envs.pictures.plate import DPI, SIZE, Picture, Plate, Screen
 from probe_env.envs.pictures.traces import COLUMNS, Traces
-from probe_env.physics.simulation.batch import Window
+from probe_env.physics.simulation.window import Window
 
 
 class Renderer:

@@ -9,7 +9,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.plate import BLUE, QUIET_MM, RED, limits_around
 from probe_env.envs.task import TaskConfig
-from probe_env.physics.simulation.batch import Window
+from probe_env.physics.simulation.window import Window
 
 COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m")
 """Of a period's info. Its reward follows, and the sensor's least and greatest radial displacement in it [m]."""
