@@ -36,7 +36,8 @@ class SimulatorBatch:
     Args:
         scenes: one a probe; they may differ in everything.
         method: as for ``Simulator``; "imex", "superelement" and "explicit" run four probes side by side in
-            vector registers, "imex32" and "superelement32" eight; superelements that are one or two run each by itself.
+            vector registers, "imex32" and "superelement32" eight; one probe by superelements, two by
+            "superelement32", run each by itself.
         time_step: [s].
         nodes_per_pitch: nodes in one float pitch.
         threads: at most so many; default: the cores of this process.
