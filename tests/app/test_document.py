@@ -2,8 +2,11 @@
 
 import asyncio
 import json
+from collections import deque
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 from bokeh.document import Document
@@ -13,10 +16,18 @@ from agents.app.desk import Office
 from agents.app.page.comparisons import Detection
 from agents.app.page.document import PATIENCE, page_of
 from agents.app.page.style import Live
+from agents.app.runs.frames import Frame, row_of, shape_of
+from agents.app.runs.queue import Run
+from agents.app.runs.wanted import Wanted
 from agents.app.server import server_of
 from agents.design.compare import cells, read_comparison, summarise
+from agents.policies.catalogue import named_policies
+from agents.policies.places import place_of
 from agents.rollouts.depths import a90_95, bands
+from agents.rollouts.plan import Plan
+from agents.rollouts.playing import Playing
 from agents.rollouts.statistics import grouped
+from probe_env.fidelity import resolve_fidelity
 
 
 class Idle:
@@ -118,6 +129,31 @@ def test_curves_of_detection_are_those_of_the_report(office):
     assert "No curves of detection" in page.compare.detection.caption.text
     page.compare.open.value = "results/evaluation"
     assert "No curves of detection" not in page.compare.detection.caption.text
+
+
+def test_what_is_around_the_tube_is_drawn_less_often_while_the_probe_moves(office, monkeypatch):
+    """So that the browser leaves the simulation its core; with everything as it is once the probe stands still."""
+    place = place_of(None, "test", 1)
+    config = place.config.all_shown
+    plan = Plan(named_policies(["constant"], config), place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    playing, page = Playing(plan, deque(plan.units()), 1, 1), page_of(office)
+    screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
+    monkeypatch.setattr("agents.app.page.insertion.time", clock)
+    run = Run(Wanted((), office.output), "running")
+    page.desk.run = run
+
+    def drawn(paused: bool = False) -> tuple[float, float]:
+        """Tips in the tube and in the charts around it after another second."""
+        list(playing.step())
+        rows = ((playing.unit(0), np.array([row_of(playing, 0)])),)
+        run.note(Frame((playing.unit(0),), 0, rows, shape_of(playing, 0), 0, 1, paused))
+        screen.refresh()
+        return max(screen.unrolled.floats.data["place"]), max(screen.unrolled.along.data["place"])
+
+    first, second, third, fourth = drawn(), drawn(), drawn(), drawn(paused=True)
+    assert first[0] == first[1] == second[1] < second[0]
+    assert third[0] == third[1] < fourth[0] == fourth[1]
+    assert screen.unrolled.axial.x_range.end == screen.unrolled.tube.x_range.end
 
 
 def test_a_dragged_flaw_stays_within_the_second_and_comes_back(office):

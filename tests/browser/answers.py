@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from conftest import CHROMIUM, App, opened, served
 from playwright.sync_api import sync_playwright
-from test_page import FEED, PLACE, fill, run
+from test_page import FEED, PLACE, fill, run, screen
 
 from agents.records.provenance import provenance, write_atomically, write_json
 
@@ -35,12 +35,15 @@ def used_run(browser, app: App) -> float:
         return time.perf_counter() - begin
 
 
-def insertion(browser, app: App) -> float:
-    """Seconds from Run to the end of one insertion by the best schedule, with no other policy beside it."""
+def insertion(browser, app: App, schedule: str) -> float:
+    """Seconds from Run to the end of one insertion, with no other policy beside it."""
     with opened(browser, app) as page:
-        fill(page, "open a schedule file", "best-schedule")
-        page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
+        fill(page, "open a schedule file", schedule)
+        named = "(names) => names.includes(Bokeh.documents[0].get_model_by_name('save-schedule').value)"
+        page.wait_for_function(named, arg=[schedule, f"my-{schedule}"])
         page.evaluate("() => { Bokeh.documents[0].get_model_by_name('policies').value = []; }")
+        screen(page, 3)
+        page.get_by_role("button", name="Run", exact=True).hover()  # which is there then, and stands still
         begin = time.perf_counter()
         run(page)
         return time.perf_counter() - begin
@@ -77,14 +80,16 @@ def measure(repeats: int, output: Path) -> None:
         starts = [first_run(browser, Path(folder) / str(k)) for k in range(repeats + 1)][1:]  # caches are warm
         with served(Path(folder) / "used") as app:
             runs = [used_run(browser, app) for _ in range(repeats + 1)][1:]
-            insertions = [insertion(browser, app) for _ in range(repeats)]
+            studied = [insertion(browser, app, "constant") for _ in range(repeats)]
+            best = [insertion(browser, app, "best-schedule") for _ in range(repeats)]
             moves = drags(browser, app)
         browser.close()
     waits = {
         "page": [shown for shown, _ in starts],
         "first_run": [finished for _, finished in starts],
         "run": runs,
-        "insertion": insertions,
+        "insertion": studied,
+        "best_schedule": best,
         "drag": moves,
     }
     table = pd.DataFrame([(name, value) for name, values in waits.items() for value in values], columns=COLUMNS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from html import escape
 from typing import Any, Final
 
@@ -24,8 +26,9 @@ from probe_env.fidelity import PRESETS
 
 PACES: Final = {"as fast as it goes": 0.0, "20 ×": 20.0, "5 ×": 5.0, "1 ×": 1.0}
 """What is said of a pace -> control periods a second; a period is a second."""
-ROUNDS: Final = 4
-"""Refreshes of the probe to one of the lines over the length and of X and Y, which are larger."""
+AROUND: Final = 0.4
+"""Seconds between two pictures of all that is around the tube, which changes with every frame: drawing takes time of a
+core that the simulation can use."""
 SEEN: Final = {
     "inserted_length": ("inserted length", 1.0, "m"), "remaining_length": ("still to feed", 1.0, "m"),
     "feed_speed": ("feed speed", 1.0, "m/s"), "air_supply_rate": ("air supply", 3600.0, "m³/h"),
@@ -48,7 +51,7 @@ class InsertionScreen:
         self.samples = self.signal.line([], [], line_width=1.2, color="#009E73").data_source
         self.status, self.seen, self.wrong = Live(name="run-words"), Live(), words(name="run-problem")
         self.list = RunList(desk, self._look_at)
-        self._films = self._round = 0
+        self._films, self._drawn_at = 0, -math.inf
         self.layout = below(
             words("<h2>Insertion</h2><p class='quiet'>Choose what to run; several runs wait in line. Everything that is"
                   " finished is stored as <code>probe-env evaluate</code> stores it.</p>"),
@@ -84,17 +87,21 @@ class InsertionScreen:
 
     def _show(self, run: Run, frame: Frame) -> None:
         shape = frame.shape
+        everything = self.whole.active
         if shape is not None:
-            self.unrolled.show(shape, everything=self.whole.active)
+            self.unrolled.show(shape, everything)
+        now = time.monotonic()
+        if now - self._drawn_at < AROUND and run.state == "running" and not frame.paused:
+            return
+        self._drawn_at = now
+        if shape is not None:
+            self.unrolled.show_along(shape, everything)
             self.samples.data = {"x": shape.signal_time, "y": shape.signal_radial * 1e3}
+            self.flaw.show(run.sensor, shape)
             self.seen.text = _seen(shape.seen, run, frame)
-        self._round += 1
-        if self._round % ROUNDS == 0 or run.state != "running" or frame.paused:
-            unit = _watched(frame, run)
-            if shape is not None:
-                self.flaw.show(run.sensor, shape)
-            same = {u[0]: run.trace(u) for u in run.traces if unit is not None and u[1:] == unit[1:]}
-            self.traces.show(same, unit[0] if unit else "", None if run.limit is None else run.limit * 1e3)
+        unit = _watched(frame, run)
+        same = {u[0]: run.trace(u) for u in run.traces if unit is not None and u[1:] == unit[1:]}
+        self.traces.show(same, unit[0] if unit else "", None if run.limit is None else run.limit * 1e3)
 
     def _order_form(self) -> list[Any]:
         sheet = [control_sheet()]
@@ -147,7 +154,7 @@ class InsertionScreen:
     def _look_at(self, run: Run) -> None:
         self.desk.run = run
         self._films, self.slow.layout.visible = run.films, False
-        self._round = ROUNDS - 1
+        self._drawn_at = -math.inf
         self.refresh()
 
     def _pace(self) -> Order:

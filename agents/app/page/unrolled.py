@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from bokeh.models import Button, ColumnDataSource, CustomJS, Span
+from bokeh.models import Button, ColumnDataSource, CustomJS, Range1d, Span
 
 from agents.app.page.style import GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION, below, chart, control_sheet, words
 from agents.app.runs.frames import Shape
@@ -37,34 +37,38 @@ class Unrolled:
     """The tube along its axis, with displacements and tension below."""
 
     def __init__(self, whole: bool = True) -> None:
-        self.floats = ColumnDataSource(EMPTY | {"axial": [], "tension": []})
+        self.floats = ColumnDataSource(dict(EMPTY))
         self.cable = ColumnDataSource({"place": [], "centre": []})
         self.sensor = ColumnDataSource({"place": [], "centre": []})
         self.tube = _tube("from the entrance [m]", self.floats, 240)
         self.tube.line("place", "centre", source=self.cable, color=INK, line_width=1.0)
         self.tube.scatter("place", "centre", source=self.sensor, size=11, color=GREEN, line_color="white")
         self.walls = _walls(self.tube)
-        self.axial = chart("from the entrance [m]", "axial [mm]", 140, x_range=self.tube.x_range)
-        self.axial.line("place", "axial", source=self.floats, color=PURPLE, line_width=1.5)
-        self.tension = chart("from the entrance [m]", "tension [N]", 140, x_range=self.tube.x_range)
-        self.tension.line("place", "tension", source=self.floats, color=VERMILLION, line_width=1.5)
-        self.whole = whole
+        self.along = ColumnDataSource({"place": [], "axial": [], "tension": []})
+        self.axial = chart("from the entrance [m]", "axial [mm]", 140, x_range=Range1d(0.0, NEAR))
+        self.axial.line("place", "axial", source=self.along, color=PURPLE, line_width=1.5)
+        self.tension = chart("from the entrance [m]", "tension [N]", 140, x_range=self.axial.x_range)
+        self.tension.line("place", "tension", source=self.along, color=VERMILLION, line_width=1.5)
         parts = (self.tube, self.axial, self.tension) if whole else (self.tube,)
         self.layout = below(words(legend()), *parts)
 
     def show(self, shape: Shape, everything: bool = False) -> None:
-        """A probe as it is; ``everything``: from the entrance on, not its last metres alone."""
+        """A probe in its tube; ``everything``: from the entrance on, not its last metres alone."""
         low, high = shape.radial * MM, (shape.radial + 2.0 * shape.lever) * MM
         centre = (shape.radial + shape.lever) * MM
         self.floats.data = {
-            "place": shape.place, "low": low, "high": high, "axial": shape.axial * MM, "tension": shape.tension,
+            "place": shape.place, "low": low, "high": high,
             "colour": colours(shape.radial < 0.0, shape.radial > shape.outer_gap),
         }  # fmt: skip
         self.cable.data = {"place": shape.place, "centre": centre}
         self.sensor.data = {"place": shape.place[[shape.sensor]], "centre": centre[[shape.sensor]]}
-        tip = float(shape.place.max())
-        self.tube.x_range.update(start=0.0 if everything else max(tip - NEAR, 0.0), end=tip + 0.3)
+        self.tube.x_range.update(**_seen_part(shape, everything))
         _to_bore(self.tube, self.walls, shape.bore)
+
+    def show_along(self, shape: Shape, everything: bool = False) -> None:
+        """Axial displacement and tension of the same part."""
+        self.along.data = {"place": shape.place, "axial": shape.axial * MM, "tension": shape.tension}
+        self.axial.x_range.update(**_seen_part(shape, everything))
 
 
 class SlowMotion:
@@ -103,6 +107,11 @@ class SlowMotion:
         self.tube.x_range.update(start=-float(motion.distance.max()) - 0.2, end=0.3)
         _to_bore(self.tube, self.walls, motion.scene.tube.inner_diameter)
         self.layout.visible = True
+
+
+def _seen_part(shape: Shape, everything: bool) -> dict[str, float]:
+    tip = float(shape.place.max())
+    return {"start": 0.0 if everything else max(tip - NEAR, 0.0), "end": tip + 0.3}
 
 
 def colours(inner: BoolArray, outer: BoolArray) -> list[str]:
