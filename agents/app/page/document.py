@@ -96,7 +96,7 @@ class Page:
         document.js_on_event(DocumentReady, CustomJS(args=arguments, code=KEYS))
         for text in (
             self.schedule.summary, self.insertion.status, self.insertion.seen, self.insertion.flaw.caption,
-            self.manual.score,
+            self.insertion.list.table, self.manual.score,
         ):  # fmt: skip
             document.js_on_event(DocumentReady, text.show)  # what was said before there was a browser to show it
         document.add_periodic_callback(self.tick, TICK)

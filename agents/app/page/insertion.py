@@ -71,12 +71,12 @@ class InsertionScreen:
 
     def refresh(self) -> None:
         """Show where the run is."""
-        self.list.refresh()
         run = self.desk.run
+        nothing = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
+        self.status.text = nothing if run is None else _status(run)  # first: it is what is waited for
+        self.list.refresh()
         if run is None:
-            self.status.text = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
             return
-        self.status.text = _status(run)
         self._watchable(run)
         if run.frame is not None:
             self.pictures.visible = True

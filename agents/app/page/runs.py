@@ -11,7 +11,7 @@ from urllib.parse import quote
 from bokeh.models import Button, Select
 
 from agents.app.desk import Desk
-from agents.app.page.style import below, control_sheet, problem, side_by_side, words
+from agents.app.page.style import Live, below, control_sheet, problem, side_by_side, words
 from agents.app.runs.queue import Run
 from agents.app.runs.shelf import Stored, stored_runs, unfinished
 from agents.evaluation.page.writing import write_report
@@ -31,7 +31,7 @@ class RunList:
     def __init__(self, desk: Desk, look_at: Callable[[Run], None]) -> None:
         self.desk, self.look_at = desk, look_at
         sheet = [control_sheet()]
-        self.table = words(name="runs")
+        self.table = Live(name="runs")
         self.chosen = Select(title="a run", options=[], width=300, stylesheets=sheet, name="chosen-run")
         show = Button(label="watch it", stylesheets=sheet, width=90)
         resume = Button(label="go on with it", stylesheets=sheet, width=120, name="go-on")
@@ -43,7 +43,7 @@ class RunList:
         resume.on_click(lambda: self._guarded(self._go_on))
         report.on_click(lambda: self._guarded(self._report))
         self.layout = below(
-            words("<h2>Runs</h2>"), self.table, side_by_side(self.chosen, show, resume, report), self.notice
+            words("<h2>Runs</h2>"), self.table.div, side_by_side(self.chosen, show, resume, report), self.notice
         )
 
     def refresh(self) -> None:

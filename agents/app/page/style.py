@@ -12,6 +12,7 @@ from bokeh.models import (
     Div,
     GlobalInlineStyleSheet,
     InlineStyleSheet,
+    PrintfTickFormatter,
     Row,
     Span,
     UIElement,
@@ -25,6 +26,8 @@ BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, INK, GREY = (
 PALETTE: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK, GREY)
 DASHES: Final = ("solid", "dashed", "dotdash", "dotted", "dashdot", "solid", "dashed", "dotted")
 """Told apart without colours too."""
+NUMBER: Final = "%6.3g"
+"""At an axis: always as wide, as a browser lays the whole page out anew where an axis gets wider."""
 PAGE: Final = """
 html { color-scheme: light; }
 body { margin: 0; padding: 10px 16px 40px; font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; }
@@ -117,6 +120,7 @@ def chart(x: str, y: str, height: int = 230, **options: Any) -> Any:
         axis.axis_label_text_font_size = "13px"
         axis.axis_label_text_font_style = "normal"
         axis.major_label_text_font_size = "12px"
+    plot.yaxis[0].update(formatter=PrintfTickFormatter(format=NUMBER), major_label_text_font="monospace")
     if options.get("y_axis_type") != "log":
         plot.yaxis[0].ticker.desired_num_ticks = max(height // 50, 2)
     plot.min_border_left = 62
