@@ -81,6 +81,12 @@ def test_the_next_picture_waits_until_the_last_one_is_drawn(office, monkeypatch)
     page._sent_at -= PATIENCE
     page.tick()
     assert pictures == [0, 2, 3]
+    page.desk.run = Run(Wanted((), office.output), "running")
+    for state, changes in (("running", 4), ("running", 5), ("finished", 6), ("finished", 7)):
+        page.desk.run.state = state
+        monkeypatch.setattr(office.queue, "changes", changes, raising=False)
+        page.tick()
+    assert pictures == [0, 2, 3, 4, 6]  # that a run begins or ends waits for nothing
 
 
 def test_words_that_change_often_do_not_go_through_a_div():

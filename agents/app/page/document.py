@@ -71,7 +71,7 @@ class Page:
         close.on_click(lambda: setattr(self.welcome, "visible", False))
         self.welcome.children.append(close)
         self.chosen.on_change("active", lambda attr, old, new: self.turn())
-        self._seen, self._sent_at = -1, 0.0
+        self._seen, self._sent_at, self._state = -1, 0.0, ""
         count: dict[str, Any] = {"start": 0, "end": MOST_SENT, "step": 1, "value": 0, "visible": False}
         self.sent, self.drawn = Slider(**count), Slider(**count)  # pictures: numbers of the last ones
         self.sent.js_on_change("value", CustomJS(args={"sent": self.sent, "drawn": self.drawn}, code=DRAWN))
@@ -108,11 +108,14 @@ class Page:
         self._seen = -1
 
     def tick(self) -> None:
-        """Show what has happened since the last look, once the browser has drawn that: else it falls behind."""
-        changes = self.desk.office.queue.changes
+        """Show what has happened since the last look, once the browser has drawn that: else it falls behind.
+
+        That a run begins or ends is shown at once.
+        """
+        changes, state = self.desk.office.queue.changes, self.desk.run.state if self.desk.run else ""
         drawn = self.drawn.value == self.sent.value or time.monotonic() - self._sent_at > PATIENCE
-        if changes != self._seen and drawn:
-            self._seen, self._sent_at = changes, time.monotonic()
+        if changes != self._seen and (drawn or state != self._state):
+            self._seen, self._sent_at, self._state = changes, time.monotonic(), state
             self.screens[self.chosen.active or 0].refresh()
             self.sent.value = (int(self.sent.value) + 1) % MOST_SENT
 
