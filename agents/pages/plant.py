@@ -19,7 +19,9 @@ WAITS = {
     "first_run": ("from the command to the first finished run, at `fast`", 1.0, "s"),
     "run": ("a run that the page offers: the example beside `best-schedule`, at `fast`", 1.0, "s"),
     "insertion": ("one insertion alone, the study's 0.2 m/s, at `fast`", 1.0, "s"),
+    "insertion_without_page": ("the same without a page", 1.0, "s"),
     "best_schedule": ("one insertion alone by `best-schedule`, at `fast`", 1.0, "s"),
+    "best_schedule_without_page": ("the same without a page", 1.0, "s"),
     "drag": ("from a move of a point to another expectation", 1e3, "ms"),
 }
 """What is waited for, and in which unit it is shown."""

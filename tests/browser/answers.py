@@ -10,7 +10,11 @@ from conftest import CHROMIUM, App, opened, served
 from playwright.sync_api import sync_playwright
 from test_page import FEED, PLACE, fill, run, screen
 
+from agents.policies.catalogue import named_policies
+from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
+from agents.rollouts.plan import Plan, run_plan
+from probe_env.fidelity import resolve_fidelity
 
 COMMAND = "make time-app"
 COLUMNS = ["wait", "seconds"]
@@ -49,6 +53,16 @@ def insertion(browser, app: App, schedule: str) -> float:
         return time.perf_counter() - begin
 
 
+def simulated(policy: str) -> float:
+    """Seconds of the same insertion without a page: what the machine gives today."""
+    place = place_of(None, "test", 1)
+    config = place.config.all_shown
+    plan = Plan(named_policies([policy], config), place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    begin = time.perf_counter()
+    run_plan(plan, None, progress=False)
+    return time.perf_counter() - begin
+
+
 WATCH = """(element) => {
     window.answers = [];
     document.addEventListener("mousemove", () => { window.moved = performance.now(); }, true);
@@ -84,12 +98,15 @@ def measure(repeats: int, output: Path) -> None:
             best = [insertion(browser, app, "best-schedule") for _ in range(repeats)]
             moves = drags(browser, app)
         browser.close()
+    plain = {name: [simulated(name) for _ in range(repeats + 1)][1:] for name in ("constant", "best-schedule")}
     waits = {
         "page": [shown for shown, _ in starts],
         "first_run": [finished for _, finished in starts],
         "run": runs,
         "insertion": studied,
+        "insertion_without_page": plain["constant"],
         "best_schedule": best,
+        "best_schedule_without_page": plain["best-schedule"],
         "drag": moves,
     }
     table = pd.DataFrame([(name, value) for name, values in waits.items() for value in values], columns=COLUMNS)
