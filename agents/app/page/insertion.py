@@ -87,15 +87,14 @@ class InsertionScreen:
 
     def _show(self, run: Run, frame: Frame) -> None:
         shape = frame.shape
-        everything = self.whole.active
         if shape is not None:
-            self.unrolled.show(shape, everything)
+            self.unrolled.show(shape, everything=self.whole.active)
         now = time.monotonic()
         if now - self._drawn_at < AROUND and run.state == "running" and not frame.paused:
             return
         self._drawn_at = now
         if shape is not None:
-            self.unrolled.show_along(shape, everything)
+            self.unrolled.show_along(shape)
             self.samples.data = {"x": shape.signal_time, "y": shape.signal_radial * 1e3}
             self.flaw.show(run.sensor, shape)
             self.seen.text = _seen(shape.seen, run, frame)

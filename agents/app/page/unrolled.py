@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from bokeh.models import Button, ColumnDataSource, CustomJS, Range1d, Span
+from bokeh.models import Button, ColumnDataSource, CustomJS, Span
 
 from agents.app.page.style import GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION, below, chart, control_sheet, words
 from agents.app.runs.frames import Shape
@@ -45,9 +45,9 @@ class Unrolled:
         self.tube.scatter("place", "centre", source=self.sensor, size=11, color=GREEN, line_color="white")
         self.walls = _walls(self.tube)
         self.along = ColumnDataSource({"place": [], "axial": [], "tension": []})
-        self.axial = chart("from the entrance [m]", "axial [mm]", 140, x_range=Range1d(0.0, NEAR))
+        self.axial = chart("from the entrance [m]", "axial [mm]", 140, x_range=self.tube.x_range)
         self.axial.line("place", "axial", source=self.along, color=PURPLE, line_width=1.5)
-        self.tension = chart("from the entrance [m]", "tension [N]", 140, x_range=self.axial.x_range)
+        self.tension = chart("from the entrance [m]", "tension [N]", 140, x_range=self.tube.x_range)
         self.tension.line("place", "tension", source=self.along, color=VERMILLION, line_width=1.5)
         parts = (self.tube, self.axial, self.tension) if whole else (self.tube,)
         self.layout = below(words(legend()), *parts)
@@ -62,13 +62,13 @@ class Unrolled:
         }  # fmt: skip
         self.cable.data = {"place": shape.place, "centre": centre}
         self.sensor.data = {"place": shape.place[[shape.sensor]], "centre": centre[[shape.sensor]]}
-        self.tube.x_range.update(**_seen_part(shape, everything))
+        tip = float(shape.place.max())
+        self.tube.x_range.update(start=0.0 if everything else max(tip - NEAR, 0.0), end=tip + 0.3)
         _to_bore(self.tube, self.walls, shape.bore)
 
-    def show_along(self, shape: Shape, everything: bool = False) -> None:
-        """Axial displacement and tension of the same part."""
+    def show_along(self, shape: Shape) -> None:
+        """Its axial displacement and tension."""
         self.along.data = {"place": shape.place, "axial": shape.axial * MM, "tension": shape.tension}
-        self.axial.x_range.update(**_seen_part(shape, everything))
 
 
 class SlowMotion:
@@ -107,11 +107,6 @@ class SlowMotion:
         self.tube.x_range.update(start=-float(motion.distance.max()) - 0.2, end=0.3)
         _to_bore(self.tube, self.walls, motion.scene.tube.inner_diameter)
         self.layout.visible = True
-
-
-def _seen_part(shape: Shape, everything: bool) -> dict[str, float]:
-    tip = float(shape.place.max())
-    return {"start": 0.0 if everything else max(tip - NEAR, 0.0), "end": tip + 0.3}
 
 
 def colours(inner: BoolArray, outer: BoolArray) -> list[str]:
