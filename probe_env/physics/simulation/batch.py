@@ -1,4 +1,4 @@
-"""Many probes, those of the fast schemes in lanes, on a pool of threads: the batch counterpart of Simulator."""
+"""Many probes, those of the fast schemes in lanes, their groups on threads: the batch counterpart of Simulator."""
 
 from __future__ import annotations
 
@@ -191,10 +191,9 @@ class SimulatorBatch:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
         groups = self._groups(running)
-        with ThreadPoolExecutor(self.threads) as pool:
-            self.kernel_seconds += sum(
-                pool.map(lambda group: self._advance_group(group, steps, every, signals), groups)
-            )
+        with ThreadPoolExecutor(self.threads) as pool:  # starts a thread with the first group that it is given
+            mapped = pool.map if len(groups) > 1 else map  # to hand over to a thread waits on a busy processor
+            self.kernel_seconds += sum(mapped(lambda group: self._advance_group(group, steps, every, signals), groups))
         for k in running:
             self._before[k] = signals[k, -2:].copy()
         return self._window(signals, running, every, keep_samples)

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+import threading
 
 import numpy as np
 import pytest
@@ -69,6 +70,22 @@ def test_every_batch_equals_the_single_runs(order, threads, single):
         for column, k in enumerate(order):
             assert (values[:, column] == expected[k][name]).all()
             assert np.abs(values[:, column]).max() > 0.0
+
+
+@pytest.mark.parametrize(("probes", "here"), [(1, True), (2, False)])
+def test_a_group_that_has_no_other_beside_it_advances_without_a_thread(probes, here, monkeypatch):
+    caller, of_group = threading.get_ident(), SimulatorBatch._advance_group
+    on_caller = []
+
+    def advanced(batch, *arguments):
+        on_caller.append(threading.get_ident() == caller)
+        return of_group(batch, *arguments)
+
+    monkeypatch.setattr(SimulatorBatch, "_advance_group", advanced)
+    batch = SimulatorBatch([SCENES[4]] * probes, "superelement32", threads=2, **OPTIONS)
+    batch.advance(0.3, 0.02, 0.01)
+    assert on_caller == [here] * probes
+    assert batch.kernel_seconds > 0.0
 
 
 @pytest.mark.parametrize("method", ["newmark", "implicit"])
