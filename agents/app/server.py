@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 import webbrowser
 from pathlib import Path
@@ -77,6 +78,13 @@ def _checked(handler: RequestHandler) -> str:
     return "here"
 
 
+def _collect(session: Any) -> None:
+    """A page was closed: look once through everything, for what went with it or with those before."""
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
+
+
 def _free_port() -> int:
     """A port that nobody listens at: the origins that are let in must name it."""
     with socket.create_server((HERE[1], 0)) as probe:
@@ -120,6 +128,8 @@ def server_of(office: Office, tube: Path | None, port: int) -> Server:
 
     def open_page(document: Document) -> None:
         page_of(office, tube).add_to(document)
+        document.on_session_destroyed(_collect)
+        gc.freeze()  # what is loaded and shown: to look through it for garbage stops the page for a third of a second
 
     taken = port or _free_port()
     origins = [f"{host}:{taken}" for host in HERE]

@@ -1,7 +1,9 @@
 """The page without a browser: it is built, its screens take in a run, and it loads nothing from elsewhere."""
 
 import asyncio
+import gc
 import json
+import weakref
 from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
@@ -117,6 +119,33 @@ def test_only_this_machine_is_let_in(office):
     finally:
         server.stop()
         server.io_loop.close()
+
+
+def test_no_search_for_garbage_stops_an_open_page_and_a_closed_one_is_forgotten(office):
+    asyncio.set_event_loop(asyncio.new_event_loop())
+    server = server_of(office, None, 0)
+    try:
+        document = server._tornado.applications["/"].application.create_document()
+        assert gc.get_freeze_count() > 0
+        page, (closed,) = weakref.ref(document), document.session_destroyed_callbacks
+        del document
+        gc.collect()
+        assert page() is not None  # an open page is not looked through: circles of references hold it
+        closed(None)
+        assert page() is None
+    finally:
+        gc.unfreeze()
+        server.stop()
+        server.io_loop.close()
+
+
+def test_names_in_the_chart_of_time_and_vibration_stay_within_it(office):
+    page = page_of(office)
+    page.compare.open.value = "results/evaluation"
+    data = page.compare.front.source.data
+    at = dict(zip(data["x"], zip(data["align"], data["offset"], strict=True), strict=True))
+    assert at[min(at)] == ("left", 8)
+    assert at[max(at)] == ("right", -8)
 
 
 def test_curves_of_detection_are_those_of_the_report(office):

@@ -22,7 +22,7 @@ class Front:
         self.plot = chart("inspection time [s]", "radial rms [mm]", 330, y_axis_type="log",
                           tools="pan,wheel_zoom,reset", title="Down and left is better; bars: 95 %")  # fmt: skip
         self.plot.x_range.range_padding = self.plot.y_range.range_padding = 0.25  # room for names
-        names = ("name", "colour", "x", "y", "x_low", "x_high", "y_low", "y_high")
+        names = ("name", "colour", "x", "y", "x_low", "x_high", "y_low", "y_high", "offset", "align")
         self.source = ColumnDataSource({name: [] for name in names})
         for dimension, base, low, high in (("height", "x", "y_low", "y_high"), ("width", "y", "x_low", "x_high")):
             self.plot.add_layout(
@@ -30,8 +30,9 @@ class Front:
             )
         dots = self.plot.scatter("x", "y", source=self.source, size=13, color="colour", line_color="white")
         self.plot.add_layout(
-            LabelSet(source=self.source, x="x", y="y", text="name", x_offset=8, y_offset=4, text_font_size="12px")
-        )
+            LabelSet(source=self.source, x="x", y="y", text="name", x_offset="offset", y_offset=4, text_align="align",
+                     text_font_size="12px")
+        )  # fmt: skip
         tips = [("", "@name"), ("time [s]", "@x{0.}"), ("radial rms [mm]", "@y{0.000}")]
         self.plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
 
@@ -46,6 +47,8 @@ class Front:
             for axis, row, factor in (("x", time, 1.0), ("y", rms, 1e3)):
                 for end, key in (("", "mean"), ("_low", "low"), ("_high", "high")):
                     data[f"{axis}{end}"].append(row[key] * factor)
+        right = [x > 0.5 * (min(data["x"]) + max(data["x"])) for x in data["x"]]  # whose names go inwards
+        data["offset"], data["align"] = [-8 if r else 8 for r in right], ["right" if r else "left" for r in right]
         self.source.data = data
 
 

@@ -52,13 +52,18 @@ MM: Final = 1e3
 AT_ONCE: Final = 20
 """Milliseconds between two looks at points that are being dragged."""
 WHILE_DRAGGED: Final = """
-if (window.probe_dragged) return;
-window.probe_dragged = setTimeout(() => {
-    window.probe_dragged = null;
+window.probe_moved = true;
+const look = () => {
+    window.probe_moved = false;
     const copy = {};
     for (const name of names) copy[name] = Array.from(points.data[name]);
     mirror.data = copy;
-}, wait);
+    window.probe_dragged = setTimeout(() => {
+        window.probe_dragged = null;
+        if (window.probe_moved) look();
+    }, wait);
+};
+if (!window.probe_dragged) look();
 """
 CHARTS: Final = ((FEED, "feed speed [m/s]"), (AIR, "air supply [m³/h]"))
 

@@ -39,7 +39,7 @@ h1 { font-size: 21px; margin: 0; } h2 { font-size: 17px; margin: 12px 0 2px; } p
 .quiet { color: #555; } .big { font-size: 19px; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 14px; }
-th, td { text-align: right; padding: 3px 10px; border-bottom: 1px solid #ddd; white-space: nowrap; }
+th, td { text-align: right; padding: 3px 7px; border-bottom: 1px solid #ddd; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; } thead th { white-space: normal; vertical-align: bottom; }
 table.folds td { white-space: normal; } small { color: #555; display: block; } td.best { font-weight: 700; }
 code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
