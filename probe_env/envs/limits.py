@@ -1,6 +1,7 @@
 """What a setting can simulate, so that an environment refuses the rest by name before an episode begins.
 
-One bound is the step's: contact allows omega dt <= 1.8 (stability.py). Three are the model's, whatever the step:
+Two bounds are the step's: contact allows omega dt <= 1.8 (stability.py), and superelements take the tension along the
+cable explicitly, so that much drag asks for a short step. Three are the model's, whatever the step:
 
 * a wall softer than pi^4 EI / (4 p^3) is none. A beam on a foundation of k / p buckles at 2 sqrt(EI k / p), between
   two floats at pi^2 EI / p^2: below, the cable leaves through the wall before it buckles between floats;
@@ -26,6 +27,13 @@ REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
 SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
 FINE_MESH: Final = 8
 """Nodes a pitch where a superelement gives way to a method on nodes."""
+PULL_HOLDS: Final = 0.0125
+"""Of T dt^2 / (rho p^2), T the tension of steady sliding: superelements in straight tubes, at 2e-4 s, diverged from
+0.0148 on (27 insertions with 2 to 10 times the drag, at 411 to 549 N)."""
+START_HOLDS: Final = 1.9
+"""[m/s], of T dt / (rho p), T what drag pulls a probe with that starts at rest, before friction holds it: the wave that
+runs through it then is twice as high. Of 1000 such starts those that diverged began at 2.05 (5e-4 s), 2.3 (2e-4 s) and
+2.7 (1e-4 s) in helices of 0.3 to 1.4 m, at twice that in straight tubes; beyond, one in twenty did."""
 
 
 class Sliding(NamedTuple):
@@ -36,7 +44,7 @@ class Sliding(NamedTuple):
     slide: float
 
 
-def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float) -> None:
+def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float, from_rest: bool = True) -> None:
     """Raise ValueError if a fidelity cannot simulate an episode; fields are named as in a ``Context``.
 
     Args:
@@ -44,6 +52,8 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         fidelity: method, step and mesh.
         longest: the inserted length at its end [m].
         most_air: the greatest air supply [m3/s].
+        from_rest: whether a start that may diverge is refused. A search of designs tries much air on sections of
+            constant length, of which a few diverge so: it is told, and goes on.
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
@@ -80,6 +90,15 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         raise ValueError(
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
+        )
+    tensions = start.tension if from_rest else 0.0, end.tension
+    pulled = _pulled_step(fidelity.method, probe, *tensions)
+    if fidelity.time_step > pulled * (1.0 + 1e-9):
+        raise ValueError(
+            f"{tube}: drag pulls the probe with {start.tension:.3g} N as it starts from rest and with up to"
+            f" {end.tension:.3g} N as it slides: {fidelity.method} holds with a time step of at most {pulled:.2g} s,"
+            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
+            f" {_that_holds(fidelity, scene, *tensions)}"
         )
 
 
@@ -122,13 +141,26 @@ def _longest_step(method: str, scene: Scene, nodes_per_pitch: int) -> float:
     return known.stable_step(scene, nodes_per_pitch) or known.contact_step(scene, nodes_per_pitch)
 
 
-def _that_holds(fidelity: Fidelity, scene: Scene) -> str:
-    """Settings that hold, the step a round one: by the same method, in double precision, on nodes."""
+def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
+    """The longest step [s] that holds with tensions [N] at the start and in the end; on nodes no limit is known."""
+    if method in ON_NODES:
+        return math.inf
+    pitch = probe.line_density * probe.float_pitch
+    return min(
+        START_HOLDS * pitch / max(start, 1e-9), math.sqrt(PULL_HOLDS * pitch * probe.float_pitch / max(end, 1e-9))
+    )
+
+
+def _that_holds(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
+    """Settings that hold, the step a round one: by the same method, in double precision, on nodes.
+
+    ``start`` and ``end`` are tensions [N], see ``_pulled_step``.
+    """
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
         nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else FINE_MESH
         try:
-            limit = _longest_step(method, scene, nodes)
+            limit = min(_longest_step(method, scene, nodes), _pulled_step(method, scene.probe, start, end))
         except ValueError:
             continue
         step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)

@@ -90,6 +90,30 @@ def test_a_contact_that_asks_for_too_many_modes_is_refused_with_a_mesh_that_has_
         env.reset(options={"contact_stiffness": stiffness})
 
 
+REST, SLIDING = "as it starts from rest", "as it slides"
+PULLED = [
+    ({"contact_stiffness": 1e5, "drag_factor": 5.0, "helix_diameter": 1000.0, "friction": 0.3}, REST),
+    ({"contact_stiffness": 1e5, "drag_factor": 4.0, "helix_diameter": 0.7, "friction": 0.2}, REST),
+    ({"contact_stiffness": 5e4, "drag_factor": 2.1, "helix_diameter": 3000.0, "friction": 0.5}, SLIDING),
+]
+"""Contexts in which superelements diverge at 2e-4 s, the last one only once much cable is in a straight tube."""
+
+
+@pytest.mark.parametrize(("context", "how"), PULLED)
+@pytest.mark.parametrize("method", ["superelement32", "superelement"])
+def test_drag_that_pulls_harder_than_a_step_holds_is_refused_with_a_step_that_does(context, how, method):
+    env_id = IDS[how == REST]
+    fidelity = {"method": method, "time_step": 2e-4}
+    with pytest.raises(ValueError, match=f"drag pulls the probe with .* {how}.* holds with a time step") as error:
+        gym.make(env_id, fidelity=fidelity).reset(seed=0, options=context)
+    fidelity = ast.literal_eval(str(error.value).split("give fidelity = ")[1])
+    assert fidelity["time_step"] < 2e-4
+    env = gym.make(env_id, fidelity=fidelity)
+    for seed in range(3):
+        env.reset(seed=seed, options=context)
+        assert not env.step(np.zeros(2, dtype=np.float32))[-1]["diverged"]
+
+
 def test_a_probe_that_turns_too_far_is_refused():
     context = {"contact_stiffness": 3e3, "drag_factor": 5.0, "helix_diameter": 0.45, "friction": 0.9}
     with pytest.raises(ValueError, match=r"so that it turns by [0-9.]+ rad along the helix, .* up to 1 rad"):
@@ -121,7 +145,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
             scene = starts.build(context, {"probe": design.built.model_dump()})
             check_simulable(scene, fidelity, 60.0, MOST_AIR)
             for section in section_scenes(design, context, hard, TaskConfig())[::4]:
-                check_simulable(section, fidelity, section.inserted_length, MOST_AIR)
+                check_simulable(section, fidelity, section.inserted_length, MOST_AIR, from_rest=False)
                 start = steady_sliding(section, section.inserted_length, MOST_AIR, 0.0)
                 assert start.slide * 2.0 / context.helix_diameter < 0.5
 

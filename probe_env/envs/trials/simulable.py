@@ -52,4 +52,4 @@ def check_candidate(
         check_simulable(scene, fidelity, scene.tube.helix_length, config.air_supply_rates[1])
     else:
         for scene in section_scenes(design, context, feed, config):
-            check_simulable(scene, fidelity, scene.inserted_length, scene.air_supply_rate)
+            check_simulable(scene, fidelity, scene.inserted_length, scene.air_supply_rate, from_rest=False)
