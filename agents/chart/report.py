@@ -14,7 +14,7 @@ from agents.chart.insertions import CONVERGED, REFERENCE, run_insertions
 from agents.chart.smooth import run_smooth
 from agents.records.provenance import CHECKOUT, write_atomically
 from agents.records.reading import read_csv
-from agents.records.store import as_csv, stored_rows
+from agents.records.store import COLUMNS, as_csv, stored_rows
 from agents.records.tables import COSTS
 from agents.study.cases import load_rows
 
@@ -31,7 +31,7 @@ def run_chart(output: Path, target: Path) -> None:
     for name in ("ensembles", "insertions", "smooth", "costs"):
         path = output / f"{name}.csv"
         if path.exists():
-            read_csv(path)
+            read_csv(path, COSTS if name == "costs" else COLUMNS)
     run_ensembles(output)
     run_insertions(output)
     run_smooth(output)

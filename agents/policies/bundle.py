@@ -15,13 +15,13 @@ from typing import Annotated, Any, Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 import torch
-from pydantic import Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import BasePolicy
 
-from agents.policies.domain import Domain
+from agents.policies.domain import Domain, RangesOfTubes
 from agents.policies.maps.vibration_map import stored_map
 from agents.policies.view import View
 from agents.records.arrays import read_arrays
@@ -83,7 +83,7 @@ class Description(Model):
     network: Network
     view: View
     task: TaskConfig
-    tubes: dict[str, tuple[FiniteFloat, FiniteFloat]] | None = None
+    tubes: RangesOfTubes | None = None
     """Ranges of the fields of ``Context`` that it was trained in; default: those of the shipped lists."""
     trained: dict[str, Any]
     """Run that made it: config, seed, steps, versions, commit, machine."""

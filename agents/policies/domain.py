@@ -6,8 +6,11 @@ import math
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator, FiniteFloat
+from pydantic_core import PydanticCustomError
 
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap
 from probe_env import Context
@@ -17,6 +20,23 @@ from probe_env.envs.task import TaskConfig
 from probe_env.scene import Probe
 
 UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
+
+
+def check_ranges(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Raise PydanticCustomError if one is of no field of ``Context``, or ends before it begins."""
+    for name, (low, high) in ranges.items():
+        if name not in CONTEXT:
+            text = f"{name!r} is none of {', '.join(CONTEXT)}"
+        elif low > high:
+            text = f"{name}: {low:g} to {high:g} is no range, the least comes first"
+        else:
+            continue
+        raise PydanticCustomError("range", "{text}", {"text": text})
+    return ranges
+
+
+RangesOfTubes = Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], AfterValidator(check_ranges)]
+"""Least and greatest of fields of ``Context``, as files say them."""
 
 
 class OutsideDomain(UserWarning):

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.domain import Domain
+from agents.policies.domain import Domain, RangesOfTubes
 from agents.policies.fixed import FixedPolicy
 from probe_env import Scene
 from probe_env.arrays import FloatArray
@@ -25,14 +25,14 @@ from probe_env.schedule import AIR, FEED, RANGES
 from probe_env.settings import Model, explain, tuples
 
 MOST_FILE = 8 * MEBI
-Row = Annotated[tuple[float, ...], Field(min_length=2, max_length=1000)]
+Row = Annotated[tuple[FiniteFloat, ...], Field(min_length=2, max_length=1000)]
 Table = Annotated[tuple[Row, ...], Field(min_length=1, max_length=100)]
 
 
 class OfDiameter(Model):
     """Feed and air for one helix diameter, a row a friction and a column a length."""
 
-    helix_diameter: Annotated[float, Field(gt=0.0)]
+    helix_diameter: Annotated[FiniteFloat, Field(gt=0.0)]
     """[m]."""
     feed_speed: Table
     """[m/s]."""
@@ -45,9 +45,9 @@ class Law(Model):
 
     scene: Scene
     """Bore, length, probe and air that it was made for."""
-    ranges: dict[str, tuple[float, float]]
+    ranges: RangesOfTubes
     """Least and greatest of the fields of ``Context`` that it was made for."""
-    friction: Annotated[tuple[float, ...], Field(min_length=1, max_length=100)]
+    friction: Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=100)]
     inserted_length: Row
     """[m]."""
     tables: Annotated[tuple[OfDiameter, ...], Field(min_length=1, max_length=100)]

@@ -21,6 +21,15 @@ MOST_DATABASE: Final = 16384 * MEBI
 PATIENCE: Final = 2.0
 """Seconds that another process may hold the database."""
 _RESTORE: Final = "restore the file, or choose another folder"
+_TABLES: Final = {"studies", "study_directions", "trials", "trial_params", "trial_values", "trial_user_attributes"}
+"""Of Optuna's schema, without which there is nothing to go on with."""
+
+
+_UNUSABLE: Final = (
+    SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError, RuntimeError, LookupError, TypeError,
+    AttributeError,
+)  # fmt: skip
+"""What Optuna and SQLAlchemy end in where a database or its URL is not what they expect, or a cell of it is damaged."""
 
 
 def open_study(
@@ -54,7 +63,7 @@ def open_study(
         _check_study(place, study, wanted, set(parameters))
     except FileError:
         raise
-    except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError, RuntimeError, KeyError) as error:
+    except _UNUSABLE as error:
         reason = _without_password(str(getattr(error, "orig", None) or error), storage)
         if path is not None:
             raise FileError(path, f"cannot be used as a database: {reason}") from None
@@ -92,6 +101,9 @@ def _check_sqlite(path: Path) -> None:
         connection.close()
     if faults != ["ok"]:
         raise FileError(path, f"a damaged database: {faults[0] if faults else 'empty'} - {_RESTORE}")
+    missing = _TABLES - tables if "studies" in tables else set()
+    if missing:
+        raise FileError(path, f"a damaged database: without the table {', '.join(sorted(missing))} - {_RESTORE}")
     if tables and "studies" not in tables:
         raise FileError(path, f"a database of something else (tables {', '.join(sorted(tables)[:5])}) - {_RESTORE}")
 
@@ -100,13 +112,27 @@ def _check_study(place: str, study: optuna.Study, wanted: list[StudyDirection], 
     other = f"study {study.study_name!r} is of another search"
     if study.directions != wanted:
         raise FileError(place, f"{other}: it has other objectives - choose another folder or storage")
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+    for trial in study.get_trials(deepcopy=False):
+        if not isinstance(trial.user_attrs.get("commit", ""), str):
+            raise FileError(place, f"trial {trial.number}: its commit is no text - {_RESTORE}")
+        if trial.state is not TrialState.COMPLETE:
+            continue
         if set(trial.params) != parameters or not _finite(trial.values, len(wanted)):
             raise FileError(place, f"{other}: trial {trial.number} has other parameters or figures - {_RESTORE}")
+        for name, value in trial.params.items():
+            if not _within(trial.distributions[name], value):
+                raise FileError(place, f"trial {trial.number}: {name} = {value!r} is outside its range - {_RESTORE}")
 
 
 def _finite(values: Any, count: int) -> bool:
     return isinstance(values, list) and len(values) == count and all(abs(value) < float("inf") for value in values)
+
+
+def _within(distribution: Any, value: Any) -> bool:
+    """Whether a value may have been drawn from one of Optuna's distributions."""
+    if isinstance(distribution, optuna.distributions.CategoricalDistribution):
+        return value in distribution.choices
+    return isinstance(value, int | float) and bool(distribution.low <= value <= distribution.high)
 
 
 def _without_password(text: str, storage: str) -> str:

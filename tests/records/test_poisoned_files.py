@@ -1,5 +1,6 @@
 """Damaged and poisoned files: one line that names the file, within seconds, and nothing is changed or run."""
 
+import contextlib
 import hashlib
 import io
 import json
@@ -27,6 +28,7 @@ from agents.learning.train import CHECKPOINT, train_all
 from agents.policies.bundle import Description, Network, _hash, build_policy, save_bundle
 from agents.policies.catalogue import name_and_spec, named_policies
 from agents.policies.fixed import Constant
+from agents.policies.law import Law
 from agents.policies.maps.vibration_map import STORED as MAP
 from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.view import View
@@ -521,7 +523,7 @@ def described(**changes):
     def change(arrays):
         description = json.loads(str(arrays["description"]))
         for name, value in changes.items():
-            description[name] = description[name] | value if isinstance(value, dict) else value
+            description[name] = (description[name] or {}) | value if isinstance(value, dict) else value
         arrays["description"] = np.array(json.dumps(description))
 
     return with_arrays(change)
@@ -596,6 +598,10 @@ BUNDLES = ARCHIVES | {
     "a long description": described(trained={"notes": "x" * (1 << 21)}),
     "no description": with_arrays(lambda arrays: arrays.update(description=np.array(["a", "b"]))),
     "changed": lambda path: sealed(path, arrays_of(path) | {"hash": np.array("0" * 32)}),
+    "tubes of an unknown field": described(tubes={"foo": [1.0, 2.0]}),
+    "tubes of a name for the terminal": described(tubes={"\x1b[31m": [1.0, 2.0]}),
+    "tubes that end before they begin": described(tubes={"friction": [0.3, 0.1]}),
+    "tubes of NaN": described(tubes={"friction": [float("nan"), 0.3]}),
 }
 
 
@@ -605,6 +611,38 @@ def test_bundles(damage, bundle, tmp_path, refused, monkeypatch):
     path = Path(shutil.copy(bundle, tmp_path / "agent.npz"))
     BUNDLES[damage](path)
     refused(["evaluate", path, *FAST], f"{path}: ")
+
+
+LAW = {
+    "scene": {}, "ranges": {"friction": [0.1, 0.3]}, "friction": [0.1, 0.3], "inserted_length": [5.0, 60.0],
+    "tables": [{"helix_diameter": 1.2, "feed_speed": [[0.3, 0.1]] * 2, "air_supply_rate": [[0.01, 0.03]] * 2}],
+}  # fmt: skip
+LAWS = {
+    "unknown field": {"ranges": {"foo": [1.0, 2.0]}},
+    "name for the terminal": {"ranges": {"\x1b[31m": [1.0, 2.0]}},
+    "range of NaN": {"ranges": {"friction": [float("nan"), 0.3]}},
+    "range that ends before it begins": {"ranges": {"friction": [0.3, 0.1]}},
+    "friction of NaN": {"friction": [float("nan"), 0.3]},
+    "length without end": {"inserted_length": [5.0, float("inf")]},
+    "length without beginning": {"inserted_length": [-float("inf"), 60.0]},
+    "diameter without end": {"tables": [LAW["tables"][0] | {"helix_diameter": float("inf")}]},
+    "feed of NaN": {"tables": [LAW["tables"][0] | {"feed_speed": [[float("nan"), 0.1]] * 2}]},
+}
+
+
+@pytest.mark.parametrize("damage", [*ANYWHERE, "cut off", "{}", "a list", "nested", *LAWS])
+def test_feedback_laws(damage, tmp_path, refused):
+    path = tmp_path / "law.json"
+    path.write_text(json.dumps(LAW | LAWS.get(damage, {})))
+    if damage in JSON:
+        JSON[damage](path)
+    refused(["evaluate", path, *FAST], f"{path}: ")
+
+
+def test_the_undamaged_law_is_read(tmp_path):
+    path = tmp_path / "law.json"
+    path.write_text(json.dumps(LAW))
+    assert Law.read(path).friction == (0.1, 0.3)
 
 
 @pytest.mark.parametrize("damage", [*ARCHIVES, "NaN", "other layers", "one layer", "text"])
@@ -671,6 +709,44 @@ def test_a_locked_database(tmp_path, refused, monkeypatch):
     error = refused(["design", "--output", output], f"{output / 'study.db'}: locked by another process")
     assert len(error) < 400
     holder.close()
+
+
+CELLS = {
+    "distribution": "UPDATE trial_params SET distribution_json = '[]'",
+    "parameter of text": "UPDATE trial_params SET param_value = 'abc'",
+    "parameter of NULL": "UPDATE trial_params SET param_value = NULL",
+    "parameter out of range": "UPDATE trial_params SET param_value = 1e9",
+    "objective of text": "UPDATE trial_values SET value = 'abc'",
+    "kind of objective": "UPDATE trial_values SET value_type = 'FOO'",
+    "state": "UPDATE trials SET state = 'FOO'",
+    "commit": "UPDATE trial_user_attributes SET value_json = '[1, 2]'",
+    "attribute that is no JSON": "UPDATE trial_user_attributes SET value_json = '{'",
+    "table": "DROP TABLE trials",
+}
+
+
+@pytest.mark.parametrize("damage", CELLS)
+def test_a_whole_database_with_damaged_cells(damage, tmp_path):
+    """Nothing is changed, and the error is one line that names the file."""
+    import optuna
+
+    from agents.searches.database import open_study
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    path = tmp_path / "study.db"
+    study = open_study(f"sqlite:///{path}", "known", ["minimize"], ["x"])
+    trial = study.ask({"x": optuna.distributions.FloatDistribution(0.0, 1.0)})
+    trial.set_user_attr("commit", "0123456789ab")
+    study.tell(trial, 1.0)
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("PRAGMA ignore_check_constraints = ON")
+        connection.execute(CELLS[damage])
+    before = path.read_bytes()
+    with pytest.raises(FileError, match=r"study\.db: ") as error:
+        open_study(f"sqlite:///{path}", "known", ["minimize"], ["x"])
+    assert len(str(error.value)) < 600
+    assert "\n" not in str(error.value)
+    assert path.read_bytes() == before
 
 
 def test_a_study_of_another_search(tmp_path):
