@@ -90,9 +90,9 @@ from probe_env.envs.episodes import Episodes  # noqa: E402
 from probe_env.envs.task import FAILURES, TaskConfig  # noqa: E402
 from probe_env.envs.trials import Trial, judge  # noqa: E402
 
-assert FAILURES == ("lost_drive", "diverged", "jammed")
+assert FAILURES[-1] == "jammed"
 last = episodes_end(Episodes, fidelity="fast")
-assert [last[name] for name in FAILURES] == [False, False, True]
+assert [name for name in FAILURES if last[name]] == ["jammed"]
 episodes_end(MapEpisodes)
 trials_are_judged()
 tables_count()

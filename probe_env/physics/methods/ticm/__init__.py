@@ -1,8 +1,7 @@
 """The TICM recursion (17)-(29), and the study's scheme stepped with it.
 
 A chain, a state and a step's inputs enter, the state after the step leaves. ``implicit`` builds on its parts too.
-Numba's cache does not see edits in another file: ``make clean`` after changing what another one uses. Imports the
-inputs of a step only.
+Imports the inputs of a step only.
 """
 
 from probe_env.physics.methods.ticm.after_step import DIVERGED, OK, move_root, record
