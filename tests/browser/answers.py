@@ -18,6 +18,8 @@ from probe_env.fidelity import resolve_fidelity
 
 COMMAND = "make time-app"
 COLUMNS = ["wait", "seconds"]
+EACH = 3
+"""Insertions for every repeat: they are short and scatter with what else the machine does."""
 MOVES = 20
 """Of the point that is dragged, each some pixels from the one before."""
 
@@ -94,8 +96,8 @@ def measure(repeats: int, output: Path) -> None:
         starts = [first_run(browser, Path(folder) / str(k)) for k in range(repeats + 1)][1:]  # caches are warm
         with served(Path(folder) / "used") as app:
             runs = [used_run(browser, app) for _ in range(repeats + 1)][1:]
-            studied = [insertion(browser, app, "constant") for _ in range(repeats)]
-            best = [insertion(browser, app, "best-schedule") for _ in range(repeats)]
+            studied = [insertion(browser, app, "constant") for _ in range(EACH * repeats)]
+            best = [insertion(browser, app, "best-schedule") for _ in range(EACH * repeats)]
             moves = drags(browser, app)
         browser.close()
     plain = {name: [simulated(name) for _ in range(repeats + 1)][1:] for name in ("constant", "best-schedule")}
