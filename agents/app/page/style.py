@@ -37,7 +37,7 @@ TEXT: Final = """
 h1 { font-size: 21px; margin: 0; } h2 { font-size: 17px; margin: 12px 0 2px; } p { margin: 3px 0; }
 .problem { color: #a33a00; font-weight: 600; } .problem::before { content: "\\26A0\\00A0"; }
 .quiet { color: #555; } .big { font-size: 19px; }
-.scroll { overflow-x: auto; }
+.bk-clearfix { max-width: 100%; } .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 14px; }
 th, td { text-align: right; padding: 3px 7px; border-bottom: 1px solid #ddd; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; } thead th { white-space: normal; vertical-align: bottom; }
