@@ -23,8 +23,6 @@ PATIENCE: Final = 2.0
 _RESTORE: Final = "restore the file, or choose another folder"
 _TABLES: Final = {"studies", "study_directions", "trials", "trial_params", "trial_values", "trial_user_attributes"}
 """Of Optuna's schema, without which there is nothing to go on with."""
-
-
 _UNUSABLE: Final = (
     SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, ValueError, RuntimeError, LookupError, TypeError,
     AttributeError,

@@ -28,12 +28,12 @@ SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
 FINE_MESH: Final = 8
 """Nodes a pitch where a superelement gives way to a method on nodes."""
 PULL_HOLDS: Final = 0.0125
-"""Of T dt^2 / (rho p^2), T the tension of steady sliding: superelements in straight tubes, at 2e-4 s, diverged from
-0.0148 on (27 insertions with 2 to 10 times the drag, at 411 to 549 N)."""
+"""Of T dt^2 / (rho p^2), T the tension of steady sliding: 20 insertions of table 2's probe in straight tubes, with 2 to
+10 times the drag, diverged at 2e-4 s from 0.0148 on (411 to 549 N)."""
 START_HOLDS: Final = 1.9
 """[m/s], of T dt / (rho p), T what drag pulls a probe with that starts at rest, before friction holds it: the wave that
-runs through it then is twice as high. Of 1000 such starts those that diverged began at 2.05 (5e-4 s), 2.3 (2e-4 s) and
-2.7 (1e-4 s) in helices of 0.3 to 1.4 m, at twice that in straight tubes; beyond, one in twenty did."""
+runs through it then is twice as high. Of 1000 such starts the least that diverged had 2.05 at 5e-4 s, 2.3 at 2e-4 s
+and 2.7 at 1e-4 s, in helices of 0.3 to 1 m; in straight tubes 2.6, 4.8, and none at 1e-4 s."""
 
 
 class Sliding(NamedTuple):
@@ -53,7 +53,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         longest: the inserted length at its end [m].
         most_air: the greatest air supply [m3/s].
         from_rest: whether a start that may diverge is refused. A search of designs tries much air on sections of
-            constant length, of which a few diverge so: it is told, and goes on.
+            constant length, of which some diverge so: it is told, and goes on.
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
