@@ -94,10 +94,11 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
     tensions = start.tension if from_rest else 0.0, end.tension
     pulled = _pulled_step(fidelity.method, probe, *tensions)
     if fidelity.time_step > pulled * (1.0 + 1e-9):
+        rests = _pulled_step(fidelity.method, probe, tensions[0], 0.0) == pulled
+        pull = f"{start.tension:.3g} N as it starts from rest" if rests else f"{end.tension:.3g} N as it slides"
         raise ValueError(
-            f"{tube}: drag pulls the probe with {start.tension:.3g} N as it starts from rest and with up to"
-            f" {end.tension:.3g} N as it slides: {fidelity.method} holds with a time step of at most {pulled:.2g} s,"
-            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
+            f"{tube}: drag pulls the probe with {pull}: {fidelity.method} holds with a time step of at most"
+            f" {pulled:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_that_holds(fidelity, scene, *tensions)}"
         )
 

@@ -104,7 +104,7 @@ PULLED = [
 def test_drag_that_pulls_harder_than_a_step_holds_is_refused_with_a_step_that_does(context, how, method):
     env_id = IDS[how == REST]
     fidelity = {"method": method, "time_step": 2e-4}
-    with pytest.raises(ValueError, match=f"drag pulls the probe with .* {how}.* holds with a time step") as error:
+    with pytest.raises(ValueError, match=rf"drag pulls the probe with \S+ N {how}: \w+ holds with a") as error:
         gym.make(env_id, fidelity=fidelity).reset(seed=0, options=context)
     fidelity = ast.literal_eval(str(error.value).split("give fidelity = ")[1])
     assert fidelity["time_step"] < 2e-4
