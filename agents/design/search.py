@@ -36,7 +36,7 @@ from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
-from probe_env.envs.task import TaskConfig, metre_cost
+from probe_env.envs.task import Outcome, TaskConfig, reward_terms
 from probe_env.envs.trials import stretch_of
 
 
@@ -214,13 +214,14 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
     """The design of the front with the best reward by the task's weights, among those that keep some drive."""
     span = stretch_of(config).span
 
-    def cost(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
-        feed, air = span / row["inspection_time_s"], row.get("air_supply_rate", 0.0)
-        metre = metre_cost(config, *map(np.asarray, (row["mean_square_ratio"], feed, air)))
-        return float(span * metre) + config.progress_weight * row["guide_length"]
+    def reward(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
+        seconds = row["inspection_time_s"]
+        air, guide = seconds * row.get("air_supply_rate", 0.0), row["guide_length"]
+        parts = (span - guide, span * row["mean_square_ratio"], seconds, air, 0.0, 0.0)
+        return float(sum(reward_terms(config, Outcome(*map(np.asarray, parts))).values()))
 
     rows: list[Any] = front.to_dict("records")
-    best = min([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=cost)
+    best = max([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=reward)
     return Design(**{name: float(best[name]) for name in RANGES}).built
 
 

@@ -19,7 +19,7 @@ from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig, metre_reward
+from probe_env.envs.task import TaskConfig, metre_reward, slack
 from probe_env.schedule import Schedule
 
 FEEDS, AIRS = 28, 12
@@ -71,21 +71,20 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     stands_for[[0, -1]] *= 0.5  # half a spacing at the ends
     cost = expected_costs(tubes, response, config, metres).mean(axis=0).reshape(len(places), count)
     taut = np.quantile(tensions(tubes, config, metres), 1.0 - SURE, axis=0).reshape(len(places), count)
-    needed = MARGIN * config.required_tension
-    slack = (taut < needed) & (places >= config.lost_drive_from)[:, None]
-    if slack.all(axis=1).any():
-        where = places[slack.all(axis=1)][0]
+    hanging = slack(config, taut / MARGIN, places[:, None])
+    if hanging.all(axis=1).any():
+        where = places[hanging.all(axis=1)][0]
         raise ValueError(
             f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only {taut.max():.3g} N of root"
-            f" tension at {where:g} m in {SURE:.0%} of the draws, and {needed:g} N are needed"
+            f" tension at {where:g} m in {SURE:.0%} of the draws, and {MARGIN * config.required_tension:g} N are needed"
             f" ({MARGIN:g} times required_tension)"
         )
-    staged = np.where(slack, np.inf, cost * stands_for[:, None])
+    staged = np.where(hanging, np.inf, cost * stands_for[:, None])
     path = _cheapest(staged, _changes(feed, air, config))
     schedule = Schedule(
         "inserted_length", "linear", tuple(places.tolist()), tuple(feed[path].tolist()), tuple(air[path].tolist())
     )
-    gained = config.progress_weight * (end - FIRST) - float((cost * stands_for[:, None])[range(len(path)), path].sum())
+    gained = float((metre_reward(config, cost) * stands_for[:, None])[range(len(path)), path].sum())
     deep = places >= config.lost_drive_from
     return Optimum(schedule, gained, float(taut[range(len(path)), path][deep].min()) if deep.any() else float("inf"))
 

@@ -44,7 +44,7 @@ class Sliding(NamedTuple):
     slide: float
 
 
-def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float, from_rest: bool = True) -> None:
+def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float) -> None:
     """Raise ValueError if a fidelity cannot simulate an episode; fields are named as in a ``Context``.
 
     Args:
@@ -52,8 +52,6 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         fidelity: method, step and mesh.
         longest: the inserted length at its end [m].
         most_air: the greatest air supply [m3/s].
-        from_rest: whether a start that may diverge is refused. A search of designs tries much air on sections of
-            constant length, of which some diverge so: it is told, and goes on.
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
@@ -91,15 +89,14 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
         )
-    tensions = start.tension if from_rest else 0.0, end.tension
-    pulled = _pulled_step(fidelity.method, probe, *tensions)
+    pulled = _pulled_step(fidelity.method, probe, start.tension, end.tension)
     if fidelity.time_step > pulled * (1.0 + 1e-9):
-        rests = _pulled_step(fidelity.method, probe, tensions[0], 0.0) == pulled
+        rests = _pulled_step(fidelity.method, probe, start.tension, 0.0) == pulled
         pull = f"{start.tension:.3g} N as it starts from rest" if rests else f"{end.tension:.3g} N as it slides"
         raise ValueError(
             f"{tube}: drag pulls the probe with {pull}: {fidelity.method} holds with a time step of at most"
             f" {pulled:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
-            f" {_that_holds(fidelity, scene, *tensions)}"
+            f" {_that_holds(fidelity, scene, start.tension, end.tension)}"
         )
 
 

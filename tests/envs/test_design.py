@@ -13,7 +13,7 @@ from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConf
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.trials import Candidate, Trial, judge, stretch_of, try_insertions, try_sections
-from probe_env.envs.trials.sections import MEASURE, PERTURBATION, SETTLE
+from probe_env.envs.trials.sections import AIR_LAG, GENTLE, MEASURE, PERTURBATION, SETTLE
 from probe_env.schedule import Schedule
 
 ROOT = Path(__file__).parents[2]
@@ -145,9 +145,11 @@ def test_a_section_is_the_simulator_s_own_run():
     tube = Context(friction=0.2, helix_diameter=1.4)
     other = Candidate(Design(), Context(), STUDY_FEED, 5)
     trial = try_sections([other, Candidate(IMPROVED, tube, STUDY_FEED, 6)], CONFIG)
-    base = tube.apply(Scene()).model_copy(update={"probe": IMPROVED.probe(), "carrier_length": 20.0})
-    alone = SimulatorBatch([base], Fidelity().method, seeds=[6], perturbation=PERTURBATION)
-    alone.advance(None, None, SETTLE)
+    base = tube.apply(Scene()).model_copy(
+        update={"probe": IMPROVED.probe(), "carrier_length": 20.0, "air_supply_rate": GENTLE}
+    )
+    alone = SimulatorBatch([base], Fidelity().method, seeds=[6], perturbation=PERTURBATION, air_lag=AIR_LAG)
+    alone.advance(None, Scene().air_supply_rate, SETTLE)
     window = alone.advance(None, None, MEASURE)
     assert trial.radial_rms[1, 1] == window.statistics["radial_rms_m"][0]
     assert trial.root_tension[1, 1] == window.statistics["tension_mean_n"][0]

@@ -16,7 +16,7 @@ from probe_env.envs.limits import check_simulable, softest_wall, steady_sliding
 from probe_env.envs.starts import Starts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import LOAD_CELL, observe
-from probe_env.envs.trials import section_scenes
+from probe_env.envs.trials import sections_of
 from probe_env.envs.trials.simulable import HARDEST
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS, ON_NODES
@@ -144,8 +144,8 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
         for design in (*HARDEST, Design(), Design.random(rng)):
             scene = starts.build(context, {"probe": design.built.model_dump()})
             check_simulable(scene, fidelity, 60.0, MOST_AIR)
-            for section in section_scenes(design, context, hard, TaskConfig())[::4]:
-                check_simulable(section, fidelity, section.inserted_length, MOST_AIR, from_rest=False)
+            for section, air in sections_of(design, context, hard, TaskConfig())[::4]:
+                check_simulable(section, fidelity, section.inserted_length, air)
                 start = steady_sliding(section, section.inserted_length, MOST_AIR, 0.0)
                 assert start.slide * 2.0 / context.helix_diameter < 0.5
 

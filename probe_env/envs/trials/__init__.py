@@ -8,11 +8,11 @@ from probe_env.envs.trials.candidates import Candidate, Trial
 from probe_env.envs.trials.insertions import try_insertions
 from probe_env.envs.trials.judgement import check_measure, judge
 from probe_env.envs.trials.players import Controller, Foresighted, Players, periods_of
-from probe_env.envs.trials.sections import section_scenes, try_sections
+from probe_env.envs.trials.sections import sections_of, try_sections
 from probe_env.envs.trials.simulable import check_candidate, check_space
 from probe_env.envs.trials.stretch import Stretch, stretch_of
 
 __all__ = [
     "Candidate", "Controller", "Foresighted", "Players", "Stretch", "Trial", "check_candidate", "check_measure",
-    "check_space", "judge", "periods_of", "section_scenes", "stretch_of", "try_insertions", "try_sections",
+    "check_space", "judge", "periods_of", "sections_of", "stretch_of", "try_insertions", "try_sections",
 ]  # fmt: skip

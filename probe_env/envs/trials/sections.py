@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import FAILURES, TaskConfig
+from probe_env.envs.task import FAILURES, TaskConfig, slack
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import Controller
 from probe_env.envs.trials.stretch import stretch_of
@@ -23,6 +24,16 @@ from probe_env.scene import Scene
 from probe_env.schedule import Schedule
 
 SETTLE, MEASURE, PERTURBATION = 1.0, 2.0, 1e-7  # [s], [s], [m]
+GENTLE, AIR_LAG = 20.0 / 3600.0, 0.2
+"""[m3/s] a probe at rest starts with at most, and [s] with which the rest follows; as it settles, 99 % has come. All of
+it at once sends a wave through the probe that is twice as high as its tension in the end."""
+
+
+class Section(NamedTuple):
+    """A probe at constant length: its scene at the start, and the air supply it is tried with [m3/s]."""
+
+    start: Scene
+    air_supply_rate: float
 
 
 def try_sections(
@@ -46,35 +57,37 @@ def try_sections(
     """
     fidelity, stretch = fidelity or Fidelity(), stretch_of(config)
     shape = (len(candidates), len(stretch.positions))
-    scenes = [
-        scene
+    sections = [
+        section
         for candidate in candidates
-        for scene in section_scenes(candidate.design, candidate.context, over_length(candidate.feed), config)
+        for section in sections_of(candidate.design, candidate.context, over_length(candidate.feed), config)
     ]
-    inserted, speed, air = (
+    scenes, air = [section.start for section in sections], np.array([section.air_supply_rate for section in sections])
+    inserted, speed = (
         np.array([getattr(scene, name) for scene in scenes]).reshape(shape)
-        for name in ("inserted_length", "feed_speed", "air_supply_rate")
+        for name in ("inserted_length", "feed_speed")
     )
     batch = SimulatorBatch(
         scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
         seeds=[seed for seed in seeds_of(candidates) for _ in stretch.positions], perturbation=PERTURBATION,
+        air_lag=AIR_LAG,
     )  # fmt: skip
-    settled = batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
+    settled = batch.advance(None, air, SETTLE, SAMPLE_PERIOD)
     heard = config.vibration_measure == "snr"
     window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=heard)
     diverged = (settled.diverged | window.diverged).reshape(shape)
     rms, tension = (window.statistics[name].reshape(shape) for name in ("radial_rms_m", "tension_mean_n"))
-    deep = inserted >= config.lost_drive_from
-    slack = deep & ~diverged & (tension < config.required_tension)
-    reached = np.cumsum(diverged | slack, axis=1) == 0
+    hanging = slack(config, tension, inserted) & ~diverged
+    reached = np.cumsum(diverged | hanging, axis=1) == 0
     widths = np.where(reached, stretch.widths, 0.0)
     failed = dict.fromkeys(FAILURES, np.zeros(len(candidates), dtype=bool))  # at constant length in two ways alone
-    failed |= {"lost_drive": np.asarray(slack.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
+    failed |= {"lost_drive": np.asarray(hanging.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
     noise = None
     if heard:
         assert window.radial is not None
         noise = _noise(config.sensor, window.radial, speed.ravel()).reshape(shape)
-    return Trial(widths, speed, air, rms, tension, deep & ~diverged, failed, noise=noise)
+    deep = (inserted >= config.lost_drive_from) & ~diverged
+    return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
 
 
 def _noise(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
@@ -94,15 +107,16 @@ def over_length(feed: Schedule | Controller) -> Schedule:
     return feed
 
 
-def section_scenes(design: Design, context: Context, feed: Schedule, config: TaskConfig) -> list[Scene]:
+def sections_of(design: Design, context: Context, feed: Schedule, config: TaskConfig) -> list[Section]:
     """What is simulated of a design in a tube, for each position of the task's stretch."""
     base = config.scene
-    probe, tube, scenes = design.probe(base.probe), context.apply(base), []
+    probe, tube, sections = design.probe(base.probe), context.apply(base), []
     for position in stretch_of(config).positions:
         carrier = round(round(position / probe.float_pitch) * probe.float_pitch, 6)
         inserted = carrier + probe.guide_length
         fed, blown = config.given(*feed.at(inserted))[0].tolist()
         room = max(base.tube.helix_length, inserted)  # rounding to the pitch may go some cm beyond
-        update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": blown}
-        scenes.append(tube.model_copy(update={"tube": {"helix_length": room}, **update}))
-    return scenes
+        update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": min(blown, GENTLE)}
+        start = tube.model_copy(update={"tube": {"helix_length": room}, **update})
+        sections.append(Section(start, blown))
+    return sections

@@ -10,7 +10,7 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.limits import check_simulable
 from probe_env.envs.starts import Starts, settling
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials.sections import section_scenes
+from probe_env.envs.trials.sections import sections_of
 from probe_env.fidelity import Fidelity
 from probe_env.schedule import Schedule
 
@@ -51,5 +51,5 @@ def check_candidate(
         scene = starts.build(context, {"probe": design.built.model_dump()})
         check_simulable(scene, fidelity, scene.tube.helix_length, config.air_supply_rates[1])
     else:
-        for scene in section_scenes(design, context, feed, config):
-            check_simulable(scene, fidelity, scene.inserted_length, scene.air_supply_rate, from_rest=False)
+        for start, air in sections_of(design, context, feed, config):
+            check_simulable(start, fidelity, start.inserted_length, air)

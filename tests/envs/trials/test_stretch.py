@@ -9,7 +9,7 @@ from probe_env import Context, Design, Fidelity, Plant, SimulatorBatch, TaskConf
 from probe_env.design import CLEARANCE, RANGES, ranges_in
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.trials import Candidate, judge, stretch_of, try_insertions, try_sections
-from probe_env.envs.trials.sections import MEASURE, PERTURBATION, SETTLE
+from probe_env.envs.trials.sections import AIR_LAG, GENTLE, MEASURE, PERTURBATION, SETTLE
 from probe_env.envs.trials.stretch import SENSOR_START
 
 IMPROVED = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
@@ -57,10 +57,10 @@ def test_the_last_section_is_the_simulator_s_own_run(helix_length):
     config, tube = plant.configured(), Context(friction=0.2, helix_diameter=1.4)
     trial = try_sections([Candidate(IMPROVED, tube, STUDY_FEED, 6)], config)
     changes = {"probe": IMPROVED.probe(plant.probe), "carrier_length": helix_length - 10.0, "feed_speed": 0.15}
-    scene = tube.apply(plant.scene).model_copy(update=changes | {"air_supply_rate": 65.0 / 3600.0})  # 63 in steps of 5
+    scene = tube.apply(plant.scene).model_copy(update=changes | {"air_supply_rate": GENTLE})
     assert scene.probe.damping_time == 8e-5
-    alone = SimulatorBatch([scene], Fidelity().method, seeds=[6], perturbation=PERTURBATION)
-    alone.advance(None, None, SETTLE)
+    alone = SimulatorBatch([scene], Fidelity().method, seeds=[6], perturbation=PERTURBATION, air_lag=AIR_LAG)
+    alone.advance(None, 65.0 / 3600.0, SETTLE)  # 63 in steps of 5
     window = alone.advance(None, None, MEASURE)
     assert trial.radial_rms[0, -1] == window.statistics["radial_rms_m"][0]
     assert trial.root_tension[0, -1] == window.statistics["tension_mean_n"][0]
