@@ -19,13 +19,13 @@ from scipy.stats import qmc
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.plants.figures import middle, quantiles
-from probe_env.envs.plants.posterior import Posterior, with_posterior
+from probe_env.envs.plants.posterior import Posterior, check_draws, with_posterior
 from probe_env.envs.plants.tables import DRAG, FRICTION, STIFFNESS, FeedDevice, Supply, Tubes, Walls
 from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Probe, Scene
-from probe_env.settings import Model, explain, tuples, within
+from probe_env.settings import Model, explain, tuples
 
 MOST_TUBES: Final = 4096
 FACTORS: Final = (0.1, 10.0)
@@ -80,7 +80,7 @@ class Plant(Model):
             if name in misplaced or name in SHOWN:
                 place = f"stands in [{misplaced[name]}]" if name in misplaced else "is set by who looks at it"
                 raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {place}"})
-        self._check_posterior()
+        check_draws(self.posterior)
         least, most = self._drag_factors(np.array([RARE, 1.0 - RARE]))
         low, high = FACTORS
         if not low <= least <= most <= high:
@@ -95,17 +95,6 @@ class Plant(Model):
             text = explain(error, "feed" if field in OF_FEED else "air" if field in OF_AIR else table)
             raise PydanticCustomError("plant", "{text}", {"text": text}) from error
         return self
-
-    def _check_posterior(self) -> None:
-        """Draws must be values that the fields accept."""
-        ranges = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "drag_coefficient": DRAG}
-        for name, draws in self.posterior.draws.items() if self.posterior else ():
-            low, high = ranges.get(name, (0.0, 1.0))
-            for value in (draws.min(), draws.max()):
-                try:
-                    within(f"posterior.draws.{name}", float(value), low, high, "")
-                except ValueError as error:
-                    raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
 
     def _middle(self, name: str) -> float:
         """Median of a quantity by the posterior, or by its figure."""

@@ -12,8 +12,9 @@ from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
+from probe_env.envs.plants.tables import DRAG, FRICTION, STIFFNESS
 from probe_env.files import MEBI, FileError, read_bytes
-from probe_env.settings import Model, explain, tuples
+from probe_env.settings import Model, explain, tuples, within
 
 MOST_FILE: Final = 16 * MEBI
 MOST_DRAWS: Final = 4096
@@ -89,6 +90,20 @@ class Posterior(Model):
         return float(np.median(self.draws[name]))
 
 
+def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
+    """Raise ValueError, with a file FileError, if draws are not values that the plant's own fields accept."""
+    ranges = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "drag_coefficient": DRAG}
+    for name, draws in posterior.draws.items() if posterior else ():
+        low, high = ranges.get(name, (0.0, 1.0))
+        for value in (draws.min(), draws.max()):
+            try:
+                within(f"draws.{name}" if file else f"posterior.draws.{name}", float(value), low, high, "")
+            except ValueError as error:
+                if file:
+                    raise FileError(file, str(error)) from None
+                raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
+
+
 def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
     """A plant's tables with the draws in them that ``posterior = "calibration.json"`` stands for.
 
@@ -120,5 +135,6 @@ def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict
         raise ValueError(f"posterior: {' and '.join(map(repr, named))}, and only one file can be told of")
     for file, names in named.items():
         posterior = Posterior.read((folder or Path()) / file)
+        check_draws(posterior, (folder or Path()) / file)
         tables["posterior"] = posterior.of(frozenset(names) & posterior.draws.keys())
     return tables

@@ -82,7 +82,7 @@ def test_it_is_part_of_the_plant(folder: Path) -> None:
         ("[]", "draws: missing"),
         ('{"draws": {"friction": []}}', "draws.friction"),
         ('{"draws": {"friction": [0.1, 0.2], "contact_stiffness": [1e5]}}', "as many draws"),
-        ('{"draws": {"friction": [0.1, 7.0]}}', "posterior.draws.friction = 7.0 is outside the accepted range 0 to 1"),
+        ('{"draws": {"friction": [0.1, 7.0]}}', "draws.friction = 7.0 is outside the accepted range 0 to 1"),
         ('{"draws": {"frction": [0.1]}}', "frction"),
         ('{"draws": {"friction": ["a"]}}', "draws.friction"),
     ],
@@ -93,7 +93,7 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, content: str, problem
     with pytest.raises(ValueError, match=problem) as error:
         plant_of_text(tmp_path, 'posterior = "calibration.json"')
     assert "\n" not in str(error.value)
-    assert ".json" in str(error.value) or ".toml" in str(error.value)
+    assert "calibration.json: " in str(error.value)
 
 
 def test_a_missing_or_second_file_is_named(folder: Path) -> None:

@@ -15,6 +15,7 @@ from agents.policies.maps.vibration_map import stored_map
 from agents.records.provenance import commit
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError
 from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig(privileged=True)
@@ -77,6 +78,17 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
     assert len(trials[0]) == 256  # whole generations of 16
     assert best.feed_speed[0] == pytest.approx(0.1, rel=0.02)
     assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
+
+
+@pytest.mark.parametrize("damaged", ["setting.json", "episodes.jsonl"])
+def test_damaged_episodes_are_refused_before_anything_is_tried(damaged, tmp_path, monkeypatch):
+    monkeypatch.setattr(MapCost, "reward", lambda *_: pytest.fail("a schedule was tried"))
+    file = tmp_path / "work" / "best-constant" / damaged
+    file.parent.mkdir(parents=True)
+    file.write_text("seven\n")
+    with pytest.raises(FileError, match=damaged):
+        run_search("best-constant", 16, tmp_path, tmp_path / "work", stored_map())
+    assert file.read_text() == "seven\n"
 
 
 def search_until(folder, number):
