@@ -1,0 +1,161 @@
+"""Damaged settings and schedules that people write, and names of files, columns and options."""
+
+import os
+from pathlib import Path
+
+import pytest
+from poisons import ANYWHERE, FAST, ROOT, text
+
+from agents.cli import main
+from agents.evaluation.report import write_report
+from agents.policies.catalogue import name_and_spec, named_policies
+from agents.policies.fixed import Constant
+from agents.records.reading import read_csv
+from agents.rollouts.plan import Plan, run_plan
+from agents.rollouts.statistics import grouped
+from agents.terminal.tables import print_table
+from probe_env import Fidelity
+from probe_env.envs.contexts import spread_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError, one_line
+
+HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
+
+
+TEXTS = ANYWHERE | {
+    "Latin-1": lambda path: path.write_bytes("# für\nfeed_speed = 1\n".encode("latin-1")),
+    "escape": text("\x1b[2J\n=\x07"),
+    "one long line": text("x" * (1 << 20)),
+    "nothing to read": lambda path: os.symlink("itself", path.with_name("itself")) or os.replace(
+        path.with_name("itself"), path
+    ),
+}  # fmt: skip
+TOMLS = TEXTS | {
+    "deep": text("a = " + "[" * 50_000),
+    "a deep key": text("a" + ".a" * 30_000 + " = 1"),
+    "a long number": text("feed_speed = " + "1" * 10_000),
+    "many fields": text("".join(f"field{k} = 1\n" for k in range(5000))),
+    "a long value": text("feed_speed = '" + "x" * 500_000 + "'"),
+    "large": text("#" * (2 << 20)),
+}
+SCHEDULES = TEXTS | {
+    "many columns": text(",".join(f"c{k}" for k in range(200_000)) + "\n"),
+    "a long cell": text(HEAD + "5," + "1" * 200_000 + ",63\n"),
+    "an open quote": text(HEAD + '5,"' + "1,63\n" * 100_000),
+}
+
+
+@pytest.mark.parametrize("damage", TOMLS)
+@pytest.mark.parametrize("command", ["simulate", "train", "compare", "evaluate"])
+def test_toml_files(damage, command, tmp_path, refused):
+    path = tmp_path / "file.toml"
+    TOMLS[damage](path)
+    if damage == "nothing to read":
+        path.unlink()
+        path.symlink_to(path)
+    if damage == "empty" and command in ("simulate", "train", "compare"):
+        return  # all settings have defaults
+    refused([command, path], str(path))
+
+
+@pytest.mark.parametrize("damage", SCHEDULES)
+def test_schedules(damage, tmp_path, refused):
+    path = tmp_path / "file.csv"
+    SCHEDULES[damage](path)
+    refused(["evaluate", path, *FAST], str(path))
+
+
+def test_a_byte_order_mark_and_windows_lines_are_read(tmp_path):
+    from probe_env import Scene
+
+    path = tmp_path / "scene.toml"
+    path.write_bytes(b"\xef\xbb\xbffeed_speed = 0.1\r\n")
+    assert Scene.from_toml(path).feed_speed == 0.1
+
+
+SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--scene.contact.friction", "7"], "--scene.contact.friction: 7.0 is outside the accepted range 0 to 1"),
+        (["--scene.feed-speed", "-3"], "--scene.feed_speed: -3.0 m/s is outside the accepted range -2 to 2 m/s"),
+        (["--scene.carrier-length", "7.03"], "--scene: carrier_length = 7.03 m must be a whole multiple"),
+        (["--scene.tube.helix-diameter", "nan"], "--scene.tube.helix_diameter: nan m is outside"),
+    ],
+)
+def test_options_of_scenes(options, message, refused):
+    refused(["simulate", SCENE, *options], message)
+
+
+def test_fields_of_scenes(tmp_path, refused):
+    for content, message in (
+        ("feed_sped = 1", "feed_sped"),
+        ("[contact]\nfriction = 7", "contact.friction: 7"),
+        ("[", "TOML"),
+    ):
+        (tmp_path / "scene.toml").write_text(content)
+        refused(["simulate", tmp_path / "scene.toml"], str(tmp_path / "scene.toml"), message)
+    refused(["simulate", tmp_path], str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "name", ["=1+1", "@SUM(A1)", "+1+1", "-1", "\tx", "a\x1b[31mb", "a\nb", "x" * 81, " x", "", "\u202ecsv"]
+)
+def test_names_that_are_refused(name, refused):
+    refused(["evaluate", f"{name}=constant", *FAST], "policy ", "NAME=FILE gives a name")
+
+
+def schedule_at(path):
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(HEAD + "5,0.1,63\n")
+    return str(path)
+
+
+def test_files_of_any_name(tmp_path, monkeypatch):
+    """A file that is there wins over NAME=FILE; what a spreadsheet takes for a formula is left out of its name."""
+    monkeypatch.chdir(tmp_path)
+    for file in ("a=b.csv", "-x.csv", "=2.csv", "c@3.csv", "null.csv", "1e5.csv", "d=1/y=2.csv"):
+        schedule_at(Path(file))
+    given = {
+        "a=b.csv": ("a=b", "a=b.csv"), "./a=b.csv": ("a=b", "./a=b.csv"), "n=a=b.csv": ("n", "a=b.csv"),
+        "n@1=a=b.csv": ("n@1", "a=b.csv"), "-x.csv": ("x", "-x.csv"), "./-x.csv": ("x", "./-x.csv"),
+        "=2.csv": ("2", "=2.csv"), "c@3.csv": ("c@3", "c@3.csv"), "d=1/y=2.csv": ("y=2", "d=1/y=2.csv"),
+        "m=d=1/y=2.csv": ("m", "d=1/y=2.csv"), "k=constant": ("k", "constant"), "p=q=pi": ("p=q", "pi"),
+        "n=no.csv": ("n", "no.csv"), "null.csv": ("null", "null.csv"), "1e5.csv": ("1e5", "1e5.csv"),
+    }  # fmt: skip
+    assert {spec: name_and_spec(spec) for spec in given} == given
+    assert list(named_policies(["a=b.csv", "./-x.csv", "n@1=d=1/y=2.csv"], TaskConfig())) == ["a=b", "x", "n@1"]
+
+
+def test_options_end_where_the_user_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    schedule_at(Path("-x.csv"))
+    for arguments in (["--limit", "99", "--", "-x.csv"], ["./-x.csv", "--limit", "99"]):
+        assert main(["evaluate", *arguments]) == 2
+        assert "limit = 99" in capsys.readouterr().err  # so the file was taken
+
+
+def test_names_like_numbers_and_markup_stay_what_they_are(tmp_path, capsys):
+    names = ["null", "1e5", "nan", "NA", "<b>x</b>", "[red]y", "$\\frac$", "_z", "v@²"]
+    config = TaskConfig(growing=False, period=0.1, time_limit=0.1, settle_time=0.1)
+    plan = Plan(
+        {name: Constant(config, feed_speed=0.1 + 0.01 * k) for k, name in enumerate(names)},
+        spread_contexts("validation", 2), (0,), config, Fidelity(),
+    )  # fmt: skip
+    run_plan(plan, tmp_path, progress=False)
+    table = read_csv(tmp_path / "episodes.csv", {"policy": "name"})
+    assert list(dict.fromkeys(grouped(table)["policy"])) == names
+    page = write_report(tmp_path).read_text()
+    assert "<b>x" not in page
+    assert "&lt;b&gt;x" in page
+    assert list(dict.fromkeys(read_csv(tmp_path / "summary.csv", {"policy": "name"})["policy"])) == names
+    print_table("[red]title", ["policy"], [[name] for name in names])
+    assert "[red]y" in capsys.readouterr().out
+
+
+def test_what_is_told_is_one_printable_line():
+    assert one_line("a\nb\x1b[31m\u202e") == "a; b\\x1b[31m\\u202e"
+    assert len(one_line("x" * 10**6)) < 2100
+    assert str(FileError("a\nb", "c\nd")).isprintable()
