@@ -23,12 +23,12 @@ SENSOR: Final = np.array([0.005, 0.05, 0.05, 0.05])
 GAUGES: Final = np.array([0.01, 0.0, 0.0, 0.0])
 """More of it [decades], but where a gain is looked for: a rough gauge makes no other world."""
 UNREST: Final = np.array([0.0, 0.5, 0.5, 0.5])
-"""Scatter of each channel that comes on top, as a share of ``FLOORS``: the unrest of feeding, of which ``fast`` tells
-twice what ``standard`` shows, so that a quiet metre is told less well than one that rings."""
+"""Scatter of each channel that comes on top, as a share of ``FLOORS``: the unrest of feeding, so that a quiet metre is
+told less well than one that rings."""
 TENSION, VIBRATION = (0,), (1, 2, 3)
-TRUSTED: Final = ((TENSION, 0.7), (VIBRATION, 0.5))
-"""Channels and the power of their likelihood (that of the vibration and ``UNREST`` were found on 32 simulated logs at
-``standard`` that serve nothing else): what the network tells of a log is off alike over many metres."""
+TRUST: Final = 0.7
+"""Power of the likelihood (it and ``UNREST`` were found on 48 simulated logs at ``standard`` that serve nothing else):
+what the network tells of a log is off alike over many metres."""
 WALKERS: Final = 32
 BURN, STEPS, KEPT = 300, 400, 512
 SETTLED, FIRST, LEAST = 3, 2048, 256
@@ -76,8 +76,8 @@ class Likelihood:
         self.seen = [observed(case.metres, chosen) for case, chosen in zip(cases, self.chosen, strict=True)]
         self.blocks = [
             {
-                channels: (trust, columns, np.linalg.cholesky(response.covariance(case.metres.length, part)))
-                for channels, trust in TRUSTED
+                channels: (columns, np.linalg.cholesky(response.covariance(case.metres.length, part)))
+                for channels in (TENSION, VIBRATION)
                 if (part := [k for k in chosen if k in channels])
                 for columns in [[chosen.index(k) for k in part]]
             }
@@ -116,13 +116,13 @@ class Likelihood:
         """(n,) what some channels of a case add to that, none where the log has none of them."""
         if channels not in self.blocks[number]:
             return np.zeros(len(strays))
-        trust, columns, factor = self.blocks[number][channels]
+        columns, factor = self.blocks[number][channels]
         held = channels == VIBRATION
         scatter = self.settled[number] if held else np.hypot(spread, GAUGES[self.chosen[number]])
         flat = (strays * spread / scatter)[..., columns].reshape(len(strays), -1)
         white = solve_triangular(factor, flat.T, lower=True, check_finite=False)
         density = -0.5 * (white**2).sum(axis=0)
-        return np.asarray(trust * (density if held else density - np.log(scatter[..., columns]).sum(axis=(1, 2))))
+        return np.asarray(TRUST * (density if held else density - np.log(scatter[..., columns]).sum(axis=(1, 2))))
 
     def misfit(self, number: int, table: FloatArray) -> FloatArray:
         """(c + 1,) of a case at (4,), see ``Response.misfit_of``."""

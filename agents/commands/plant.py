@@ -105,9 +105,9 @@ class Recommend:
 class Learn:
     """Learn what calibrations and recommendations go by: wandering insertions, and a network of what they felt."""
 
-    groups: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 12
+    groups: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 15
     """How many, of 32 insertions each, in one bore."""
-    fidelity: Literal["fast", "standard"] = "fast"
+    fidelity: Literal["fast", "standard"] = "standard"
     """How closely they are simulated."""
     output: Path = Path("output/response")
     """Folder of the insertions; what is there already is not run again."""
