@@ -74,7 +74,7 @@ def checked_out(name: str) -> Iterator[Path]:
 @cache
 def states_in(tree: Path) -> dict[str, dict[str, str]]:
     """Stage -> what its results depended on, with the code and configuration in a tree; empty where it cannot tell."""
-    return _told(tree, STATES)
+    return _printed_json(tree, STATES)
 
 
 @cache
@@ -83,10 +83,10 @@ def states_by_today(tree: Path) -> dict[str, dict[str, str]]:
 
     Empty where a tree is too old to be looked at so.
     """
-    return _told(tree, BY_TODAY, str(CHECKOUT))
+    return _printed_json(tree, BY_TODAY, str(CHECKOUT))
 
 
-def _told(tree: Path, script: str, *arguments: str) -> dict[str, dict[str, str]]:
+def _printed_json(tree: Path, script: str, *arguments: str) -> dict[str, dict[str, str]]:
     done = subprocess.run(
         [sys.executable, "-c", script, *arguments], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)},
         check=False, capture_output=True, text=True,
