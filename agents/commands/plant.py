@@ -156,7 +156,7 @@ class Recommendations:
     tubes: Annotated[int, tyro.conf.arg(aliases=("--limit",))] = 24
     """How many, in groups of 8 of one bore and length."""
     fidelity: Literal["fast", "standard"] = "standard"
-    """How closely the schedules are simulated; the logs are simulated with fast."""
+    """How closely the schedules are simulated; the logs are simulated with standard."""
     output: Path = Path("output/recommendations")
     """Folder of the tables; groups that are there already are not run again."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)

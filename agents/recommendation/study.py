@@ -70,7 +70,7 @@ def summarised(table: pd.DataFrame) -> dict[str, float]:
 
 def _group(fidelity: str, group: int) -> list[list[dict[str, float]]]:
     """Rewards of the tubes of a group, a row each, as the one item of a task."""
-    tubes = trials(group, "fast", SEED)
+    tubes = trials(group, "standard", SEED)
     plant = Plant(tube=Tubes(**tubes[0].scene.tube.model_dump(exclude={"helix_diameter", "ovality"})))
     config = plant.configured()
     best = Schedule.read(DATA / "best-schedule.csv")

@@ -12,7 +12,7 @@ IMPROVED = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_d
 
 @pytest.mark.parametrize("design", [Design(), IMPROVED])
 def test_sections_hold_with_the_most_air(design):
-    """At 2e-4 s, with 130 m3/h: of 64 probes that start with all of it 7 diverged, of 512 that start gently none.
+    """At 2e-4 s, with 130 m3/h: of 256 probes that start with all of it 24 diverged, of those that start gently none.
 
     By hand, 20 to 55 m in tubes like these. Where all of the air at rest is refused, the gentle start is not.
     """
