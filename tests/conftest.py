@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,6 +37,31 @@ def seeds(request: pytest.FixtureRequest) -> Seeds:
     """So many seeds: none that a stored result used, and others under every ``--shift-seeds``."""
     first = 10_000 * (1 + request.config.getoption("--shift-seeds"))
     return lambda count: range(first, first + count)
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """Run a command that must be refused in one line about a file, and change nothing; gives that line."""
+    from poisons import fingerprint
+
+    from agents.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(arguments: Sequence[object], *messages: str) -> str:
+        before = fingerprint(tmp_path)
+        assert main(list(map(str, arguments))) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.count("\n") == 1, printed.err
+        assert printed.err.startswith("probe-env: error: ")
+        assert printed.err.strip().isprintable()
+        for text in messages:
+            assert text in printed.err
+        assert fingerprint(tmp_path) == before
+        return printed.err
+
+    return run
 
 
 @pytest.fixture(autouse=True, scope="module")

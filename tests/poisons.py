@@ -1,4 +1,4 @@
-"""What is done to files: every kind of damage, by its name, as a function of the path."""
+"""Damage that any file may have, by its name, as a function of the path; what tests of damaged files share."""
 
 import hashlib
 import os
@@ -54,7 +54,3 @@ JSON = ANYWHERE | {
     "nested": lambda path: path.write_text("[" * 100_000),
     "a number": lambda path: path.write_text("9" * 10_000),
 }
-
-
-def text(content):
-    return lambda path: path.write_text(content, newline="")

@@ -216,9 +216,12 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
     def reward(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
         seconds = row["inspection_time_s"]
-        air, guide = seconds * row.get("air_supply_rate", 0.0), row["guide_length"]
-        parts = (span - guide, span * row["mean_square_ratio"], seconds, air, 0.0, 0.0)
-        return float(sum(reward_terms(config, Outcome(*map(np.asarray, parts))).values()))
+        parts = {
+            "inspected": span - row["guide_length"], "squares": span * row["mean_square_ratio"], "seconds": seconds,
+            "air": seconds * row.get("air_supply_rate", 0.0), "uninspected": 0.0, "diverged": 0.0,
+        }  # fmt: skip
+        outcome = Outcome(**{name: np.asarray(value) for name, value in parts.items()})
+        return float(sum(reward_terms(config, outcome).values()))
 
     rows: list[Any] = front.to_dict("records")
     best = max([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=reward)

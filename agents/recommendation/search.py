@@ -75,9 +75,9 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     if hanging.all(axis=1).any():
         where = places[hanging.all(axis=1)][0]
         raise ValueError(
-            f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only {taut[hanging.all(axis=1)][0].max():.3g} N of"
-            f" root tension at {where:g} m in {SURE:.0%} of the draws, and {MARGIN * config.required_tension:g} N are needed"
-            f" ({MARGIN:g} times required_tension)"
+            f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
+            f" {taut[hanging.all(axis=1)][0].max():.3g} N of root tension at {where:g} m in {SURE:.0%} of the draws,"
+            f" and {MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
         )
     staged = np.where(hanging, np.inf, cost * stands_for[:, None])
     path = _cheapest(staged, _changes(feed, air, config))

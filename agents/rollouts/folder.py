@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 
 from agents.records.journal import Journal
-from agents.records.models import Episode, Setting
+from agents.records.models import Episode
 from agents.records.provenance import write_atomically
-from agents.records.reading import read_json
 from probe_env import Context
 
 UNFINISHED: Final = "unfinished.json"
@@ -24,14 +23,6 @@ TABLES: Final = ("episodes", "profile")
 def episodes_of(output: Path) -> Journal[Episode]:
     """The stored episodes of an evaluation."""
     return Journal(output / "episodes.jsonl", Episode)
-
-
-def check_folder(output: Path) -> None:
-    """Raise FileError if what a folder holds of an evaluation is damaged: asked before work that comes first."""
-    setting = output / "setting.json"
-    if setting.exists():
-        read_json(setting, Setting)
-    episodes_of(output).read()
 
 
 def gathered(

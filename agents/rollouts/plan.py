@@ -167,6 +167,11 @@ def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
     return journal.read()
 
 
+def check_stored(plan: Plan, output: Path) -> None:
+    """Raise as ``stored_episodes`` does, before work that comes first."""
+    stored_episodes(plan, output)
+
+
 def _shared(setting: Setting) -> dict[str, Any]:
     """What episodes must share: not what is observed, and fields newer than the results have their defaults."""
     return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in SHARED}

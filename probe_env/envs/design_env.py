@@ -30,8 +30,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
     ## Description
     The action names a probe within what can be bought; the step builds it and tries it in one tube under a given feed:
     in sections of constant length (in the study's 60 m of helix five, the sensor 10, 20, ... 50 m from the entrance;
-    1 s to settle, in which the air comes up, 2 s measured), or in a whole insertion with `full=True`. All probes are compared over the same tube,
-    from 2.5 m to where the sensor gets with the longest guide, 10 m before the end of the helix: 47.5 m of 60 m.
+    1 s to settle, in which the air comes up, 2 s measured), or in a whole insertion with `full=True`. All probes are
+    compared over the same tube, from 2.5 m to where the sensor gets with the longest guide, 10 m before the end of the
+    helix: 47.5 m of 60 m.
 
     ## Action Space
     `Box(-1, 1, (7,), float32)`, mapped linearly:

@@ -10,10 +10,11 @@ from kills import killed_at
 from agents.cli import main
 from agents.design.compare import Comparison, compare, print_comparison, summarise
 from agents.design.problem import OBJECTIVES, DesignProblem, design_problem
-from agents.design.search import Kept, search, sensitivity, trials_table
+from agents.design.search import Kept, best_of, search, sensitivity, trials_table
 from agents.policies.places import place_of
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
+from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
 
 SPAN = 47.5  # [m] of the study's helix
@@ -86,6 +87,31 @@ def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path,
         kills += 1
     assert kills == 8  # by turns three and four more of 30 trials are told
     assert run(tmp_path, 30).equals(whole)
+
+
+@pytest.mark.parametrize(
+    ("change", "best"),
+    [
+        ({"guide_length": 4.0}, "second"),  # a metre more to see, which is worth 1
+        ({"guide_length": 4.0, "mean_square_ratio": 0.53}, "first"),  # and 47.5 m of 0.03 more: 1.425
+        ({"inspection_time_s": 250.0, "mean_square_ratio": 0.47}, "second"),  # 12 s at 0.1, and 1.425
+        (
+            {"air_supply_rate": 0.03, "mean_square_ratio": 0.495},
+            "first",
+        ),  # 0.01 m3/s over 238 s at 0.2: 0.476, and 0.238
+        ({"air_supply_rate": 0.03, "mean_square_ratio": 0.485}, "second"),  # and 0.713
+        ({"guide_length": 4.0, "drive_margin_n": -0.1}, "first"),  # which keeps no drive
+    ],
+)
+def test_the_design_that_is_kept_of_a_front_has_the_best_reward(change, best):
+    """Two rows that differ by hand, each weighed as the task weighs it over the 47.5 m that all designs share."""
+    design = {name: low for name, (low, *_) in RANGES.items()}
+    row = design | {
+        "guide_length": 5.0, "mean_square_ratio": 0.5, "inspection_time_s": 238.0, "air_supply_rate": 0.02,
+        "drive_margin_n": 1.0, "line_density": 0.1,
+    }  # fmt: skip
+    kept = best_of(pd.DataFrame([row, row | {"line_density": 0.11} | change]), TaskConfig())
+    assert kept.line_density == {"first": 0.1, "second": 0.11}[best]
 
 
 def test_sensitivity_finds_what_matters():

@@ -23,8 +23,7 @@ from agents.policies.maps.lookup import FIRST, least_air
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import commit, provenance, write_atomically, write_json
-from agents.rollouts.folder import check_folder
-from agents.rollouts.plan import Plan, run_plan
+from agents.rollouts.plan import Plan, check_stored, run_plan
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
@@ -135,7 +134,7 @@ def run_search(
 
     Raises:
         ValueError: no such family, or a budget out of range.
-        FileError: a file in ``work`` is damaged; nothing was tried.
+        FileError: a file in ``work`` is damaged, or of another task; nothing was tried.
     """
     check_measure(vibration, TaskConfig() if plant is None else plant.configured())
     if family_name not in FAMILIES:
@@ -147,7 +146,10 @@ def run_search(
     config, tubes = train.config, family.tubes(validation.contexts)
     if not tubes:
         raise ValueError(f"family = {family_name!r}: no tube has a helix of {family.helix_diameter:g} m")
-    check_folder(work / family_name)
+    check_stored(
+        Plan({family_name: Scheduled(config, family.schedule(family.start, config))}, tubes, config=config,
+             fidelity=PRESETS["fast"]), work / family_name,
+    )  # fmt: skip
     cost = MapCost(family.tubes(train.contexts), config, vibration)
     points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, family_name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)

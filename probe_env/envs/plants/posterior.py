@@ -135,6 +135,6 @@ def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict
         raise ValueError(f"posterior: {' and '.join(map(repr, named))}, and only one file can be told of")
     for file, names in named.items():
         posterior = Posterior.read((folder or Path()) / file)
-        check_draws(posterior, (folder or Path()) / file)
+        check_draws(posterior, (folder or Path()) / file)  # of all that it tells, used or not
         tables["posterior"] = posterior.of(frozenset(names) & posterior.draws.keys())
     return tables

@@ -96,6 +96,11 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, content: str, problem
     assert "calibration.json: " in str(error.value)
 
 
+def test_draws_without_a_file_are_checked_alike() -> None:
+    with pytest.raises(ValueError, match=r"posterior\.draws\.friction = 7\.0 is outside the accepted range 0 to 1"):
+        Plant.model_validate({"posterior": {"friction": [0.1, 7.0]}})
+
+
 def test_a_missing_or_second_file_is_named(folder: Path) -> None:
     """Neither is guessed."""
     with pytest.raises(FileNotFoundError, match="other"):

@@ -12,6 +12,7 @@ from agents.policies.catalogue import BY_DIAMETER, make_policy
 from agents.policies.maps import search as optimise
 from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
 from agents.policies.maps.vibration_map import stored_map
+from agents.records.columns import CARRIED, CORE, CORE_FAILURES
 from agents.records.provenance import commit
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
@@ -80,15 +81,23 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
     assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
 
 
-@pytest.mark.parametrize("damaged", ["setting.json", "episodes.jsonl"])
-def test_damaged_episodes_are_refused_before_anything_is_tried(damaged, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "content", "named"),
+    [
+        ("setting.json", "seven\n", "setting.json"),
+        ("episodes.jsonl", "seven\n", "episodes.jsonl"),
+        ("episodes.jsonl", '{"key": "0123456789abcdef", "unit": ["a", 0, 0], %s}\n', "setting.json: missing"),
+    ],
+)
+def test_damaged_episodes_are_refused_before_anything_is_tried(name, content, named, tmp_path, monkeypatch):
     monkeypatch.setattr(MapCost, "reward", lambda *_: pytest.fail("a schedule was tried"))
-    file = tmp_path / "work" / "best-constant" / damaged
+    file = tmp_path / "work" / "best-constant" / name
     file.parent.mkdir(parents=True)
-    file.write_text("seven\n")
-    with pytest.raises(FileError, match=damaged):
+    kpis, profile = dict.fromkeys((*CORE, "complete", *CORE_FAILURES), 1.0), {column: [1.0] for column in CARRIED}
+    file.write_text(content.replace("%s", f'"kpis": {json.dumps(kpis)}, "profile": {json.dumps(profile)}'))
+    with pytest.raises(FileError, match=named):
         run_search("best-constant", 16, tmp_path, tmp_path / "work", stored_map())
-    assert file.read_text() == "seven\n"
+    assert [path.name for path in file.parent.iterdir()] == [name]
 
 
 def search_until(folder, number):

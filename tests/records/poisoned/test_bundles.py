@@ -11,13 +11,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from poisons import ANYWHERE, FAST, JSON, ROOT
 
-from agents.policies.bundle import _hash
+from agents.policies.bundle import Description, Network, _hash, build_policy, save_bundle
 from agents.policies.law import Law
 from agents.policies.maps.vibration_map import STORED as MAP
 from agents.policies.maps.vibration_map import VibrationMap
+from agents.policies.view import View
+from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError
+
+
+@pytest.fixture(scope="session")
+def bundle(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bundle") / "agent.npz"
+    torch.manual_seed(0)
+    description = Description(
+        algorithm="ppo", network=Network(net_arch=(8,)), view=View(averages=(5.0,)), task=TaskConfig(), trained={}
+    )  # fmt: skip
+    save_bundle(path, description, build_policy(description))
+    return path
 
 
 def arrays_of(path):

@@ -1,6 +1,7 @@
 """Damaged evaluations and comparisons: one line that names the file, and nothing is changed or run."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -10,11 +11,41 @@ from poisons import ANYWHERE, FAST, JSON, KPIS, POLICIES, ROOT
 from agents.cli import main
 from agents.design.compare import Comparison
 from agents.evaluation.page.stored import read_evaluation
+from agents.policies.catalogue import named_policies
 from agents.records.journal import set_aside
 from agents.records.models import TRIAL_KPIS
 from agents.records.tables import FRONT
+from agents.rollouts.plan import Plan, run_plan
 from probe_env import Design
 from probe_env.envs.contexts import spread_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import resolve_fidelity
+
+
+@pytest.fixture(scope="session")
+def evaluation(tmp_path_factory):
+    """A whole evaluation whose episodes nobody simulated: each has the figures of its place."""
+    folder = tmp_path_factory.mktemp("stored") / "evaluation"
+    config = TaskConfig().all_shown
+    policies, fidelity = named_policies(POLICIES, config), resolve_fidelity("fast")
+    plan = Plan(policies, spread_contexts("test", 2), (0,), config, fidelity)
+    folder.mkdir()
+    (folder / "setting.json").write_text(json.dumps(plan.setting()))
+    columns = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+    lines = []
+    for k, unit in enumerate(plan.units()):
+        kpis = dict.fromkeys(KPIS, 1.0 + 0.1 * k) | {"lost_drive": 0.0, "diverged": 0.0, "complete": 1.0}
+        profile = {name: [1.0, 2.0, 3.0 + k] for name in columns}
+        lines.append(json.dumps({"key": plan.key(unit), "unit": unit, "kpis": kpis, "profile": profile}))
+    (folder / "episodes.jsonl").write_text("\n".join(lines) + "\n")
+    run_plan(plan, folder, progress=False)
+    (folder / "report.json").write_text('{"against": "constant"}')
+    return folder
+
+
+@pytest.fixture
+def stored(evaluation, tmp_path):
+    return shutil.copytree(evaluation, tmp_path / "evaluation")
 
 
 def lines_of(path):

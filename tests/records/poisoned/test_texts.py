@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from poisons import ANYWHERE, FAST, ROOT, text
+from poisons import ANYWHERE, FAST, ROOT
 
 from agents.cli import main
 from agents.evaluation.report import write_report
@@ -20,6 +20,10 @@ from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError, one_line
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
+
+
+def text(content):
+    return lambda path: path.write_text(content, newline="")
 
 
 TEXTS = ANYWHERE | {
