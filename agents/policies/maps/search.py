@@ -147,7 +147,7 @@ def run_search(
     if not tubes:
         raise ValueError(f"family = {family_name!r}: no tube has a helix of {family.helix_diameter:g} m")
     check_stored(
-        Plan({family_name: Scheduled(config, family.schedule(family.start, config))}, tubes, config=config,
+        Plan({family_name: Scheduled(config, family.schedule(list(family.start), config))}, tubes, config=config,
              fidelity=PRESETS["fast"]), work / family_name,
     )  # fmt: skip
     cost = MapCost(family.tubes(train.contexts), config, vibration)
