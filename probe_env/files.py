@@ -24,6 +24,10 @@ DEEP_KEY: Final = re.compile(
 )
 
 
+ENDLESS_NUMBER: Final = re.compile(r"[0-9]{4301}")
+"""More digits than Python reads of a whole number, which it says without the file's name."""
+
+
 class FileError(ValueError):
     """A file is not what it should be; nothing in it was run or changed.
 
@@ -94,7 +98,7 @@ def as_text(path: str | Path, content: bytes, first: int = 1) -> str:
     """Bytes of a file as text; ``first`` is the number of their first line.
 
     Raises:
-        FileError: not UTF-8, or with a NUL character, which no text has.
+        FileError: not UTF-8, or with a NUL character or a number of thousands of digits, which no text has.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -105,6 +109,10 @@ def as_text(path: str | Path, content: bytes, first: int = 1) -> str:
         raise FileError(path, problem) from error
     if place >= 0:
         raise FileError(path, f"line {text.count(chr(10), 0, place) + first}: not a text file: a NUL character")
+    endless = ENDLESS_NUMBER.search(text)
+    if endless:
+        line = text.count("\n", 0, endless.start()) + first
+        raise FileError(path, f"line {line}: a number of more than {endless.end() - endless.start() - 1} digits")
     return text
 
 

@@ -175,7 +175,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("damage", [*ANYWHERE, "cut off", "{}", "a list", "nested", *LAWS])
+@pytest.mark.parametrize("damage", [*JSON, *LAWS])
 def test_feedback_laws(damage, tmp_path, refused):
     path = tmp_path / "law.json"
     path.write_text(json.dumps(LAW | LAWS.get(damage, {})))
