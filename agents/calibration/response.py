@@ -29,7 +29,8 @@ STORED: Final = Path(__file__).parent / "data" / "response.npz"
 FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])
 """Of each channel in SI units, added as root of the squares (the tension is cut off): less is not told apart.
 
-Below them is the unrest of feeding itself, of which a rig's own noise leaves little; ringing is above."""
+Found on 48 simulated logs at ``standard``; of insertions at ``fast``, which shows twice the unrest of feeding, they would
+have to be five times as high."""
 INPUTS: Final = 10
 LAYERS: Final = 3
 FAREST: Final = 10.0
