@@ -29,8 +29,8 @@ STORED: Final = Path(__file__).parent / "data" / "response.npz"
 FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])
 """Of each channel in SI units, added as root of the squares (the tension is cut off): less is not told apart.
 
-Found on 48 simulated logs at ``standard``; of insertions at ``fast``, which shows twice the unrest of feeding, they would
-have to be five times as high."""
+Found on 48 simulated logs at ``standard``. With a response learnt at ``fast``, which shows twice the unrest of feeding,
+those of the accelerations had to be five times as high."""
 INPUTS: Final = 10
 LAYERS: Final = 3
 FAREST: Final = 10.0
