@@ -24,8 +24,9 @@ DEEP_KEY: Final = re.compile(
 )
 
 
-ENDLESS_NUMBER: Final = re.compile(r"[0-9]{4301}")
-"""More digits than Python reads of a whole number, which it says without the file's name."""
+ENDLESS_NUMBER: Final = re.compile(r"(?<![0-9])[0-9]{4301}")
+"""More digits than Python reads of a whole number, which it says without the file's name; looked for where a number
+begins alone, or long ones would be read over and over."""
 
 
 class FileError(ValueError):

@@ -95,10 +95,7 @@ def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path,
         ({"guide_length": 4.0}, "second"),  # a metre more to see, which is worth 1
         ({"guide_length": 4.0, "mean_square_ratio": 0.53}, "first"),  # and 47.5 m of 0.03 more: 1.425
         ({"inspection_time_s": 250.0, "mean_square_ratio": 0.47}, "second"),  # 12 s at 0.1, and 1.425
-        (
-            {"air_supply_rate": 0.03, "mean_square_ratio": 0.495},
-            "first",
-        ),  # 0.01 m3/s over 238 s at 0.2: 0.476, and 0.238
+        ({"air_supply_rate": 0.03, "mean_square_ratio": 0.495}, "first"),  # 2.38 m3 at 0.2, and 0.238
         ({"air_supply_rate": 0.03, "mean_square_ratio": 0.485}, "second"),  # and 0.713
         ({"guide_length": 4.0, "drive_margin_n": -0.1}, "first"),  # which keeps no drive
     ],

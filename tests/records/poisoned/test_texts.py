@@ -1,5 +1,6 @@
 """Damaged settings and schedules that people write, and names of files, columns and options."""
 
+import json
 import os
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from agents.terminal.tables import print_table
 from probe_env import Fidelity
 from probe_env.envs.contexts import spread_contexts
 from probe_env.envs.task import TaskConfig
-from probe_env.files import FileError, one_line
+from probe_env.files import FileError, one_line, read_text
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
 
@@ -157,6 +158,15 @@ def test_names_like_numbers_and_markup_stay_what_they_are(tmp_path, capsys):
     assert list(dict.fromkeys(read_csv(tmp_path / "summary.csv", {"policy": "name"})["policy"])) == names
     print_table("[red]title", ["policy"], [[name] for name in names])
     assert "[red]y" in capsys.readouterr().out
+
+
+def test_the_longest_number_that_can_be_read_is_read(tmp_path):
+    path = tmp_path / "numbers.json"
+    path.write_text("[\n" + "9" * 4300 + "]")
+    assert json.loads(read_text(path)) == [10**4300 - 1]
+    path.write_text("[\n" + "9" * 4301 + "]")
+    with pytest.raises(FileError, match="line 2: a number of more than 4300 digits"):
+        read_text(path)
 
 
 def test_what_is_told_is_one_printable_line():
