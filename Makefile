@@ -14,7 +14,7 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	@echo "setting up $(VENV): a few minutes the first time"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[agents,dev]'
+	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[agents,dev,docs]'
 	touch $(STAMP)
 
 demo: setup
@@ -121,18 +121,14 @@ time-app: browser
 readme: setup
 	$(BIN)/probe-env readme
 
-# the site, with warnings as errors, and the check of its links; an environment of its own, so that that of make test
-# does not grow: libraries of the extra agents are not needed
-DOCS := .venv-docs
+# the site to read, with warnings as errors, and the check of its links; `make test` builds and checks one of its own
 SITE := output/docs
-docs:
-	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
-	$(DOCS)/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]' pytest
+docs: setup
 	rm -rf $(SITE)
-	$(DOCS)/bin/python -m sphinx -q -W --keep-going --doctree-dir $(DOCS)/doctrees --fresh-env docs $(SITE)
-	PROBE_ENV_SITE=$(SITE) $(DOCS)/bin/pytest tests/docs
+	$(BIN)/python -m sphinx -q -W --keep-going --doctree-dir output/doctrees --fresh-env docs $(SITE)
+	PROBE_ENV_SITE=$(SITE) $(BIN)/pytest tests/docs
 	@echo "open $(CURDIR)/$(SITE)/index.html"
 
 clean:
-	rm -rf $(VENV) $(RAY) $(PEERS) $(DOCS) $(PYTHONS:%=.venv-%) output
+	rm -rf $(VENV) $(RAY) $(PEERS) $(PYTHONS:%=.venv-%) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, Vec
 
 from probe_env.envs.env import InsertionEnv, InspectionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import VERSIONS, EpisodeSettings, placed
+from probe_env.envs.episodes.starts import VERSIONS, EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 EnvId = Literal[

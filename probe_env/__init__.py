@@ -19,13 +19,13 @@ ensure_kernel_cache()  # before anything imports a kernel
 
 from probe_env.design import Design
 from probe_env.envs.contexts import Context, load_contexts, spread_contexts
+from probe_env.envs.episodes.starts import VERSIONS
 from probe_env.envs.plants import Plant
-from probe_env.envs.starts import VERSIONS
 from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity, choose_fidelity
-from probe_env.physics.run import Run
 from probe_env.physics.simulation.batch import SimulatorBatch
+from probe_env.physics.simulation.run import Run
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Air, Contact, Probe, Scene, Tube

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from probe_env.envs.starts import WAY_BACK
+from probe_env.envs.episodes.starts import WAY_BACK
 from probe_env.fidelity import BOTH_WAYS
 from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation.batch import SimulatorBatch

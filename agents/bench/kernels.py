@@ -21,11 +21,11 @@ from agents.bench.environments import bench_environments
 from agents.records.provenance import provenance, write_json
 from agents.terminal.tables import print_table
 from probe_env import Scene, Simulator, SimulatorBatch
-from probe_env.physics.chain import build_chain
-from probe_env.physics.drive import Drive
 from probe_env.physics.methods import METHODS, ticm
 from probe_env.physics.methods.newmark import newmark, workspace
-from probe_env.physics.state import at_rest
+from probe_env.physics.model.chain import build_chain
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import at_rest
 
 NEWMARK_STEP, FAST_STEP = 1e-4, 2e-4
 IN_LANES = tuple(name for name, method in METHODS.items() if method.lanes and method.usual_step >= FAST_STEP)

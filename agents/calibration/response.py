@@ -22,8 +22,8 @@ from agents.records.atomic import write_atomically
 from agents.records.reading import FileError
 from probe_env import Scene
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import drag_per_metre, sliding_tension
+from probe_env.physics.model.chain import air_speed
 
 STORED: Final = Path(__file__).parent / "data" / "response.npz"
 FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])

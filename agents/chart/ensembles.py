@@ -21,7 +21,7 @@ from agents.study.cases import PERTURBATION
 from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.physics.methods import METHODS
-from probe_env.physics.signals import SAMPLE_PERIOD, dominant_frequencies
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
 SETTLE, DURATION = 2.0, 6.0  # [s]
 STATISTICS = (

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from agents.chart.smooth import cases
 from agents.records.drawing import GREY, GRID, save
-from probe_env.physics.bare_chains import LAPACK
+from probe_env.physics.closed_forms.bare_chains import LAPACK
 from probe_env.physics.methods import METHODS, ON_NODES
 
 PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")

@@ -16,7 +16,7 @@ from agents.records.store import Store
 from agents.study.cases import PERTURBATION
 from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch
-from probe_env.physics.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m]
 STRETCH = 5.0  # [m] a row

@@ -28,7 +28,7 @@ from agents.terminal.work import Work, announce
 from probe_env import Design, Scene, SimulatorBatch
 from probe_env.envs.contexts import draw_context
 from probe_env.fidelity import PRESETS, Fidelity
-from probe_env.physics.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 
 CODE: Final = ("agents.chart.other_probes:run_probe",)
 KEYS: Final = ("probe", "method", "time_step_s", "nodes_per_pitch", "member")

@@ -22,9 +22,9 @@ from agents.terminal.work import Work, announce
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.physics import closed_forms, methods
-from probe_env.physics.bare_chains import AXIAL, LAPACK, RADIAL, Driven, bent_chain, plain_chain, run_chain
-from probe_env.physics.chain import air_speed, build_chain, sensor_node
-from probe_env.physics.state import State, at_rest
+from probe_env.physics.closed_forms.bare_chains import AXIAL, LAPACK, RADIAL, Driven, bent_chain, plain_chain, run_chain
+from probe_env.physics.model.chain import air_speed, build_chain, sensor_node
+from probe_env.physics.model.state import State, at_rest
 
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
 REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))

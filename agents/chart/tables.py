@@ -16,7 +16,7 @@ from agents.chart.figures import resolved
 from agents.chart.insertions import Insertion
 from agents.chart.smooth import METHODS, REFERENCES, cases
 from probe_env.fidelity import PRESETS
-from probe_env.physics.bare_chains import LAPACK
+from probe_env.physics.closed_forms.bare_chains import LAPACK
 from probe_env.physics.methods import METHODS as KNOWN
 
 Row = Mapping[Any, Any]

@@ -120,7 +120,7 @@ class DesignProblem:
         """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
 
         What a probe does not get to has the ratio's cap and the slowest time: all of a plant's tube in which it cannot
-        be simulated (see ``probe_env.envs.limits``).
+        be simulated (see ``probe_env.envs.episodes.limits``).
         """
         everywhere = list(enumerate(self.contexts))
         if workers.here:

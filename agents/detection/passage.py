@@ -15,7 +15,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
-from probe_env.physics.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
 

@@ -19,7 +19,7 @@ from probe_env.envs.pictures.motion import FRAME_PERIOD, Motion, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
 from probe_env.envs.pictures.strip import SLOWED, Strip
 from probe_env.envs.task import SHOWN
-from probe_env.physics.signals import SAMPLE_PERIOD, dominant_frequencies
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 from probe_env.settings import whole_steps, within
 
 FRAMES_PER_SECOND: Final = 10

@@ -21,7 +21,7 @@ from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
 from agents.rollouts.statistics import endings, grouped, in_words, method_and_seed, sentences, summarise
 from agents.terminal.tables import print_table
-from probe_env.envs.starts import Probes
+from probe_env.envs.episodes.starts import Probes
 from probe_env.fidelity import resolve_fidelity
 
 

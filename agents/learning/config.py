@@ -20,8 +20,8 @@ from agents.rollouts.plan import Policy
 from agents.vec_env import ENVIRONMENTS, EnvId
 from agents.worlds.vec_env import MAP
 from probe_env.envs.contexts import Context, Split
+from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
 from probe_env.envs.plants import Plant, plant_of
-from probe_env.envs.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import Model, explain, quantity, tuples, whole_steps

@@ -27,7 +27,7 @@ from agents.learning.checkpoints import RUN, Run, read_checkpoint, restore, save
 from agents.learning.config import Training
 from agents.learning.imitation import imitate
 from agents.learning.view_env import ViewVecEnv
-from agents.policies.bundle import ALGORITHMS, Agent, Description, save_bundle
+from agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
 from agents.policies.domain import ranges_of
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
@@ -260,7 +260,7 @@ def _validated(
     row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}
     row["validation_s"] = time.perf_counter() - begin
     if all(row["reward"] > before["reward"] for before in rows):
-        save_bundle(folder / BEST, description, model.policy)
+        write_bundle(folder / BEST, description, model.policy)
     return row
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from agents.policies.bundle import Agent
     from probe_env.envs.task import TaskConfig
 
-__all__ = ["from_sb3", "save_model"]
+__all__ = ["from_sb3", "save_bundle"]
 
 
 def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
@@ -25,8 +25,8 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
     return policy_of(model, config)
 
 
-def save_model(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
+def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
     """Store a model of Stable-Baselines3 as an agent's bundle; returns its hash, see ``agents.policies.sb3``."""
-    from agents.policies.sb3 import save_model as save
+    from agents.policies.sb3 import save_bundle as save
 
     return save(path, model, config)

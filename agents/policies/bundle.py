@@ -26,7 +26,7 @@ from agents.policies.maps.vibration_map import stored_map
 from agents.policies.view import View
 from agents.records.arrays import read_arrays
 from agents.records.provenance import write_atomically
-from probe_env.envs.task import TaskConfig, action_of, share_between
+from probe_env.envs.task import TaskConfig, action_in
 from probe_env.envs.task.observations import PROBE
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
@@ -152,9 +152,8 @@ class Agent:
             return rows
         rows, names = rows.copy(), list(self.config.observations)
         for name, column in PREVIOUS.items():
-            low, high = getattr(self.config, name)
-            wanted = low + 0.5 * (rows[:, names.index(column)] + 1.0) * (high - low)
-            rows[:, names.index(column)] = action_of(share_between(wanted, getattr(self.description.task, name)))
+            here, trained = getattr(self.config, name), getattr(self.description.task, name)
+            rows[:, names.index(column)] = action_in(trained, rows[:, names.index(column)], here)
         return rows
 
     def describe(self) -> dict[str, Any]:
@@ -162,7 +161,7 @@ class Agent:
         return {"policy": "Agent", "algorithm": self.description.algorithm, "bundle": self.hash}
 
 
-def save_bundle(path: Path, description: Description, policy: BasePolicy) -> str:
+def write_bundle(path: Path, description: Description, policy: BasePolicy) -> str:
     """Write a bundle atomically; returns its hash."""
     weights = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
     text = description.model_dump_json()

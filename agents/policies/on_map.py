@@ -18,8 +18,8 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import RF_FLOOR
-from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
+from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
 
 FRICTIONS: Final = (0.08, 0.27)

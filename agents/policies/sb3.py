@@ -14,7 +14,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.policies.bundle import Agent, Algorithm, Description, Network, save_bundle
+from agents.policies.bundle import Agent, Algorithm, Description, Network, write_bundle
 from agents.policies.view import View
 from probe_env.envs.task import TaskConfig
 
@@ -39,7 +39,7 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
     return Agent(described(model, config), model.policy, config.all_shown)
 
 
-def save_model(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
+def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
     """Write a model as a bundle of plain arrays, which every command takes; returns its hash.
 
     Args:
@@ -54,7 +54,7 @@ def save_model(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> st
     if unknown or isinstance(model.policy_kwargs.get("net_arch"), dict):
         what = ", ".join(unknown) or "net_arch with different networks"
         raise ValueError(f"policy_kwargs: a bundle does not describe {what}")
-    return save_bundle(Path(path), described(model, config), model.policy)
+    return write_bundle(Path(path), described(model, config), model.policy)
 
 
 def described(model: BaseAlgorithm, config: TaskConfig) -> Description:

@@ -20,8 +20,8 @@ from agents.rollouts.plan import Policy
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
+from probe_env.physics.model.chain import air_speed
 
 PREFIX: Final = "shielded:"
 """Before a policy's name: with the shield."""

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.policies.plc.law import Constants, PlcLaw, read_constants
-from probe_env.envs.task import TaskConfig, action_of, share_between, share_of
+from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import OBSERVATIONS, in_si_units
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity
@@ -134,7 +134,7 @@ class View(Model):
             actions = np.clip(actions + guided, -1.0, 1.0)
         low, high = config.feed_speeds
         share = share_of(actions)
-        feed = low * (high / low) ** share[:, 0] if self.logarithmic_feed else low + share[:, 0] * (high - low)
+        feed = low * (high / low) ** share[:, 0] if self.logarithmic_feed else value_at(share[:, 0], (low, high))
         linear = action_of(share_between(feed, config.feed_speeds))
         floor = self._air_floor(config)
         blown = floor + (1.0 - floor) * share[:, 1]
@@ -145,7 +145,7 @@ class View(Model):
         """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
         low, high = config.feed_speeds
         share = share_of(np.asarray(actions, dtype=np.float64))
-        feed = low + share[:, 0] * (high - low)
+        feed = value_at(share[:, 0], (low, high))
         logarithmic = action_of(np.log(feed / low) / np.log(high / low)) if self.logarithmic_feed else actions[:, 0]
         floor = self._air_floor(config)
         blown = (share[:, 1] - floor) / (1.0 - floor)

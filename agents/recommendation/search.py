@@ -19,7 +19,7 @@ from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig, metre_reward, slack
+from probe_env.envs.task import TaskConfig, metre_reward, share_between, slack
 from probe_env.schedule import Schedule
 
 FEEDS, AIRS = 28, 12
@@ -143,8 +143,7 @@ def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
 
 def _changes(feed: FloatArray, air: FloatArray, config: TaskConfig) -> FloatArray:
     """(g, g) cost of going from one point of the grid to another over a knot's spacing."""
-    low, high = config.air_supply_rates
-    logarithm, share = np.log(feed), (air - low) / (high - low)
+    logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
     return np.asarray(SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2))
 
 

@@ -12,7 +12,7 @@ from agents.records.columns import CARRIED, CORE, CORE_FAILURES
 from agents.terminal.names import name_problem
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
-from probe_env.envs.starts import Probes
+from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import TaskConfig
 from probe_env.files import MEBI, FileError, read_text
 from probe_env.settings import explain

@@ -29,7 +29,7 @@ from agents.rollouts.folder import UNFINISHED, episodes_of, gathered, write_tabl
 from agents.rollouts.playing import Ended, Playing
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
-from probe_env.envs.starts import Probes
+from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Controller, Foresighted
 

@@ -22,9 +22,9 @@ from agents.study.cases import DURATION, PERTURBATION
 from agents.study.members import KEYS, load_members, run_members
 from agents.study.spectra import SHOWN, densities, highest_peak
 from probe_env import Run, Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.chain import RISE
 from probe_env.physics.closed_forms import steady_tensions
-from probe_env.physics.signals import point_statistics
+from probe_env.physics.model.chain import RISE
+from probe_env.physics.simulation.signals import point_statistics
 
 CODE: Final = ("agents.study.back:run_trip",)
 PROBES: Final = {"original": "fig11_l50", "improved": "fig20_improved"}

@@ -16,7 +16,7 @@ from agents.records.code_hash import code_hash
 from agents.records.store import Store
 from agents.study.members import KEYS, load_members, run_members
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.signals import point_statistics
+from probe_env.physics.simulation.signals import point_statistics
 
 PERTURBATION = 1e-7  # [m]; a float rests a few micrometres deep in its contact spring
 DURATION = 8.0  # [s] of the published runs

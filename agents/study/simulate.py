@@ -14,7 +14,7 @@ from agents.records.provenance import provenance, write_atomically, write_json
 from agents.study import figures
 from agents.terminal.tables import print_table
 from probe_env import Run, Simulator
-from probe_env.physics.signals import dominant_frequencies, point_statistics
+from probe_env.physics.simulation.signals import dominant_frequencies, point_statistics
 
 ROWS = (
     ("axial mean", "axial_mean_m", 1e3, "mm"),

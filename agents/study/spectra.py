@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import welch
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.signals import LOWEST_FREQUENCY
+from probe_env.physics.simulation.signals import LOWEST_FREQUENCY
 
 HIGHEST_FREQUENCY: Final = 100.0  # [Hz]
 SHOWN: Final = tuple(range(2, 61))  # [Hz]

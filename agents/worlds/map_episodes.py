@@ -18,8 +18,18 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Step
-from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import Ending, Outcome, TaskConfig, air_used, capped_square, ending, reward_terms, slack
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
+from probe_env.envs.task import (
+    Ending,
+    Outcome,
+    TaskConfig,
+    air_used,
+    capped_square,
+    ending,
+    reward_terms,
+    slack,
+    slack_in_a_row,
+)
 from probe_env.envs.task.observations import observe
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.settings import check_known
@@ -129,7 +139,7 @@ class MapEpisodes:
         used = np.where(chosen, air_used(config, air_before, self.air), 0.0)
         hanging = slack(config, measured["tension_mean_n"], self.length)
         self.time = np.where(chosen, self.time + dt, self.time)
-        self.slack_periods = np.where(chosen, np.where(hanging, self.slack_periods + 1, 0), self.slack_periods)
+        self.slack_periods = np.where(chosen, slack_in_a_row(self.slack_periods, hanging), self.slack_periods)
         end, never = config.scene.tube.helix_length, np.zeros(len(self), dtype=bool)
         ended = ending(config, self.length, np.full(len(self), end), self.slack_periods, self.time, chosen, never)
         over = ended.over

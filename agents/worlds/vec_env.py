@@ -7,7 +7,7 @@ from typing import Final, Unpack, cast
 from agents.vec_env import ProbeVecEnv
 from agents.worlds.map_episodes import MapEpisodes
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import EpisodeSettings
+from probe_env.envs.episodes.starts import EpisodeSettings
 from probe_env.envs.task import TaskConfig
 
 MAP: Final = "map"

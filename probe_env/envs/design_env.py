@@ -12,7 +12,15 @@ import numpy as np
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.env import Observation
-from probe_env.envs.starts import DEFAULTS, EpisodeSettings, PlaceSettings, Starts, drawn_context, placed, settling
+from probe_env.envs.episodes.starts import (
+    DEFAULTS,
+    EpisodeSettings,
+    PlaceSettings,
+    Starts,
+    drawn_context,
+    placed,
+    settling,
+)
 from probe_env.envs.task import TaskConfig, action_of, share_of
 from probe_env.envs.task.observations import OBSERVATIONS, PRIVILEGED
 from probe_env.envs.trials import Candidate, Controller, check_space, judge, stretch_of, try_insertions, try_sections

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import EpisodeSettings, placed
+from probe_env.envs.episodes.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 if TYPE_CHECKING:
@@ -144,7 +144,8 @@ class InsertionEnv(ProbeEnv):
     ## Starting State
     A context is drawn (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
     diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` fix any of these. A context that
-    the fidelity's step or the model cannot simulate is a `ValueError` that names it, see `probe_env.envs.limits`.
+    the fidelity's step or the model cannot simulate is a `ValueError` that names it, see
+    `probe_env.envs.episodes.limits`.
 
     ## Episode End
     Terminated at the end of the helix, on lost drive (mean root tension below 0.8 N, an assumption for the rising

@@ -22,7 +22,7 @@ from probe_env.envs.env import (
     spaces_of,
 )
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.starts import EpisodeSettings, placed
+from probe_env.envs.episodes.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
 
 

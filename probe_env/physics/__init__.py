@@ -1,5 +1,5 @@
 """The cable in the tube: scenes enter, displacements, forces and statistics leave; it knows no reward, no gymnasium.
 
-From the bottom: chain, drive, state; the methods, one of which advances a simulator; one simulator or many; what is
-said of a run (signals) and the closed forms that runs are tested against. Imports settings, scenes and errors only.
+From the bottom: the model (chain, drive, state); the methods, one of which advances a simulator; one simulator or many
+and what is said of a run; the closed forms that runs are tested against. Imports settings, scenes and errors only.
 """

@@ -19,7 +19,7 @@ from agents.records.store import stored_rows
 from agents.rollouts.statistics import ratio_interval
 from probe_env.files import FileError
 from probe_env.physics import closed_forms
-from probe_env.physics.bare_chains import LAPACK
+from probe_env.physics.closed_forms.bare_chains import LAPACK
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "results" / "chart"

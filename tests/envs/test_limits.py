@@ -12,8 +12,8 @@ import pytest
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context, Design, Fidelity, Probe, Scene, SimulatorBatch, load_contexts
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
-from probe_env.envs.limits import check_simulable, softest_wall, steady_sliding
-from probe_env.envs.starts import Starts
+from probe_env.envs.episodes.limits import check_simulable, softest_wall, steady_sliding
+from probe_env.envs.episodes.starts import Starts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import LOAD_CELL, observe
 from probe_env.envs.trials import sections_of

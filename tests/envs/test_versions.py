@@ -9,7 +9,7 @@ import probe_env
 from agents.commands.feed import Render
 from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
 from probe_env.envs.env import InspectionEnv
-from probe_env.envs.starts import VERSIONS
+from probe_env.envs.episodes.starts import VERSIONS
 from probe_env.fidelity import BOTH_WAYS, PRESETS
 
 PHYSICS = {"v0": PRESETS["standard-v0"], "v1": PRESETS["standard"]}

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from probe_env.physics import bare_chains
-from probe_env.physics.chain import element_blocks, element_stiffness
-from probe_env.physics.drive import Drive
+from probe_env.physics.closed_forms import bare_chains
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import workspace
-from probe_env.physics.state import at_rest
+from probe_env.physics.model.chain import element_blocks, element_stiffness
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import at_rest
 
 
 def plain_chain(elements, **changes):

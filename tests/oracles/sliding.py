@@ -9,8 +9,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigs
 
 from oracles.chains import matrices
-from probe_env.physics.chain import air_speed, build_chain
 from probe_env.physics.closed_forms import steady_tensions
+from probe_env.physics.model.chain import air_speed, build_chain
 
 
 def sliding_system(scene, nodes_per_pitch, offset):

@@ -7,11 +7,11 @@ import pytest
 from oracles.scatter import of_another
 
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.physics.chain import RISE, most_pressure, outer_start
 from probe_env.physics.closed_forms import steady_tensions
-from probe_env.physics.drive import Drive
+from probe_env.physics.model.chain import RISE, most_pressure, outer_start
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import State
 from probe_env.physics.simulation.batch import SimulatorBatch
-from probe_env.physics.state import State
 
 BACK = {"feed_speed": -0.2, "air_supply_rate": -63.0 / 3600.0, "couple": "tangent"}
 IN = {"feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "couple": "tangent", "contact": {"cable": True}}

@@ -16,7 +16,7 @@ from agents.study.cases import DURATION
 from agents.study.root_waves import MIDDLE, arc_of_rotation, conversion, far_stiffness, lengthening, near_stiffness
 from agents.study.roots import Root, load_rows, run_root
 from probe_env import Scene
-from probe_env.physics.chain import build_chain
+from probe_env.physics.model.chain import build_chain
 
 SCENE = Scene()
 WIDE = Scene(tube={"helix_diameter": 12.0})

@@ -10,7 +10,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
-from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, save_bundle
+from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.catalogue import make_policy
 from agents.policies.view import View
 from agents.vec_env import ProbeVecEnv
@@ -30,7 +30,7 @@ def saved(path, algorithm="ppo", **arguments):
     torch.manual_seed(1)
     description = described(algorithm, **arguments)
     policy = build_policy(description)
-    save_bundle(path, description, policy)
+    write_bundle(path, description, policy)
     return Agent(description, policy, description.task)
 
 

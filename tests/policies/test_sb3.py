@@ -6,7 +6,7 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.policies import from_sb3, save_model
+from agents.policies import from_sb3, save_bundle
 from agents.policies.bundle import load_bundle
 from agents.vec_env import ProbeVecEnv
 from probe_env import Scene, TaskConfig
@@ -39,7 +39,7 @@ def test_a_policy_and_a_bundle_act_as_the_model(kind, env, tmp_path):
     assert np.allclose(policy.predict(shown, deterministic=True)[0], expected, atol=1e-6)
     assert policy.describe()["algorithm"] == kind
     path = tmp_path / "own.npz"
-    digest = save_model(path, model, CONFIG)
+    digest = save_bundle(path, model, CONFIG)
     agent = load_bundle(path, everything)
     assert agent.hash == digest
     assert np.array_equal(agent.predict(shown, deterministic=True)[0], policy.predict(shown, deterministic=True)[0])
@@ -59,5 +59,5 @@ def test_what_would_act_otherwise_is_refused(env, tmp_path):
 
     other = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
     with pytest.raises(ValueError, match="policy_kwargs: a bundle does not describe activation_fn"):
-        save_model(tmp_path / "other.npz", other, CONFIG)
+        save_bundle(tmp_path / "other.npz", other, CONFIG)
     assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ import probe_env
 from probe_env import kernel_cache
 
 USE = """
-from probe_env.physics.drive import Drive, _inputs
+from probe_env.physics.model.drive import Drive, _inputs
 Drive(0.2, 10.0).inputs_of_steps(3, 1e-4, 0.025, 0)
 import numba, probe_env
 print(probe_env.__file__)

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from probe_env import Scene
-from probe_env.physics.chain import build_chain
+from probe_env.physics.model.chain import build_chain
 
 SCENES = sorted((Path(__file__).parents[2] / "configs" / "scenes").glob("*.toml"))
 

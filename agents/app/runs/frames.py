@@ -12,7 +12,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.motion import Motion
 from probe_env.envs.task.observations import in_si_units
 from probe_env.inspection.sensor import Sensor
-from probe_env.physics.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
 
 OF_INFO: Final = (

@@ -19,8 +19,8 @@ import numpy as np
 
 from agents.chart import smooth
 from probe_env.arrays import FloatArray
-from probe_env.physics.bare_chains import RADIAL, Driven, linear_matrix, masses, plain_chain
-from probe_env.physics.chain import Chain
+from probe_env.physics.closed_forms.bare_chains import RADIAL, Driven, linear_matrix, masses, plain_chain
+from probe_env.physics.model.chain import Chain
 
 LENGTH, LINE_DENSITY, EI, EA, DIAMETER = 1.0, 0.111, 4.8e-2, 1.1e5, 8.35e-3
 AMPLITUDE: Final = 1e-3

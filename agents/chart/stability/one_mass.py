@@ -16,9 +16,9 @@ import pandas as pd
 
 from probe_env.arrays import FloatArray
 from probe_env.physics import methods
-from probe_env.physics.bare_chains import AXIAL, RADIAL, Driven, plain_chain, run_chain
-from probe_env.physics.chain import Chain
-from probe_env.physics.state import at_rest
+from probe_env.physics.closed_forms.bare_chains import AXIAL, RADIAL, Driven, plain_chain, run_chain
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.state import at_rest
 
 METHODS: Final = tuple(name for name, method in methods.ON_NODES.items() if method.least_step == 0.0)
 """Those whose rounding does not show at the smallest steps."""

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 
 from probe_env import Scene
-from probe_env.physics.bare_chains import Driven, bent_chain, linear_matrix, masses, run_chain
-from probe_env.physics.chain import Chain, build_chain
-from probe_env.physics.drive import Drive
+from probe_env.physics.closed_forms.bare_chains import Driven, bent_chain, linear_matrix, masses, run_chain
 from probe_env.physics.methods import ON_NODES, banded, ticm, transfer_matrix
 from probe_env.physics.methods.newmark import newmark, workspace
-from probe_env.physics.state import State, at_rest
+from probe_env.physics.model.chain import Chain, build_chain
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import State, at_rest
 
 STEPS: Final = 100_000
 ELEMENTS: Final = 40

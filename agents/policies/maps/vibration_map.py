@@ -26,8 +26,8 @@ from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS, STIFFNESS
 from probe_env.envs.task import TaskConfig, capped_square, metre_cost
-from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import drag_per_metre
+from probe_env.physics.model.chain import air_speed
 from probe_env.settings import explain
 
 FEEDS: Final = (0.04, 0.4)  # [m/s]; slower ones would take most of the time and ring least

@@ -18,10 +18,11 @@ from probe_env.envs.task import (
     ending,
     reward_terms,
     slack,
+    slack_in_a_row,
     travel,
 )
-from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 
 
 class Outlook(NamedTuple):
@@ -90,7 +91,7 @@ def looked_ahead(
         moved = np.where(good, travel(config, before, after, window.feed_speed), 0.0)
         squares = capped_square(config, window.statistics[name] / config.limit)
         time = time + config.period
-        hung = np.where(slack(config, window.statistics["tension_mean_n"], after) & good, hung + 1, 0)
+        hung = slack_in_a_row(hung, slack(config, window.statistics["tension_mean_n"], after) & good)
         end = ending(config, after, length, hung, time, left, window.diverged)
         over = end.terminated | end.truncated
         used = np.where(good, air_used(config, air_before, window.air_supply_rate), 0.0)

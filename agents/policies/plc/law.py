@@ -22,8 +22,8 @@ from agents.policies.maps.vibration_map import stored_map
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_text
-from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import drag_per_metre
+from probe_env.physics.model.chain import air_speed
 from probe_env.settings import Model, explain, quantity, tuples
 
 FRICTION: Final = 0.175

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.physics.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 

@@ -22,7 +22,7 @@ from probe_env.envs.pictures.plate import (
     label_of,
     limits_around,
 )  # fmt: skip
-from probe_env.physics.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 
 FRAMES_PER_SECOND: Final = 25
 SLOWED: Final = 1.0 / (FRAMES_PER_SECOND * FRAME_PERIOD)

@@ -5,7 +5,7 @@ and settings. Everything is for N probes at once, one row or entry a probe.
 """
 
 from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, scene_of
-from probe_env.envs.task.ranges import action_of, share_between, share_of
+from probe_env.envs.task.ranges import action_in, action_of, share_between, share_of, value_at
 from probe_env.envs.task.rules import (
     END_TOLERANCE,
     ENDINGS,
@@ -20,6 +20,7 @@ from probe_env.envs.task.rules import (
     metre_reward,
     reward_terms,
     slack,
+    slack_in_a_row,
     travel,
 )
 
@@ -35,6 +36,7 @@ __all__ = [
     "Measure",
     "Outcome",
     "TaskConfig",
+    "action_in",
     "action_of",
     "air_used",
     "capped_square",
@@ -47,5 +49,7 @@ __all__ = [
     "share_between",
     "share_of",
     "slack",
+    "slack_in_a_row",
     "travel",
+    "value_at",
 ]

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.task.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
-from probe_env.envs.task.ranges import action_of, share_between, share_of
+from probe_env.envs.task.ranges import action_of, share_between, share_of, value_at
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
@@ -181,8 +181,8 @@ class TaskConfig(Model):
         if bad.any():
             row, column = np.argwhere(bad)[0]
             raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
-        low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        wanted = self._in_steps(low + share_of(values) * (high - low))
+        ranges = np.array([self.feed_speeds, self.air_supply_rates]).T
+        wanted = self._in_steps(value_at(share_of(values), (ranges[0], ranges[1])))
         wanted[stands, 0] = 0.0
         return wanted
 

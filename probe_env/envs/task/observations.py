@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.design import RANGES
+from probe_env.envs.task.ranges import share_between, value_at
 
 if TYPE_CHECKING:
     from probe_env.envs.task.config import TaskConfig
@@ -75,8 +76,7 @@ def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArr
 
     def column(name: str) -> FloatArray:
         if name in RANGES:
-            low, high, _ = RANGES[name]
-            return (felt[name] - low) / (high - low)
+            return share_between(felt[name], RANGES[name][:2])
         value = felt[name] / UNITS.get(name, 1.0)
         return np.asarray(np.log10(value) if name in LOGARITHMIC else value)
 
@@ -98,8 +98,7 @@ def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) 
 
     def value(name: str, column: FloatArray) -> FloatArray:
         if name in RANGES:
-            low, high, _ = RANGES[name]
-            return low + column * (high - low)
+            return value_at(column, RANGES[name][:2])
         return UNITS.get(name, 1.0) * (10.0**column if name in LOGARITHMIC else column)
 
     columns = zip(config.observations, observation.astype(float).T, strict=True)

@@ -17,6 +17,17 @@ def action_of(share: FloatArray) -> FloatArray:
     return 2.0 * share - 1.0
 
 
+def value_at(share: FloatArray, range_: tuple[float, float]) -> FloatArray:
+    """The inverse of ``share_between``."""
+    low, high = range_
+    return low + share * (high - low)
+
+
+def action_in(other: tuple[float, float], action: FloatArray, range_: tuple[float, float]) -> FloatArray:
+    """The action that asks in an ``other`` range for what an action asks for in this one, within it or not."""
+    return action_of(share_between(value_at(0.5 * (action + 1.0), range_), other))
+
+
 def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
     """Where in a range a value is: 0 at its low end, 1 at its high one."""
     low, high = range_

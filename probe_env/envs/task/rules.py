@@ -71,7 +71,7 @@ def ending(
         config: the task.
         inserted: cable in the helix [m].
         helix_length: [m].
-        slack_periods: periods in a row that were ``slack``.
+        slack_periods: periods in a row that were ``slack``, see ``slack_in_a_row``.
         time: since the episode began [s].
         stepped: whether the episode was stepped in this period; others end in nothing.
         diverged: whether the simulation diverged in it.
@@ -80,6 +80,13 @@ def ending(
     complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
     lost = (slack_periods >= config.lost_drive_periods) & good & ~complete
     return Ending(complete, lost, diverged & stepped, stepped & (time >= config.time_limit - 1e-9))
+
+
+def slack_in_a_row(
+    before: npt.NDArray[np.integer[Any]] | int, hanging: BoolArray | bool
+) -> npt.NDArray[np.integer[Any]]:
+    """How many periods in a row the cable hung slack, for how many ``before`` this one, and whether it hangs in it."""
+    return np.where(hanging, np.add(before, 1), 0)
 
 
 def slack(config: TaskConfig, tension: FloatArray, inserted: FloatArray) -> BoolArray:

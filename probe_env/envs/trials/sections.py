@@ -18,8 +18,8 @@ from probe_env.fidelity import Fidelity
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import SPAN
-from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
 

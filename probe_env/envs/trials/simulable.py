@@ -7,8 +7,8 @@ from typing import Final
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.limits import check_simulable
-from probe_env.envs.starts import Starts, settling
+from probe_env.envs.episodes.limits import check_simulable
+from probe_env.envs.episodes.starts import Starts, settling
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials.sections import sections_of
 from probe_env.fidelity import Fidelity

@@ -1,7 +1,7 @@
 """Methods that advance a chain in time: arrays enter, the state moves on in them, a status leaves.
 
 ``METHODS`` is the only list of them: a method is a file or folder of kernels that ends with its ``Method``, and an
-entry here. Imports the chain, the drive, the state and what a kernel is called with.
+entry here. Imports the model.
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain, element_blocks, element_stiffness
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import Scheme, Step, Workspace
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain, element_blocks, element_stiffness
+from probe_env.physics.model.state import State
 
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from probe_env.physics.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.physics.methods.factors import explicit_factors
 from probe_env.physics.methods.imex.after_step import after_step
 from probe_env.physics.methods.imex.elimination import product
@@ -51,6 +50,7 @@ from probe_env.physics.methods.lane_group import (
 from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
 from probe_env.physics.methods.method import lane_method
 from probe_env.physics.methods.stability import explicit_step
+from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,7 +12,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain, element_blocks, element_stiffness
+from probe_env.physics.model.chain import Chain, element_blocks, element_stiffness
 
 MOST_FACTORS = 4000
 LONG_STEP = 5e-4  # [s]

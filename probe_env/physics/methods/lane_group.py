@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND, INPUTS
 from probe_env.physics.methods.lanes import lane_count
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.drive import APPEND, INPUTS
+from probe_env.physics.model.state import State
 
 # rows of the parameters; forces are per mass, moments per inertia
 (

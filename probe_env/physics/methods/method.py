@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.kernel_call import Sampling, check_call, check_chain, check_lane_chain
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.lane_group import Lane, LaneKernel
 from probe_env.physics.methods.stability import contact_step, known_step
-from probe_env.physics.state import State, at_rest
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.kernel_call import Sampling, check_call, check_chain, check_lane_chain
+from probe_env.physics.model.state import State, at_rest
 from probe_env.scene import Scene
 
 Advance = Callable[[FloatArray, int, State, Sampling], tuple[int, int, int, int]]

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.method import Advance, Method, Prepare
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.kernel_call import Sampling
+from probe_env.physics.model.state import State
 
 
 class Scheme(NamedTuple):

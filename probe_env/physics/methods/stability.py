@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from probe_env.physics.chain import Chain, build_chain
 from probe_env.physics.methods.factors import node_matrices
+from probe_env.physics.model.chain import Chain, build_chain
 from probe_env.scene import Scene
 
 FULL, REDUCED = 1.8, 0.6  # omega dt

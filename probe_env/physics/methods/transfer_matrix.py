@@ -12,10 +12,10 @@ import numpy as np
 from numba import njit
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import Scheme, Step, Workspace
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.state import State
 
 
 def stepper(chain: Chain, scheme: Scheme) -> Step:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import itertools
-import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, Unpack
 
@@ -14,16 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.errors import SimulationError
 from probe_env.machine import available_cores
-from probe_env.physics.kernel_call import Sampling, check_array, check_points
 from probe_env.physics.methods import method_named
-from probe_env.physics.methods.lane_group import Lane
-from probe_env.physics.saved import FORMAT, check_format, check_names, check_types
-from probe_env.physics.signals import window_statistics
+from probe_env.physics.model.kernel_call import check_array, check_points
+from probe_env.physics.simulation.groups import advance_group, groups_of
 from probe_env.physics.simulation.options import Options
 from probe_env.physics.simulation.recording import check_size
-from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator
+from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_types
+from probe_env.physics.simulation.signals import window_statistics
+from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.targets import check_active, check_which
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
@@ -140,7 +136,7 @@ class SimulatorBatch:
 
         A group costs what its longest probe does in full lanes.
         """
-        groups = self._groups([k for k in range(len(self)) if not self.simulators[k].diverged])
+        groups = groups_of(self.simulators, [k for k in range(len(self)) if not self.simulators[k].diverged])
         alone = method_named(self.method).alone_share
         longest = ((max(self.simulators[k].cost(duration) for k in group), len(group)) for group in groups)
         return sum(cost if count == 1 else cost / alone for cost, count in longest)
@@ -190,31 +186,16 @@ class SimulatorBatch:
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
-        groups = self._groups(running)
+        for k in running:
+            signals[k, :2] = self._before[k]
+        groups = groups_of(self.simulators, running)
         with ThreadPoolExecutor(self.threads) as pool:  # starts a thread with the first group that it is given
             mapped = pool.map if len(groups) > 1 else map  # to hand over to a thread waits on a busy processor
-            self.kernel_seconds += sum(mapped(lambda group: self._advance_group(group, steps, every, signals), groups))
+            seconds = mapped(lambda group: advance_group(self.simulators, group, steps, every, signals), groups)
+            self.kernel_seconds += sum(seconds)
         for k in running:
             self._before[k] = signals[k, -2:].copy()
         return self._window(signals, running, every, keep_samples)
-
-    def _groups(self, running: list[int]) -> list[list[int]]:
-        """Probes that advance together: of a kind, about equally long, as many as the kernel has lanes.
-
-        So few that each by itself takes less time do that.
-        """
-        method = method_named(self.method)
-        kernel = method.lanes
-        kinds: dict[Hashable, list[int]] = {}
-        for k in sorted(running, key=lambda k: self.simulators[k].root):
-            kind = kernel.kind(self.simulators[k].lane_constants()[1]) if kernel else None
-            kinds.setdefault(kind, []).append(k)
-        groups: list[list[int]] = []
-        for same in kinds.values():
-            for start in range(0, len(same), method.width):
-                group = same[start : start + method.width]
-                groups += [[k] for k in group] if len(group) * method.alone_share < 1.0 else [group]
-        return groups
 
     def _check_fits(self, k: int) -> None:
         simulator = self.simulators[k]
@@ -224,56 +205,6 @@ class SimulatorBatch:
             check_array("before", self._before[k], (2, 3))
         except ValueError as error:
             raise ValueError(f"probe {k}: {error}") from error
-
-    def _advance_group(self, group: Sequence[int], steps: int, every: int, signals: FloatArray) -> float:
-        """Advance the probes of a group; sensor x, y and root V go to ``signals`` after the two samples before.
-
-        Returns the seconds that the kernels took.
-        """
-        kernel = method_named(self.method).lanes
-        if kernel is None:
-            return self._advance_one(group[0], steps, every, signals)
-        members = [self.simulators[k] for k in group]
-        none = np.zeros((0, 2, 4))
-        lanes = [
-            Lane(*s.lane_constants(), s.state, s.root, np.array([s.sensor, -1], dtype=np.int64), none[:, 0], none)
-            for s in members
-        ]
-        for k in group:
-            signals[k, :2] = self._before[k]
-        done, seconds = 0, 0.0
-        while done < steps and group:
-            stretch = min(steps - done, STEPS_PER_CALL)
-            first = every - done % every
-            rows = max(0, (stretch - first) // every + 1)
-            for lane, simulator in zip(lanes, members, strict=True):
-                lane.inputs, lane.samples = simulator.inputs_of_steps(stretch), np.zeros((rows, 2, 4))
-            failed, spent = kernel.run(lanes, self.time_step, self.nodes_per_pitch, first, every)
-            seconds += spent
-            start = 2 + done // every
-            for k, lane, simulator, step in zip(group, lanes, members, failed, strict=True):
-                signals[k, start : start + rows, 0:2] = lane.samples[:, 0, 0:2]
-                signals[k, start : start + rows, 2] = lane.samples[:, 1, 3]
-                simulator.note_steps(step or stretch, lane.root, diverged=step > 0)
-            held = [not step for step in failed]
-            lanes, members = list(itertools.compress(lanes, held)), list(itertools.compress(members, held))
-            group = list(itertools.compress(group, held))
-            done += stretch
-        return seconds
-
-    def _advance_one(self, k: int, steps: int, every: int, signals: FloatArray) -> float:
-        """``_advance_group`` for a method that does not run in lanes."""
-        simulator = self.simulators[k]
-        points, samples = np.array([simulator.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, 4))
-        tension_sum, counts = np.zeros(simulator.chain.node_count), np.zeros(2, dtype=np.int64)
-        begin = time.perf_counter()
-        with contextlib.suppress(SimulationError):  # kept by the simulator, reported in the window
-            simulator.advance_steps(steps, Sampling(every, every, points, samples, tension_sum, counts))
-        seconds = time.perf_counter() - begin
-        signals[k, :2] = self._before[k]
-        signals[k, 2:, 0:2] = samples[:, 0, 0:2]
-        signals[k, 2:, 2] = samples[:, 1, 3]
-        return seconds
 
     def _window(self, signals: FloatArray, running: Sequence[int], every: int, keep: bool) -> Window:
         period = every * self.time_step

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.kernel_call import CHANNELS, Sampling
 from probe_env.physics.methods import ticm
-from probe_env.physics.run import Run, Shapes, point_name
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.kernel_call import CHANNELS, Sampling
+from probe_env.physics.model.state import State
+from probe_env.physics.simulation.run import Run, Shapes, point_name
 
 MOST_SAMPLES: Final = 2**31
 """Bytes that the samples of one call may take."""

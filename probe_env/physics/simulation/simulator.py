@@ -12,18 +12,18 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.chain import air_speed, build_chain, outer_start, sensor_node
-from probe_env.physics.costs import pitch_step_seconds
-from probe_env.physics.drive import Drive
-from probe_env.physics.kernel_call import Sampling, check_state
 from probe_env.physics.methods import method_named, solver_named, ticm
 from probe_env.physics.methods.method import Advance
-from probe_env.physics.run import Run, shown
-from probe_env.physics.saved import Saved, check_names, check_types
+from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.kernel_call import Sampling, check_state
+from probe_env.physics.model.state import State, at_rest
+from probe_env.physics.simulation.costs import pitch_step_seconds
 from probe_env.physics.simulation.options import DEFAULTS, Options, check_options
 from probe_env.physics.simulation.recording import Recording, node_of, snapshot_steps
+from probe_env.physics.simulation.run import Run, shown
+from probe_env.physics.simulation.saved import Saved, check_names, check_types
 from probe_env.physics.simulation.targets import check_targets
-from probe_env.physics.state import State, at_rest
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps, within
 

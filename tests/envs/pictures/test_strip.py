@@ -12,7 +12,7 @@ from probe_env import Fidelity, Scene, Simulator
 from probe_env.envs.pictures.motion import FRAME_PERIOD, Watch
 from probe_env.envs.pictures.plate import GREEN, ORANGE, RED
 from probe_env.envs.pictures.strip import AXIAL, FRAMES_PER_SECOND, SLOWED, Strip
-from probe_env.physics.signals import SAMPLE_PERIOD, dominant_frequencies
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
 NOTHING = np.zeros(0)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from probe_env import Context, Design, Fidelity, Plant
-from probe_env.envs.limits import check_simulable
+from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.trials import Candidate, check_candidate, sections_of, try_sections
 from probe_env.schedule import Schedule
 

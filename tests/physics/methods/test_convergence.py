@@ -10,8 +10,8 @@ from scipy.linalg import eigh, expm
 from scipy.stats import linregress
 
 from probe_env import Scene
-from probe_env.physics.chain import air_speed, build_chain
 from probe_env.physics.methods.newmark import newmark, wilson
+from probe_env.physics.model.chain import air_speed, build_chain
 
 SCHEMES = pytest.mark.parametrize("scheme", [newmark, wilson])
 

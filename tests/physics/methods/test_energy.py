@@ -6,7 +6,7 @@ from oracles.chains import advance, bent, energy, matrices, plain_chain
 
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, workspace
-from probe_env.physics.state import at_rest
+from probe_env.physics.model.state import at_rest
 
 N, STEPS, CHUNKS, TIME_STEP = 100, 20_000, 20, 1e-4
 PASSIVE = bent(plain_chain(N))

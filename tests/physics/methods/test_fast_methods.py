@@ -15,9 +15,9 @@ from agents.records.store import stored_rows
 from agents.study.cases import load_rows
 from agents.study.claims import Ensemble
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch, StabilityWarning
-from probe_env.physics.chain import build_chain
 from probe_env.physics.methods.factors import imex_factors, linear_weights, node_matrices, single_factors
 from probe_env.physics.methods.stability import explicit_time_step
+from probe_env.physics.model.chain import build_chain
 
 SHORT = Scene(carrier_length=10.0)
 RESULTS = Path(__file__).parents[3] / "results"

@@ -7,10 +7,10 @@ import pytest
 from oracles.chains import bent, matrices, plain_chain
 
 from probe_env import Scene, Simulator
-from probe_env.physics.drive import Drive
 from probe_env.physics.methods.factors import implicit_weights
 from probe_env.physics.methods.implicit import contact, iteration, rows, solution
-from probe_env.physics.state import at_rest
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import at_rest
 
 SHORT = Scene(carrier_length=10.0)
 

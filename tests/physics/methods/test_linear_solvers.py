@@ -5,10 +5,10 @@ import pytest
 from oracles.dense import dense_step
 
 from probe_env import Scene, Simulator
-from probe_env.physics.chain import build_chain
 from probe_env.physics.methods import banded, ticm, transfer_matrix
 from probe_env.physics.methods.newmark import newmark, wilson, workspace
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import build_chain
+from probe_env.physics.model.state import State
 
 INPUTS = np.array([0.2, 0.3, 60.0, 0.0, 1.0])  # u, du/dt, air speed
 

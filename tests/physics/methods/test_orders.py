@@ -5,7 +5,7 @@ import pytest
 from oracles.orders import observed_order
 
 from agents.chart.smooth import cases
-from probe_env.physics.bare_chains import run_chain
+from probe_env.physics.closed_forms.bare_chains import run_chain
 from probe_env.physics.methods import METHODS
 
 CASE = cases()["linear"]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
-from probe_env.physics.costs import pitch_step_seconds
 from probe_env.physics.methods import METHODS
+from probe_env.physics.simulation import batch as batch_module
+from probe_env.physics.simulation.costs import pitch_step_seconds
 
 OPTIONS = {"growing": True, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
 
@@ -74,14 +75,14 @@ def test_every_batch_equals_the_single_runs(order, threads, single):
 
 @pytest.mark.parametrize(("probes", "here"), [(1, True), (2, False)])
 def test_a_group_that_has_no_other_beside_it_advances_without_a_thread(probes, here, monkeypatch):
-    caller, of_group = threading.get_ident(), SimulatorBatch._advance_group
+    caller, of_group = threading.get_ident(), batch_module.advance_group
     on_caller = []
 
-    def advanced(batch, *arguments):
+    def advanced(*arguments):
         on_caller.append(threading.get_ident() == caller)
-        return of_group(batch, *arguments)
+        return of_group(*arguments)
 
-    monkeypatch.setattr(SimulatorBatch, "_advance_group", advanced)
+    monkeypatch.setattr(batch_module, "advance_group", advanced)
     batch = SimulatorBatch([SCENES[4]] * probes, "superelement32", threads=2, **OPTIONS)
     batch.advance(0.3, 0.02, 0.01)
     assert on_caller == [here] * probes

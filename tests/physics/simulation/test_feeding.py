@@ -8,11 +8,11 @@ from oracles.chains import plain_chain
 from scipy.signal import detrend
 
 from probe_env import Scene, Simulator
-from probe_env.physics.chain import build_chain
-from probe_env.physics.drive import Drive
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, workspace
-from probe_env.physics.state import at_rest
+from probe_env.physics.model.chain import build_chain
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import at_rest
 
 QUIET = Scene(carrier_length=5.0, contact={"friction": 0.05})
 METHODS = pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from oracles.scatter import of_another
 
 from probe_env import Scene, Simulator
-from probe_env.physics.chain import element_blocks
+from probe_env.physics.model.chain import element_blocks
 
 SCENE = Scene(carrier_length=10.0)
 

@@ -22,8 +22,8 @@ from agents.policies.view import HALF_RANGE, MIDDLE, View
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
-from probe_env.physics.chain import air_speed
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension
+from probe_env.physics.model.chain import air_speed
 
 CONFIG = TaskConfig(privileged=True)
 

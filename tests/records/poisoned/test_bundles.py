@@ -14,7 +14,7 @@ import pytest
 import torch
 from poisons import ANYWHERE, FAST, JSON, ROOT
 
-from agents.policies.bundle import Description, Network, _hash, build_policy, save_bundle
+from agents.policies.bundle import Description, Network, _hash, build_policy, write_bundle
 from agents.policies.law import Law
 from agents.policies.maps.vibration_map import STORED as MAP
 from agents.policies.maps.vibration_map import VibrationMap
@@ -30,7 +30,7 @@ def bundle(tmp_path_factory):
     description = Description(
         algorithm="ppo", network=Network(net_arch=(8,)), view=View(averages=(5.0,)), task=TaskConfig(), trained={}
     )  # fmt: skip
-    save_bundle(path, description, build_policy(description))
+    write_bundle(path, description, build_policy(description))
     return path
 
 

@@ -6,10 +6,10 @@ import math
 
 from numba import njit
 
-from probe_env.physics.drive import APPEND
 from probe_env.physics.methods.lane_group import CURVATURE, FIELDS, PEAK, ROOT, SIN, VX, T, V, X, Y
 from probe_env.physics.methods.ticm.after_step import LEAVING
-from probe_env.physics.state import DIVERGED_RADIAL
+from probe_env.physics.model.drive import APPEND
+from probe_env.physics.model.state import DIVERGED_RADIAL
 
 
 @njit(nogil=True, error_model="numpy")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex.after_step import after_step
 from probe_env.physics.methods.imex.elimination import less_product, move_node, product, solve_node
@@ -46,6 +45,7 @@ from probe_env.physics.methods.lane_group import (
     Y,
 )
 from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
+from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -27,8 +27,6 @@ not converged.
 from __future__ import annotations
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods.factors import implicit_weights
 from probe_env.physics.methods.implicit.contact import contact_places
 from probe_env.physics.methods.implicit.iteration import advance
@@ -36,7 +34,9 @@ from probe_env.physics.methods.implicit.rows import couple_limits
 from probe_env.physics.methods.implicit.solution import workspace
 from probe_env.physics.methods.method import Advance, Method
 from probe_env.physics.methods.stability import any_step
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.kernel_call import Sampling
+from probe_env.physics.model.state import State
 
 
 def _prepare(chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:

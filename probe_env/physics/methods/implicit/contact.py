@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
 from probe_env.physics.methods.ticm.after_step import FASTMATH
+from probe_env.physics.model.chain import Chain
 
 TOLERANCE, LEAST_FORCE = 1e-6, 1e-4  # relative to the largest contact force [N], at least the second
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.factors import LONG_STEP
 from probe_env.physics.methods.implicit.contact import STICTION, TOLERANCE, renew_flags
 from probe_env.physics.methods.implicit.rows import free_rows
 from probe_env.physics.methods.implicit.solution import solve
 from probe_env.physics.methods.ticm.after_step import DIVERGED, FASTMATH, OK, move_root, record
-from probe_env.physics.state import DIVERGED_RADIAL
+from probe_env.physics.model.drive import AIR, SLOPE, SPEED
+from probe_env.physics.model.state import DIVERGED_RADIAL
 
 HALF_STEPS_FROM, FREEZE_AFTER, MOST_ITERATIONS = 8, 25, 40
 

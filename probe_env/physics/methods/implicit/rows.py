@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.chain import Chain, most_pressure, most_tension
 from probe_env.physics.methods.ticm.after_step import FASTMATH
+from probe_env.physics.model.chain import Chain, most_pressure, most_tension
 
 
 def couple_limits(chain: Chain, nodes_per_pitch: int) -> tuple[float, float]:

@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from probe_env.physics.chain import build_chain
 from probe_env.physics.methods.method import lane_method
 from probe_env.physics.methods.stability import TABLE_2_DAMPING
 from probe_env.physics.methods.superelement.along import superelement_advance_along
@@ -19,6 +18,7 @@ from probe_env.physics.methods.superelement.kernel import superelement_advance
 from probe_env.physics.methods.superelement.packing import MEMORY
 from probe_env.physics.methods.superelement.start import released
 from probe_env.physics.methods.superelement.tables import longest_step
+from probe_env.physics.model.chain import build_chain
 from probe_env.scene import Scene
 
 HOLDS, BREAKS = 1.65, 1.8

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, APPEND, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex.forces import loaded_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION
@@ -30,7 +29,8 @@ from probe_env.physics.methods.superelement.step import (
     symmetric,
 )
 from probe_env.physics.methods.superelement.tables import CONSTANTS
-from probe_env.physics.state import DIVERGED_RADIAL
+from probe_env.physics.model.drive import AIR, APPEND, SLOPE, SPEED
+from probe_env.physics.model.state import DIVERGED_RADIAL
 
 LEVER, GAP, DRAG, BEHIND = range(4)
 FLOATS = 4

@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from probe_env.physics.chain import Chain
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement.pitch import ENDS, Pitch
+from probe_env.physics.model.chain import Chain
 
 PHASES = 32
 """Of the endless row's motion from piece to piece."""

@@ -11,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND
 from probe_env.physics.methods.lane_group import (
     CARRIER_DRAG,
     GUIDE_DRAG,
@@ -35,6 +33,8 @@ from probe_env.physics.methods.superelement.roots import (
     place_roots,
 )  # fmt: skip
 from probe_env.physics.methods.superelement.tables import CONSTANTS, FACTORS, Tables, tables
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.drive import APPEND
 
 INSTEAD = "imex with 8 nodes a pitch simulates it"
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from probe_env.physics.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex.elimination import less_product
 from probe_env.physics.methods.imex.forces import float_at, loaded_floats, loaded_wall, magnitude
@@ -52,6 +51,7 @@ from probe_env.physics.methods.superelement.tables import (
     FACTORS,
     HALF_MASS,
 )
+from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

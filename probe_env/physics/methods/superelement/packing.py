@@ -21,7 +21,7 @@ from probe_env.physics.methods.superelement.along import BEHIND, DRAG, FLOATS, G
 from probe_env.physics.methods.superelement.pitch import ENDS
 from probe_env.physics.methods.superelement.roots import MODES, PT, PX, VT, VX, RootTables, T, V, X
 from probe_env.physics.methods.superelement.tables import CONSTANTS, FACTORS, HALF_MASS, LEAST, MOST, Tables
-from probe_env.physics.state import State
+from probe_env.physics.model.state import State
 
 MOMENTUM = 3
 MEMORY = MOMENTUM + 4 * MOST

@@ -31,7 +31,7 @@ import numpy.typing as npt
 from scipy.linalg import eigh
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain, element_blocks, element_stiffness
+from probe_env.physics.model.chain import Chain, element_blocks, element_stiffness
 
 ENDS = 6
 """Unknowns of the two ends; the modal coordinates follow."""

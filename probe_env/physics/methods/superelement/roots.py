@@ -7,10 +7,10 @@ from typing import NamedTuple
 from numba import njit
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.drive import APPEND
 from probe_env.physics.methods.lane_group import PEAK, ROOT
 from probe_env.physics.methods.superelement.tables import CONSTANTS, FACTORS
-from probe_env.physics.state import DIVERGED_RADIAL
+from probe_env.physics.model.drive import APPEND
+from probe_env.physics.model.state import DIVERGED_RADIAL
 
 # fields of a row: displacement, momentum but for the last share of K d, mean velocity, axial force; then q, p a mode
 X, Y, T, PX, PY, PT, VX, VY, VT, V = range(10)

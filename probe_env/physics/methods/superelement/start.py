@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement.packing import MEMORY, MOMENTUM
 from probe_env.physics.methods.superelement.pitch import ENDS, MIRROR
 from probe_env.physics.methods.superelement.tables import K_EVEN, K_ODD, tables
-from probe_env.physics.state import State, at_rest
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.state import State, at_rest
 
 
 def released(chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:

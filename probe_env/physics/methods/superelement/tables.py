@@ -16,10 +16,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement.contact import Endless, contact_frequency, fitted_stiffness, most_tension
 from probe_env.physics.methods.superelement.pitch import ENDS, Pitch, condensed, halves, refined
+from probe_env.physics.model.chain import Chain
 
 ELEMENTS = 16
 """Of the fine mesh in a pitch."""

@@ -10,7 +10,7 @@ import math
 
 from numba import njit
 
-from probe_env.physics.drive import APPEND
+from probe_env.physics.model.drive import APPEND
 
 FASTMATH = {"contract"}
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.ticm.after_step import FASTMATH, OVERFLOW
-from probe_env.physics.state import DIVERGED_RADIAL
+from probe_env.physics.model.drive import AIR, SLOPE, SPEED
+from probe_env.physics.model.state import DIVERGED_RADIAL
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from numba import njit
 
-from probe_env.physics.drive import AIR, SLOPE, SPEED
 from probe_env.physics.methods.ticm.after_step import DIVERGED, FASTMATH, OK, move_root, record
 from probe_env.physics.methods.ticm.equations import node_equation, update_node
 from probe_env.physics.methods.ticm.recursion import behind, through_point, to_node, turned
+from probe_env.physics.model.drive import AIR, SLOPE, SPEED
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)

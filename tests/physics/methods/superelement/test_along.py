@@ -6,6 +6,7 @@ import pytest
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.lane_group import Lane
+from probe_env.physics.simulation.groups import groups_of
 
 LENGTHS = (0.4, 0.8, 1.3, 7.0)
 """Carrier cable [m] behind 0.5 m of guide: fewer floats than lanes, and some blocks of them."""
@@ -64,7 +65,7 @@ def test_so_few_run_alone_that_each_takes_less_time():
     """And cost what they do: of ten probes a group and two alone, in double precision two groups and two together."""
     for method, grouped in (("superelement32", [8, 1, 1]), ("superelement", [4, 4, 2]), ("imex32", [8, 2])):
         batch = SimulatorBatch([Scene(carrier_length=5.0)] * 10, method)
-        assert [len(group) for group in batch._groups(list(range(10)))] == grouped
+        assert [len(group) for group in groups_of(batch.simulators, list(range(10)))] == grouped
         share, own = METHODS[method].alone_share, batch.simulators[0].cost(1.0)
         whole = sum(count > 1 for count in grouped)
         assert batch.cost(1.0) == pytest.approx(own * (grouped.count(1) + whole / share))

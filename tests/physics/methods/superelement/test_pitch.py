@@ -7,8 +7,8 @@ from oracles.chains import bent, matrices, plain_chain
 from scipy.linalg import eigh, eigvals
 
 from probe_env import Scene
-from probe_env.physics.chain import build_chain
 from probe_env.physics.methods.superelement.pitch import ENDS, condensed
+from probe_env.physics.model.chain import build_chain
 
 SCENE = Scene()
 PITCH = SCENE.probe.float_pitch

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 
 from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.envs.trials.simulable import HARDEST
-from probe_env.physics.bare_chains import Driven, bent_chain, run_chain
-from probe_env.physics.chain import build_chain
+from probe_env.physics.closed_forms.bare_chains import Driven, bent_chain, run_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement import contact, tables
 from probe_env.physics.methods.superelement.pitch import ENDS, refined
+from probe_env.physics.model.chain import build_chain
 
 STEP = 2e-4
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import csd, find_peaks, welch
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.run import Run
+from probe_env.physics.simulation.run import Run
 
 SAMPLE_PERIOD = 1e-3  # [s], of the sensor's signals wherever they are heard, drawn or judged
 LOWEST_FREQUENCY = 2.0  # [Hz]; slower is drift of the mean, not ringing

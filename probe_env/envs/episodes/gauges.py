@@ -15,8 +15,8 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.inspection.meter import Meter
-from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.window import Window
 
 DROPPING_OUT: Final = ("rf_noise", "root_tension")

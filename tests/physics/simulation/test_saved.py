@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch
-from probe_env.physics.drive import Drive
-from probe_env.physics.saved import FORMAT
-from probe_env.physics.state import State, at_rest
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.state import State, at_rest
+from probe_env.physics.simulation.saved import FORMAT
 
 SCENE = Scene(carrier_length=2.0, probe={"guide_length": 0.5})
 OTHER = {

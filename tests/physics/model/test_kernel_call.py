@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch
-from probe_env.physics.chain import build_chain
-from probe_env.physics.drive import APPEND, Drive
-from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods import METHODS, SOLVERS
-from probe_env.physics.state import State, at_rest
+from probe_env.physics.model.chain import build_chain
+from probe_env.physics.model.drive import APPEND, Drive
+from probe_env.physics.model.kernel_call import Sampling
+from probe_env.physics.model.state import State, at_rest
 
 SCENE = Scene(carrier_length=1.0, probe={"guide_length": 0.5})
 CHAIN = build_chain(SCENE)

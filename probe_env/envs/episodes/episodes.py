@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.gauges import Gauges
-from probe_env.envs.kpis import SIGNALS, Tally
-from probe_env.envs.limits import check_simulable
-from probe_env.envs.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
+from probe_env.envs.episodes.gauges import Gauges
+from probe_env.envs.episodes.kpis import SIGNALS, Tally
+from probe_env.envs.episodes.limits import check_simulable
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
     MEASURES,
     Ending,
@@ -35,8 +35,8 @@ from probe_env.envs.task.safety import cost_terms
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.closed_forms import buckling_load
-from probe_env.physics.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.batch import SimulatorBatch
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene

@@ -7,7 +7,7 @@ import pytest
 import probe_env
 from probe_env import Context, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
-from probe_env.envs.starts import checked_contexts, drawn_context
+from probe_env.envs.episodes.starts import checked_contexts, drawn_context
 from probe_env.envs.task.observations import observe
 
 assert probe_env.__all__

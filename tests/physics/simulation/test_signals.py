@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from probe_env.physics.run import Run
-from probe_env.physics.signals import common_frequency, dominant_frequencies, point_statistics
+from probe_env.physics.simulation.run import Run
+from probe_env.physics.simulation.signals import common_frequency, dominant_frequencies, point_statistics
 
 TIME = np.arange(8001) * 1e-3
 

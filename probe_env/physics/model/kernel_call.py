@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain
-from probe_env.physics.drive import APPEND, INPUTS
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.drive import APPEND, INPUTS
+from probe_env.physics.model.state import State
 
 CHANNELS = 4
 

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.chain import Chain, build_chain
-from probe_env.physics.drive import Drive
-from probe_env.physics.kernel_call import Sampling
 from probe_env.physics.methods import method_named, solver_named
 from probe_env.physics.methods.factors import node_matrices
 from probe_env.physics.methods.ticm.after_step import OK
-from probe_env.physics.state import State
+from probe_env.physics.model.chain import Chain, build_chain
+from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.kernel_call import Sampling
+from probe_env.physics.model.state import State
 from probe_env.scene import Scene
 
 LAPACK = "newmark (LAPACK)"

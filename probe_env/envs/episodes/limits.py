@@ -18,8 +18,8 @@ import math
 from typing import Final, NamedTuple
 
 from probe_env.fidelity import Fidelity
-from probe_env.physics.chain import air_speed
 from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Probe, Scene
 
 MOST_TURN: Final = 1.0  # [rad]
