@@ -93,7 +93,7 @@ def _step_load() -> Case:
     load = np.zeros((elements, 3))
     load[::4, AXIAL] = force
     return Case(
-        "axial step load", Driven(chain, air=wind), 0.05, 1e-3, (0, AXIAL),
+        "axial step load", Driven(chain, air_speed=wind), 0.05, 1e-3, (0, AXIAL),
         lambda times: closed_forms.linear_chain(chain, times, 0.0 * load, load)[:, 0, AXIAL],
     )  # fmt: skip
 

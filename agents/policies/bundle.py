@@ -153,7 +153,7 @@ class Agent:
         rows, names = rows.copy(), list(self.config.observations)
         for name, column in PREVIOUS.items():
             here, trained = getattr(self.config, name), getattr(self.description.task, name)
-            rows[:, names.index(column)] = action_in(trained, rows[:, names.index(column)], here)
+            rows[:, names.index(column)] = action_in(rows[:, names.index(column)], here, trained)
         return rows
 
     def describe(self) -> dict[str, Any]:

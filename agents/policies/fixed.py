@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.task.observations import in_si_units
 from probe_env.schedule import Schedule
 
@@ -206,8 +206,7 @@ class Random(FixedPolicy):
         for k, (time, noise) in enumerate(zip(seen["time"], seen["rf_noise"], strict=True)):
             entropy = [self.seed, round(time * 1e3), int(np.float64(noise).view(np.uint64))]
             shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
-        (slow, fast), (least, most) = self.config.feed_speeds, self.config.air_supply_rates
-        return slow + shares[0] * (fast - slow), least + shares[1] * (most - least)
+        return value_at(shares[0], self.config.feed_speeds), value_at(shares[1], self.config.air_supply_rates)
 
 
 BUILT_IN: Final[dict[str, tuple[type[FixedPolicy], dict[str, Any]]]] = {

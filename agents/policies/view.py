@@ -155,8 +155,8 @@ class View(Model):
 
     def _air_floor(self, config: TaskConfig) -> float:
         """The least air as a share of the task's range."""
-        low, high = config.air_supply_rates
-        return max(self.least_air_supply_rate - low, 0.0) / (high - low)
+        range_ = config.air_supply_rates
+        return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
 
 
 @lru_cache(maxsize=64)

@@ -19,7 +19,7 @@ from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig, metre_reward, share_between, slack
+from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
 from probe_env.schedule import Schedule
 
 FEEDS, AIRS = 28, 12
@@ -85,7 +85,7 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
         "inserted_length", "linear", tuple(places.tolist()), tuple(feed[path].tolist()), tuple(air[path].tolist())
     )
     gained = float((metre_reward(config, cost) * stands_for[:, None])[range(len(path)), path].sum())
-    deep = places >= config.lost_drive_from
+    deep = drive_counts(config, places)
     return Optimum(schedule, gained, float(taut[range(len(path)), path][deep].min()) if deep.any() else float("inf"))
 
 

@@ -22,7 +22,7 @@ from probe_env.envs.episodes.starts import (
     settling,
 )
 from probe_env.envs.task import TaskConfig, action_of, share_of
-from probe_env.envs.task.observations import OBSERVATIONS, PRIVILEGED
+from probe_env.envs.task.observations import OBSERVATIONS, PRIVILEGED, UNITS
 from probe_env.envs.trials import Candidate, Controller, check_space, judge, stretch_of, try_insertions, try_sections
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
@@ -147,7 +147,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
         Raises:
             ValueError: an option is not known or not valid, or there is a design that this fidelity or the model cannot
-                simulate in such a tube, see ``limits``.
+                simulate in such a tube, see ``episodes.limits``.
         """
         super().reset(seed=seed)
         trial = copy.deepcopy(self.np_random)  # the generator itself moves on only if all is valid
@@ -190,10 +190,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
     def _observation(self) -> Observation:
         assert self.context is not None
-        values = [self.context.helix_diameter / 2.5]
-        if self.config.privileged:
-            values += [self.context.friction / 0.25, self.context.contact_stiffness / 1e5, self.context.drag_factor]
-        return np.array(values, dtype=np.float32)
+        names = ["helix_diameter", *(PRIVILEGED if self.config.privileged else ())]
+        return np.array([getattr(self.context, name) / UNITS[name] for name in names], dtype=np.float32)
 
 
 class _Follow:
@@ -207,6 +205,6 @@ class _Follow:
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """What the schedule says."""
-        lengths = np.atleast_2d(observation)[:, self.column] * 60.0
+        lengths = np.atleast_2d(observation)[:, self.column] * UNITS["inserted_length"]
         pairs = [self.schedule.at(length) for length in lengths]
         return np.array([self.config.actions(feed, air)[0] for feed, air in pairs], dtype=np.float32), ()

@@ -21,7 +21,7 @@ DRIVEN = {"growing": True, "ramp": 0.5, "air_lag": 0.3}
 
 def test_the_drive_goes_back():
     drive = Drive(0.2, 60.0, ramp=0.5, growth=1.0, travel=0.01)
-    drive.speed_target = -0.2
+    drive.feed_speed_target = -0.2
     dt, h = 1e-3, 0.025
     inputs = drive.inputs_of_steps(3000, dt, h, room=100, spare=10)
     assert inputs[:, 3].sum() == -10  # no more than may leave
@@ -34,7 +34,7 @@ def test_the_drive_goes_back():
     assert appended == 1  # 0.01 + 0.04 m less a step, in elements of 0.025 m
     assert moved[first] == pytest.approx(h * appended, abs=0.4 * dt)
     pieces = Drive(0.2, 60.0, ramp=0.5, growth=1.0, travel=0.01)
-    pieces.speed_target = -0.2
+    pieces.feed_speed_target = -0.2
     parts, spare = [], 10
     for steps in (1, 499, 2500):
         parts.append(pieces.inputs_of_steps(steps, dt, h, room=100, spare=spare))

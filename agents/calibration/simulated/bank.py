@@ -20,6 +20,7 @@ from agents.terminal.work import Work, announce
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.plants.tables import Tubes
+from probe_env.envs.task import value_at
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
 
@@ -57,9 +58,9 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
     specimens = [
         Specimen(
             Context(
-                friction=float(_between(FRICTION, a)),
+                friction=float(value_at(a, FRICTION)),
                 contact_stiffness=float(_geometric(STIFFNESS, b)),
-                drag_factor=float(_between(DRAG_FACTORS, c)),
+                drag_factor=float(value_at(c, DRAG_FACTORS)),
                 helix_diameter=float(_geometric(DIAMETERS, d)),
             ),
             float(_geometric(DAMPING, e)),
@@ -80,7 +81,7 @@ def wandering(group: int) -> Program:
             np.array([np.interp(place, knots, row) for place, row in zip(length, share, strict=True)])
             for share in shares
         )
-        return _geometric(FEEDS, feed**0.7), _between(AIRS, air)
+        return _geometric(FEEDS, feed**0.7), value_at(air, AIRS)
 
     return program
 
@@ -116,10 +117,6 @@ def make_bank(groups: int, fidelity: str, output: Path) -> Iterator[dict[str, Fl
             np.savez_compressed(buffer, **simulated(group, fidelity))  # type: ignore[arg-type]
             write_atomically(file, buffer.getvalue())
         yield read_arrays(file, lambda _: "f")
-
-
-def _between(range_: tuple[float, float], share: FloatArray | float) -> FloatArray:
-    return np.asarray(range_[0] + share * (range_[1] - range_[0]))
 
 
 def _geometric(range_: tuple[float, float], share: FloatArray | float) -> FloatArray:

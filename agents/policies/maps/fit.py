@@ -19,7 +19,7 @@ from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, value_at
 from probe_env.fidelity import PRESETS
 
 SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
@@ -48,10 +48,9 @@ class Wandering(FixedPolicy):
         for k, (first, length) in enumerate(zip(memory[:, 0], seen["inserted_length"], strict=True)):
             entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / segment)]
             shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
-        least, most = self.config.air_supply_rates
         slow, fast = feeds(self.config)
         feed = slow * (fast / slow) ** shares[0]
-        return feed, least + shares[1] * (most - least)
+        return feed, value_at(shares[1], self.config.air_supply_rates)
 
 
 def fit_map(

@@ -27,7 +27,7 @@ from agents.rollouts.plan import Plan, check_stored, run_plan
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.task import TaskConfig, metre_reward
+from probe_env.envs.task import TaskConfig, metre_reward, value_at
 from probe_env.fidelity import PRESETS
 from probe_env.schedule import Schedule
 
@@ -65,9 +65,8 @@ class Family:
     def schedule(self, x: list[float], config: TaskConfig) -> Schedule:
         """The schedule of a point of the search space."""
         low, high = np.log(feeds(config))
-        feed = np.exp(low + np.array(x[: len(self.knots)]) * (high - low))
-        least, most = least_air(config), config.air_supply_rates[1]
-        air = least + np.array(x[len(self.knots) :]) * (most - least)
+        feed = np.exp(value_at(np.array(x[: len(self.knots)]), (low, high)))
+        air = value_at(np.array(x[len(self.knots) :]), (least_air(config), config.air_supply_rates[1]))
         knots, air_knots = (_stretched(places, config) for places in (self.knots, self.air_knots))
         places = sorted({*knots, *air_knots})
         fed, blown = np.interp(places, knots, feed), np.interp(places, air_knots, air)

@@ -93,7 +93,7 @@ def looked_ahead(
         time = time + config.period
         hung = slack_in_a_row(hung, slack(config, window.statistics["tension_mean_n"], after) & good)
         end = ending(config, after, length, hung, time, left, window.diverged)
-        over = end.terminated | end.truncated
+        over = end.over
         used = np.where(good, air_used(config, air_before, window.air_supply_rate), 0.0)
         ahead = np.where(over & config.growing, length - np.where(good, after, before), 0.0)
         outcome = Outcome(moved, moved * squares, np.full(len(feed), config.period), used, ahead, end.diverged)
@@ -113,9 +113,9 @@ def blur_states(copies: SimulatorBatch, blur: float, entropy: list[int]) -> None
         return
     for simulator in copies.simulators:
         noise = np.random.default_rng([*entropy, simulator.steps_done]).normal(size=simulator.chain.node_count)
-        simulator.state.d[: simulator.root, 1] += blur * noise[: simulator.root]
+        simulator.displace(blur * noise[: simulator.root])
 
 
 def inserted_of(copies: SimulatorBatch) -> FloatArray:
     """(N,) cable in the helix, not more than it is long [m]."""
-    return np.array([min(s.inserted_length, s.scene.tube.helix_length) for s in copies.simulators])
+    return np.array([s.length_in_helix for s in copies.simulators])

@@ -51,7 +51,7 @@ class Gauges:
 
     def inserted(self) -> FloatArray:
         """(N,) cable in the helix, not more than it is long [m]."""
-        return np.array([min(s.inserted_length, s.scene.tube.helix_length) for s in self.batch.simulators])
+        return np.array([s.length_in_helix for s in self.batch.simulators])
 
     def helix_length(self) -> FloatArray:
         """(N,) [m]."""
@@ -95,7 +95,7 @@ class Gauges:
         simulator = self.batch.simulators[k]
         noise = float(window.statistics["noise_to_signal"][k])
         return {
-            "inserted_length": float(min(simulator.inserted_length, simulator.scene.tube.helix_length)),
+            "inserted_length": float(simulator.length_in_helix),
             "feed_speed": float(window.feed_speed[k]),
             "air_supply_rate": float(window.air_supply_rate[k]),
             **{name: float(window.statistics[name][k]) for name in SHOWN},

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task.rules import slack_in_a_row
+from probe_env.envs.task import slack_in_a_row
 from probe_env.envs.task.safety import COSTS
 from probe_env.inspection.tally import DetectionTally
 
@@ -65,7 +65,7 @@ class Tally:
 
     def add_drive(self, hanging: bool, patience: int) -> None:
         """Whether too little tension drove the probe in a period; drive is lost after ``patience`` of them in a row."""
-        self.slack_periods = int(slack_in_a_row(self.slack_periods, hanging))
+        self.slack_periods = int(slack_in_a_row(np.array(self.slack_periods), np.array(hanging)))
         self.lost_drive_events += self.slack_periods == patience
 
     def add_signals(self, squares: Sequence[float], radial: FloatArray, sample_period: float, rest: float) -> None:

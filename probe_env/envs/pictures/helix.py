@@ -55,7 +55,7 @@ class Helix:
         self._cable.set_segments(list(np.stack([line[:-1], line[1:]], axis=1)))
         self._cable.set_array(np.clip(np.abs(y[:-1]) * 1e3, LOWEST_MM, HIGHEST_MM))
         self._sensor.set_data(*line[simulator.sensor][:, None])
-        inserted = min(simulator.inserted_length, tube.helix_length)
+        inserted = simulator.length_in_helix
         self._title.set_text(f"{inserted:.1f} of {tube.helix_length:g} m in a helix of {tube.helix_diameter:g} m")
 
     def _spiral(self, s: FloatArray, off: FloatArray | float = 0.0) -> FloatArray:

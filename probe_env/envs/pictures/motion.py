@@ -127,5 +127,5 @@ class Watch:
         )
 
     def _look(self, simulator: Simulator) -> None:
-        length = min(simulator.inserted_length, simulator.scene.tube.helix_length)
+        length = simulator.length_in_helix
         self._looks.append((length, simulator.state.d[self._nodes].copy()))

@@ -5,19 +5,17 @@ and settings. Everything is for N probes at once, one row or entry a probe.
 """
 
 from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, scene_of
+from probe_env.envs.task.metre import capped_square, costs, metre_cost, metre_reward
 from probe_env.envs.task.ranges import action_in, action_of, share_between, share_of, value_at
 from probe_env.envs.task.rules import (
     END_TOLERANCE,
     ENDINGS,
     FAILURES,
-    TERMS,
     Ending,
     Outcome,
     air_used,
-    capped_square,
+    drive_counts,
     ending,
-    metre_cost,
-    metre_reward,
     reward_terms,
     slack,
     slack_in_a_row,
@@ -30,7 +28,6 @@ __all__ = [
     "FAILURES",
     "MEASURES",
     "SHOWN",
-    "TERMS",
     "Ending",
     "Inspects",
     "Measure",
@@ -40,7 +37,9 @@ __all__ = [
     "action_of",
     "air_used",
     "capped_square",
+    "costs",
     "describe",
+    "drive_counts",
     "ending",
     "metre_cost",
     "metre_reward",

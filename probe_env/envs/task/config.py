@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
+from probe_env.envs.task.metre import metre_cost
 from probe_env.envs.task.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
 from probe_env.envs.task.ranges import action_of, share_between, share_of, value_at
 from probe_env.inspection.sensor import Sensor
@@ -138,11 +139,9 @@ class TaskConfig(Model):
 
         So neither ending early nor crawling to the time limit pays.
         """
-        seconds = 1.0 / self.feed_speeds[0]
-        jerk = self.jerk_weight * 8.0 * seconds / self.period
-        air = self.air_weight * self.air_supply_rates[1] * seconds
-        vibration = self.vibration_weight * self.ratio_cap**2
-        return self.progress_weight + vibration + self.time_weight * seconds + air + jerk
+        slowest, most_air = self.feed_speeds[0], self.air_supply_rates[1]
+        jerk = self.jerk_weight * 8.0 / slowest / self.period
+        return self.progress_weight + float(metre_cost(self, self.ratio_cap**2, slowest, most_air)) + jerk
 
     @property
     def observations(self) -> dict[str, tuple[float, float, str]]:
@@ -181,8 +180,9 @@ class TaskConfig(Model):
         if bad.any():
             row, column = np.argwhere(bad)[0]
             raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
-        ranges = np.array([self.feed_speeds, self.air_supply_rates]).T
-        wanted = self._in_steps(value_at(share_of(values), (ranges[0], ranges[1])))
+        ranges = (self.feed_speeds, self.air_supply_rates)
+        shares = share_of(values)
+        wanted = self._in_steps(np.column_stack([value_at(shares[:, k], range_) for k, range_ in enumerate(ranges)]))
         wanted[stands, 0] = 0.0
         return wanted
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.metre import costs
 
 END_TOLERANCE: Final = 1e-6
 """[m] of the helix's end at which an insertion is complete; actions are float32."""
-TERMS: Final = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
 
 
 class Ending(NamedTuple):
@@ -82,16 +82,19 @@ def ending(
     return Ending(complete, lost, diverged & stepped, stepped & (time >= config.time_limit - 1e-9))
 
 
-def slack_in_a_row(
-    before: npt.NDArray[np.integer[Any]] | int, hanging: BoolArray | bool
-) -> npt.NDArray[np.integer[Any]]:
-    """How many periods in a row the cable hung slack, for how many ``before`` this one, and whether it hangs in it."""
-    return np.where(hanging, np.add(before, 1), 0)
+def slack_in_a_row(before: npt.NDArray[np.integer[Any]], hanging: BoolArray) -> npt.NDArray[np.integer[Any]]:
+    """How many periods in a row the cable has hung slack, after so many ``before`` and one that it hung in or not."""
+    return np.where(hanging, before + 1, 0)
+
+
+def drive_counts(config: TaskConfig, inserted: FloatArray) -> BoolArray:
+    """Whether a probe that is so far in [m] must be driven by its tension; near the entrance it need not be."""
+    return np.asarray(inserted >= config.lost_drive_from)
 
 
 def slack(config: TaskConfig, tension: FloatArray, inserted: FloatArray) -> BoolArray:
-    """Whether the root tension [N] is too little to drive the probe; at first, near the entrance, it may be."""
-    return np.asarray((tension < config.required_tension) & (inserted >= config.lost_drive_from))
+    """Whether the root tension [N] is too little to drive the probe."""
+    return np.asarray((tension < config.required_tension) & drive_counts(config, inserted))
 
 
 def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed: FloatArray) -> FloatArray:
@@ -102,28 +105,6 @@ def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed
 def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> FloatArray:
     """Air [m3] used in a period, by the supply rates [m3/s] around it."""
     return 0.5 * (np.abs(before) + np.abs(after)) * config.period
-
-
-def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
-    """What vibration costs a metre, for a ratio of vibration to its limit; beyond ``ratio_cap`` no more."""
-    return np.asarray(np.minimum(ratio, config.ratio_cap) ** 2)
-
-
-def metre_cost(config: TaskConfig, squares: FloatArray, feed: FloatArray, air: FloatArray) -> FloatArray:
-    """Cost (N,) of a metre (progress left out): vibration, time and air.
-
-    Args:
-        config: weights.
-        squares: ``capped_square`` of the vibration, or its mean.
-        feed: feed speed [m/s].
-        air: air supply [m3/s].
-    """
-    return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
-
-
-def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
-    """Reward of a metre with a ``metre_cost``, or with the mean of many."""
-    return np.asarray(config.progress_weight - cost)
 
 
 class Outcome(NamedTuple):
@@ -156,12 +137,9 @@ def reward_terms(
         outcome: what is rewarded.
         action_change: (N, 2) action minus the one before; None where no actions were taken.
     """
-    terms = {
-        "progress": config.progress_weight * outcome.inspected,
-        "vibration": -config.vibration_weight * outcome.squares,
-        "time": -config.time_weight * outcome.seconds,
-        "air": -config.air_weight * outcome.air,
-    }
+    spent = costs(config, outcome.squares, outcome.seconds, outcome.air)
+    terms = {"progress": config.progress_weight * outcome.inspected}
+    terms |= {name: -np.asarray(cost) for name, cost in spent.items()}
     if action_change is not None:
         terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
     return terms | {

@@ -9,7 +9,7 @@ import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import FAILURES, TaskConfig
+from probe_env.envs.task import FAILURES, TaskConfig, drive_counts
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import periods_of
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
@@ -79,7 +79,7 @@ def _gathered(
     travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)
     seen = sums["periods"] > 0.0
     metres = SENSOR_START + np.arange(travel.shape[1]) + 1.0
-    deep = seen & (metres + guides[:, None] >= config.lost_drive_from)
+    deep = seen & drive_counts(config, metres + guides[:, None])
     # the metres of a whole insertion add up to the span but for a part of a period at each end
     widths = np.where(seen, sums["travel"], 0.0)
     complete = widths.sum(axis=1, keepdims=True) > span - 1.0

@@ -10,7 +10,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.design import Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import FAILURES, TaskConfig, slack
+from probe_env.envs.task import FAILURES, TaskConfig, drive_counts, slack
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import Controller
 from probe_env.envs.trials.stretch import stretch_of
@@ -86,7 +86,7 @@ def try_sections(
     if heard:
         assert window.radial is not None
         noise = _noise(config.sensor, window.radial, speed.ravel()).reshape(shape)
-    deep = (inserted >= config.lost_drive_from) & ~diverged
+    deep = drive_counts(config, inserted) & ~diverged
     return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
 
 

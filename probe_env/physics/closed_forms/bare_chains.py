@@ -27,8 +27,8 @@ class Driven(NamedTuple):
 
     chain: Chain
     sensor: int = 0
-    feed: float = 0.0
-    air: float = 0.0
+    feed_speed: float = 0.0
+    air_speed: float = 0.0
     nodes_per_pitch: int = 4
 
 
@@ -78,10 +78,10 @@ def run_chain(
     method: str, driven: Driven, time_step: float, state: State, steps: int, every: int, node: int = 0
 ) -> ChainRun:
     """Advance a state in place by a method (or ``LAPACK``), a node sampled every so many steps."""
-    chain, sensor, feed, air, per_pitch = driven
+    chain, sensor, feed_speed, air_speed, per_pitch = driven
     scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
     advance = method_named(scheme).build(chain, time_step, sensor, per_pitch, solver_named(solver))
-    inputs = Drive(feed, air).inputs_of_steps(steps, time_step, chain.element_length, 0)
+    inputs = Drive(feed_speed, air_speed).inputs_of_steps(steps, time_step, chain.element_length, 0)
     samples, counts = np.zeros((steps // every, 1, 4)), np.zeros(2, dtype=np.int64)
     sampling = Sampling(every, every, np.array([node], dtype=np.int64), samples, np.zeros(chain.node_count), counts)
     begin = time.thread_time()

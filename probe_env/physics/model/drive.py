@@ -24,23 +24,23 @@ class Drive:
     """Feed speed, air speed and fed cable, now and where they are heading.
 
     Attributes:
-        speed, speed_target: feed speed [m/s].
-        air, air_target: air speed in the tube [m/s].
+        feed_speed, feed_speed_target: [m/s].
+        air_speed, air_speed_target: in the tube [m/s].
         ramp: greatest change of the feed speed [m/s2].
         air_lag: time constant of the air [s]; 0 follows at once.
         travel: of the held root from the entrance, 0 to an element's length [m].
         growth: length fed in per length travelled: 0 constant length, 1 insertion, more is time-lapse.
     """
 
-    speed: float
-    air: float
+    feed_speed: float
+    air_speed: float
     ramp: float = math.inf
     air_lag: float = 0.0
     growth: float = 0.0
     travel: float = 0.0
 
     def __post_init__(self) -> None:
-        self.speed_target, self.air_target = self.speed, self.air
+        self.feed_speed_target, self.air_speed_target = self.feed_speed, self.air_speed
 
     def inputs_of_steps(
         self, steps: int, time_step: float, element_length: float, room: int, spare: int = 0
@@ -56,9 +56,9 @@ class Drive:
         """
         inputs = np.empty((steps, INPUTS))
         gain = -math.expm1(-time_step / self.air_lag) if self.air_lag > 0.0 else 1.0
-        self.speed, self.air, self.travel = _inputs(
-            inputs, self.speed, self.speed_target, self.ramp * time_step, self.air, self.air_target, gain,
-            self.travel, self.growth, time_step, element_length, room, spare,
+        self.feed_speed, self.air_speed, self.travel = _inputs(
+            inputs, self.feed_speed, self.feed_speed_target, self.ramp * time_step, self.air_speed,
+            self.air_speed_target, gain, self.travel, self.growth, time_step, element_length, room, spare,
         )  # fmt: skip
         return inputs
 

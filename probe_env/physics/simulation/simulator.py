@@ -111,8 +111,8 @@ class Simulator(Saved):
         self.steps_done, self.root = 0, self._start_root
         self.iterations, self.unconverged_steps = 0, 0
         self.drive = Drive(
-            speed=self.scene.feed_speed,
-            air=air_speed(self.scene, self.scene.air_supply_rate),
+            feed_speed=self.scene.feed_speed,
+            air_speed=air_speed(self.scene, self.scene.air_supply_rate),
             ramp=self.ramp,
             air_lag=self.air_lag,
         )
@@ -172,6 +172,16 @@ class Simulator(Saved):
         within("root", self.root + elements, 1, self.chain.node_count - 1, "elements")
         self.root += elements
 
+    def displace(self, radial: FloatArray) -> None:
+        """Move the free nodes radially by (root,) displacements, tip first [m]: what is not known of a state.
+
+        Raises:
+            ValueError: of another shape.
+        """
+        if radial.shape != (self.root,):
+            raise ValueError(f"radial of shape {radial.shape}: one displacement for each of {self.root} free nodes")
+        self.state.d[: self.root, 1] += radial
+
     def feed_length(self) -> None:
         """Let the length grow with the feed, where the probe is a growing one."""
         self.drive.growth = self.time_lapse if self.growing else 0.0
@@ -206,7 +216,7 @@ class Simulator(Saved):
         that grows is counted with the nodes that it
         will have half-way, at the present feed speed.
         """
-        growth = 0.5 * duration * self.drive.growth * self.drive.speed_target
+        growth = 0.5 * duration * self.drive.growth * self.drive.feed_speed_target
         nodes = min(self.root + growth / self.chain.element_length, self.chain.node_count - 1)
         method = method_named(self.method)
         step = pitch_step_seconds(self.method, self.nodes_per_pitch) * method.width * method.alone_share
@@ -223,14 +233,19 @@ class Simulator(Saved):
         return self.root * self.chain.element_length + self.drive.travel
 
     @property
+    def length_in_helix(self) -> float:
+        """``inserted_length``, and not more than the helix is long [m]."""
+        return min(self.inserted_length, self.scene.tube.helix_length)
+
+    @property
     def feed_speed(self) -> float:
         """Feed speed now [m/s]."""
-        return self.drive.speed
+        return self.drive.feed_speed
 
     @property
     def air_supply_rate(self) -> float:
         """Air supply rate now [m3/s]."""
-        return self.drive.air / air_speed(self.scene, 1.0)
+        return self.drive.air_speed / air_speed(self.scene, 1.0)
 
     @property
     def tension(self) -> FloatArray:
@@ -347,9 +362,9 @@ class Simulator(Saved):
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """New targets [m/s], [m3/s]; None leaves one as it is."""
         if feed_speed is not None:
-            self.drive.speed_target = float(feed_speed)
+            self.drive.feed_speed_target = float(feed_speed)
         if air_supply_rate is not None:
-            self.drive.air_target = air_speed(self.scene, float(air_supply_rate))
+            self.drive.air_speed_target = air_speed(self.scene, float(air_supply_rate))
 
     def set_friction(self, friction: float) -> None:
         """Slide with another coefficient of friction from now on; a snapshot does not keep it.

@@ -20,7 +20,7 @@ def test_shares_and_values_are_each_other_s_inverse():
 def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
     actions = np.array([-1.0, -0.5, 0.0, 1.0])
     asked = TaskConfig(feed_speeds=RANGE).targets(np.column_stack([actions, actions]))[:, 0]
-    translated = action_in(OTHER, actions, RANGE)
+    translated = action_in(actions, RANGE, OTHER)
     assert value_at(0.5 * (translated + 1.0), OTHER) == pytest.approx(asked, rel=1e-14)
     assert translated[0] < -1.0
     assert translated[-1] > 1.0
@@ -28,7 +28,7 @@ def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
 
 def test_what_stands_still_in_one_task_stands_still_in_the_other():
     here, there = TaskConfig(feed_speeds=RANGE), TaskConfig(feed_speeds=OTHER)
-    standing = action_in(OTHER, np.array([float(here.standing)]), RANGE)
+    standing = action_in(np.array([float(here.standing)]), RANGE, OTHER)
     assert standing == pytest.approx(float(there.standing), abs=2.0**-22)  # both are float32
 
 

@@ -8,10 +8,11 @@ import probe_env
 from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.kpis import Percentiles
-from probe_env.envs.task import TERMS, TaskConfig
+from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import OBSERVATIONS, in_si_units, observe
 from probe_env.physics.simulation.batch import SimulatorBatch
 
+TERMS = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
 CONSTANT = (0.2, 63.0 / 3600.0)
 WORST = probe_env.Context(friction=0.25, contact_stiffness=0.7e5, drag_factor=1.1, helix_diameter=1.0)
 MILD = probe_env.Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)

@@ -83,7 +83,7 @@ def lagging_shares(time_step, duration=0.3):
     state, chain = simulator.state, simulator.chain
     floats = chain.contact_stiffness[:-1] > 0.0
     work, scheme, root = workspace(chain.node_count), newmark(time_step), simulator.root
-    inputs = np.array([FEED, 0.0, simulator.drive.air, 0.0])
+    inputs = np.array([FEED, 0.0, simulator.drive.air_speed, 0.0])
     touching = adhesive = driving = 0
 
     def slides(v):

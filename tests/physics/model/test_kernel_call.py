@@ -118,7 +118,7 @@ def test_a_state_that_was_replaced_is_an_error_and_nothing_is_advanced(method):
             one.advance(0.3, 0.03, 100 * step, 10 * step)
     for one in (simulator, *batch.simulators):
         assert one.steps_done == 0
-        assert one.drive.speed_target == SCENE.feed_speed
+        assert one.drive.feed_speed_target == SCENE.feed_speed
     batch.simulators[1].reset()
     batch.simulators[1].sensor = 10**6
     with pytest.raises(ValueError, match="probe 1: points: 1000000 is not a node"):

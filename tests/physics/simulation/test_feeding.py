@@ -23,19 +23,19 @@ METHODS = pytest.mark.parametrize(
 
 def test_the_drive_ramps_lags_and_appends():
     drive = Drive(0.2, 60.0, ramp=0.5, air_lag=1.0, growth=1.0)
-    drive.speed_target, drive.air_target = 0.4, 90.0
+    drive.feed_speed_target, drive.air_speed_target = 0.4, 90.0
     dt, h = 1e-3, 0.025
     inputs = drive.inputs_of_steps(1000, dt, h, room=100)
     time = np.arange(1000) * dt
     assert inputs[:, 0] == pytest.approx(np.minimum(0.2 + 0.5 * time, 0.4))
     assert inputs[:, 1] == pytest.approx(np.where(time < 0.4 - 1e-9, 0.5, 0.0))
     assert inputs[:, 2] == pytest.approx(90.0 - 30.0 * np.exp(-time))
-    assert drive.speed == 0.4
+    assert drive.feed_speed == 0.4
     fed = 0.2 * 0.4 + 0.25 * 0.4**2 + 0.4 * 0.6
     assert inputs[:, 3].sum() == math.floor(fed / h)
     assert drive.travel == pytest.approx(fed - inputs[:, 3].sum() * h, abs=0.4 * dt)
     pieces = Drive(0.2, 60.0, ramp=0.5, air_lag=1.0, growth=1.0)
-    pieces.speed_target, pieces.air_target = 0.4, 90.0
+    pieces.feed_speed_target, pieces.air_speed_target = 0.4, 90.0
     parts = [pieces.inputs_of_steps(steps, dt, h, room=100) for steps in (1, 499, 500)]
     assert (np.concatenate(parts) == inputs).all()
     assert drive == pieces

@@ -137,7 +137,7 @@ def test_the_format_goes_up_when_the_layout_changes():
         ["_advance", "_error", "_start_root", "air_lag", "chain", "drive", "growing", "iterations", "method",
          "nodes_per_pitch", "perturbation", "ramp", "root", "scene", "seed", "sensor", "solver", "stable_time_step",
          "start", "state", "steps_done", "time_lapse", "time_step", "unconverged_steps"],
-        ["air", "air_lag", "air_target", "growth", "ramp", "speed", "speed_target", "travel"],
+        ["air_lag", "air_speed", "air_speed_target", "feed_speed", "feed_speed_target", "growth", "ramp", "travel"],
         ["d", "v", "memory", "axial_force"],
         ["_before", "kernel_seconds", "method", "nodes_per_pitch", "simulators", "threads", "time_step"],
     ]  # fmt: skip
