@@ -1,9 +1,8 @@
-"""The site: Sphinx, Furo and MyST. Built by ``make docs``, with warnings as errors."""
+"""The site: Sphinx, Furo and MyST, with warnings as errors, by ``make docs`` and by a test; needs the extra agents too."""
 
 from __future__ import annotations
 
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))  # from_code
@@ -15,11 +14,10 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sp
 # Markdown: headings have the anchors that they have on a forge
 myst_heading_anchors = 4
 
-# what the code says of itself, with types; the libraries of the extra "agents" need not be there
+# what the code says of itself, with types
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
-autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "sb3_contrib") if find_spec(name) is None]
 autosummary_generate = False
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True

@@ -123,13 +123,13 @@ def _table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 def _expand(app: Sphinx, document: str, source: list[str]) -> None:
     """Replace the placeholders of a page."""
 
-    def made(match: re.Match[str]) -> str:
+    def filled(match: re.Match[str]) -> str:
         what, name = match.groups()
         if what not in MAKERS:
             raise ValueError(f"{document}: {what!r} is not one of {', '.join(MAKERS)}")
         return MAKERS[what](name) if name else MAKERS[what]()
 
-    source[0], count = PLACE.subn(made, source[0])
+    source[0], count = PLACE.subn(filled, source[0])
     if count:
         app.env.note_reread()
 

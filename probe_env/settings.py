@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self, get_args
 
@@ -77,6 +78,15 @@ def explain(error: ValidationError, within: str = "") -> str:
         lines.append(f"{field}: {message}{value}" if field else message)
     more = [f"and {len(problems) - MOST_ERRORS} more"] if len(problems) > MOST_ERRORS else []
     return "; ".join(lines + more)
+
+
+@contextmanager
+def in_one_line() -> Iterator[None]:
+    """Pydantic's errors as a ValueError of one line, see ``explain``; a decorator, too."""
+    try:
+        yield
+    except ValidationError as error:
+        raise ValueError(explain(error)) from error
 
 
 def _no_such_field(title: str, place: tuple[int | str, ...]) -> str:

@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("probe_env", "agents") for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
+OTHERS = sorted(path for folder in ("configs", "docs") for path in (ROOT / folder).rglob("*.py"))
 ROOMS = sorted({path.parent for path in FILES})
 FOLDERS = sorted({path.parent for path in (*FILES, *TESTS)})
 PARTS = {"what enters": r"\benters?\b", "what leaves": r"\bleaves?\b", "what it may import": r"\bImports\b"}
@@ -79,7 +80,9 @@ def defined(tree):
 def test_no_name_is_vague():
     """No variable, argument, attribute, function or class is named so: each says what it stands for."""
     names = (
-        (path.relative_to(ROOT), name) for path in (*FILES, *TESTS) for name in defined(ast.parse(path.read_text()))
+        (path.relative_to(ROOT), name)
+        for path in (*FILES, *TESTS, *OTHERS)
+        for name in defined(ast.parse(path.read_text()))
     )
     assert [f"{path}: {name}" for path, name in names if name in VAGUE] == []
 

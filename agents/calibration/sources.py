@@ -32,8 +32,7 @@ def recorded_of(
         raise ValueError(
             f"{what}: {len(diameters)} for {len(paths)} logs: give --helix-diameters, one for all or one each [m]"
         )
-    for diameter in diameters:
-        within("helix_diameter", diameter, 0.3, 1e4, "m")
+    check_diameters(diameters, plant)
     names = list(tubes) or [f"{diameter:g} m" for diameter in diameters]
     if len(names) != len(paths):
         raise ValueError(f"--tubes: {len(names)} names for {len(paths)} logs: give one for each log")
@@ -53,3 +52,12 @@ def recorded_of(
         Recorded(label, read_log(file, columns), name, diameter)
         for label, file, name, diameter in zip(labels, files, names, diameters, strict=True)
     ]
+
+
+def check_diameters(diameters: Sequence[float], plant: Plant) -> None:
+    """Raise ValueError if a helix diameter [m] is none of the plant's, where it lists several, or cannot be one."""
+    for diameter in diameters:
+        within("helix_diameter", diameter, 0.3, 1e4, "m")
+        if len(plant.diameters) > 1 and not any(abs(diameter - known) < 1e-6 for known in plant.diameters):
+            listed = ", ".join(f"{known:g}" for known in plant.diameters)
+            raise ValueError(f"--helix-diameters: {diameter:g} m is none of the plant's: {listed} m")

@@ -48,8 +48,8 @@ class Evaluate:
     passes: Literal["in", "both"] = "in"
     """both: feed the probe in and draw it back. Policies are for the way in; schedule files may have columns for the
     way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others come back as fast as the device can."""
-    inspects: Literal["in", "back", "best"] = "best"
-    """What a metre counts for with --passes both: the way in, the way back, or the better of both."""
+    inspects: Literal["in", "back", "best"] | None = None
+    """What a metre counts for with --passes both: the way in, the way back, or the better of both (default)."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report."""
@@ -60,7 +60,9 @@ class Evaluate:
 
         place, checks = place_at(self.tube, self.contexts, self.limit), Checks(self.check_fidelity, self.finer)
         if self.passes == "both":
-            place = both_ways(place, self.inspects)
+            place = both_ways(place, self.inspects or "best")
+        elif self.inspects:
+            raise ValueError(f"inspects = {self.inspects!r} needs --passes both: the probe is not drawn back")
         plan = plan_of(self.policies, place, self.seeds, self.fidelity, self.probes, self.strict)
         evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))
 

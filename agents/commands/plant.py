@@ -57,7 +57,10 @@ class Calibrate:
         ]
         print_calibration(calibration)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
-        print(f'use it: posterior = "{target}" above the tables of your tube.toml')
+        if calibration.misfits:
+            print("it is not for use: a tube.toml that names it is warned of")
+        else:
+            print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 
 
 @dataclass(frozen=True)

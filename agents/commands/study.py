@@ -12,6 +12,7 @@ import tyro
 from agents.records.shipped import file_or_shipped, shipped_folder
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, SOLVERS, method_named
+from probe_env.settings import within
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class Simulate:
         from agents.study.simulate import print_statistics, simulate_scene
 
         name = self.scene_file.stem
+        within("duration", self.duration, 1e-3, 1e5, "s")
         output = self.output or Path("output") / name
         step = method_named(self.method).usual_step if self.time_step is None else self.time_step
         simulator = Simulator(self.scene, self.method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)

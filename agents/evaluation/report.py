@@ -17,7 +17,7 @@ from agents.policies.places import Place
 from agents.processes.workers import HERE, Workers
 from agents.records.columns import shown_of
 from agents.records.provenance import write_json
-from agents.rollouts.bootstrap import Interval
+from agents.rollouts.bootstrap import Interval, short
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
 from agents.rollouts.statistics import endings, grouped, in_words, method_and_seed, sentences, summarise
 from agents.terminal.tables import print_table
@@ -108,6 +108,8 @@ def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
         cells = []
         for kpi, (_, factor, _) in shown_of(table.columns).items():
             row = part.loc[kpi]
-            cells.append(Interval(row["mean"], row["low"], row["high"]).text(factor))
+            mean, low, high = row["mean"], row["low"], row["high"]
+            # of no width, as of one tube, an interval says nothing
+            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
         rows.append((str(policy), cells))
     return rows

@@ -90,8 +90,10 @@ def plants() -> str:
     record = figures.model_dump()
     return (
         f"{markdown(plants_study.HEADER, plants_study.cells(summary))}\n\n"
-        f"Reward less that of the best fixed schedule for the plant, {record['limit']} tubes each, paired 95 %"
-        f" intervals: {verdict}. Made by `{command(record)}` at commit {record['commit']}."
+        f"Reward less that of the best fixed schedule for the plant, simulated at `fast` in {record['limit']} tubes of"
+        f" each, paired, with 95 % intervals: {verdict}; an interval around zero shows nothing either way."
+        " `recommended-law` is the law that `probe-env recommend --policy` makes for the plant. Made by"
+        f" `{command(record)}` at commit {record['commit']}."
     )
 
 
@@ -108,15 +110,16 @@ def passes() -> str:
     }
     record = figures.model_dump()
     return (
-        f"**With the study's probe, in fast and looking on the way back takes {fast['inspection_time_s']:.0f} s with"
-        f" {100.0 * fast['share_within_limit']:.0f} % of the length within the limit; looking on the way in by the best"
-        f" schedule takes {slow['inspection_time_s']:.0f} s with {100.0 * slow['share_within_limit']:.0f} %. The most"
-        f" reward has {_best(best['original'])} with the study's probe, and {_best(best['improved'])} with the improved"
-        f" one.**\n\n"
+        "**With the study's probe, going in fast and looking on the way back takes"
+        f" {fast['inspection_time_s']:.0f} s with {100.0 * fast['share_within_limit']:.0f} % of the length within the"
+        f" limit; looking on the way in by the best schedule takes {slow['inspection_time_s']:.0f} s with"
+        f" {100.0 * slow['share_within_limit']:.0f} %. The most reward has {_best(best['original'])} with the study's"
+        f" probe, and {_best(best['improved'])} with the improved one.**\n\n"
         f"{markdown(passes_study.HEADER, passes_study.cells(summary))}\n\n"
-        f"Means over {record['limit']} tubes, both ways; the last column is the reward less that of looking on the way"
-        f" in by `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
-        f" {record['commit']}."
+        f"Simulated at `fast`, means over {record['limit']} test tubes, one of each diameter. Times are of both ways,"
+        " whatever counts: back as fast as the device can. `original` is table 2's probe, `improved` the study's;"
+        " `fast-in` feeds 0.4 m/s on the way in. The last column is the reward less that of looking on the way in by"
+        f" `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit {record['commit']}."
     )
 
 

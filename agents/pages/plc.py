@@ -47,7 +47,7 @@ def plc_reached() -> str:
         by_kpi = dict(zip(known, cells, strict=True))
         lines.append(f"| `{policy}` | {' | '.join(by_kpi[kpi] for kpi in SHOWN)} | {lead_of(beside, policy)} |")
     against = "; ".join(
-        f"`{rival}` {paired_difference(table, 'plc-law', rival, 'reward').text()}, and more than it in"
+        f"`{rival}` is {paired_difference(table, 'plc-law', rival, 'reward').text()}, and it earns more than that in"
         f" {probability_of_improvement(table, 'plc-law', rival).text(100.0)} % of the tubes"
         for rival in RIVALS
     )

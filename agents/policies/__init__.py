@@ -1,7 +1,8 @@
 """Policies: observations enter, actions leave; fixed laws, schedules, the vibration map, trained networks.
 
 ``catalogue`` finds one by its name or file, ``places`` is where they act, ``domain`` what they were made for. Imports
-rollouts and records; torch for trained networks and the map's fit.
+rollouts, processes, searches, records and terminal, the task, plants, episodes and the physics; torch for trained
+networks and the map's fit.
 """
 
 from __future__ import annotations

@@ -213,4 +213,5 @@ def _in_words(difference: Interval, factor: float, unit: str) -> str:
         return f"no clearly different amount (by {short(difference.mean * factor)}{unit} [{short(low)}, {short(high)}])"
     near, far = sorted((abs(low), abs(high)))
     word = "less" if difference.mean < 0.0 else "more"
-    return f"{short(abs(difference.mean * factor))}{unit} {word} [{short(near)}, {short(far)}]"
+    ends = f" [{short(near)}, {short(far)}]" if near < far else ""
+    return f"{short(abs(difference.mean * factor))}{unit} {word}{ends}"

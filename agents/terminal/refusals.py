@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from pydantic import ValidationError
 
 from probe_env.files import one_line
@@ -14,5 +16,10 @@ def refusal(error: Exception) -> str:
         return one_line(explain(error))
     if isinstance(error, FileNotFoundError):
         hint = getattr(error, "hint", "")
-        return one_line(f"no such file: {error.filename}" + (f" - {hint}" if hint else ""))
+        missing = error.filename
+        if missing is not None and Path(missing).is_dir():
+            return one_line(f"{missing}: a folder, not a file" + (f" - {hint}" if hint else ""))
+        return one_line(f"no such file: {missing}" + (f" - {hint}" if hint else ""))
+    if isinstance(error, FileExistsError | NotADirectoryError) and error.filename is not None:
+        return one_line(f"{error.filename}: a file, where a folder is needed")
     return one_line(str(error))

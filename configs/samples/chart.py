@@ -34,7 +34,7 @@ def main() -> None:
     case = smooth.cases()["contact"]
     for method in smooth.METHODS:
         step = min(case.time_steps, key=lambda dt: abs(dt - (1e-5 if method == "explicit" else 1e-4)))
-        signal = np.zeros(1) if (found := smooth.integrate(case, method, step)[0]) is None else found
+        signal = np.zeros(1) if (solution := smooth.integrate(case, method, step)[0]) is None else solution
         code = code_hash(smooth.CODE, smooth.BASES.get(method, method))
         rows.append({"method": method, "signal": hashlib.sha1(signal.tobytes()).hexdigest(), "code": code})
     pd.DataFrame(rows).to_csv(FOLDER / "smooth.csv", index=False)

@@ -27,7 +27,7 @@ from probe_env.envs.trials import Candidate, Controller, check_space, judge, str
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
-from probe_env.settings import check_known
+from probe_env.settings import check_known, in_one_line
 
 STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
 
@@ -90,6 +90,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
 
+    @in_one_line()
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
@@ -140,6 +141,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
         return Design.from_unit(share_of(values))
 
+    @in_one_line()
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

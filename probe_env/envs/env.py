@@ -12,6 +12,7 @@ import numpy.typing as npt
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
+from probe_env.settings import in_one_line
 
 if TYPE_CHECKING:
     from probe_env.envs.pictures.episode import Renderer
@@ -38,6 +39,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
     defaults: ClassVar[dict[str, Any]] = {}
 
+    @in_one_line()
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
@@ -53,6 +55,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
 
+    @in_one_line()
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -161,7 +164,8 @@ class InsertionEnv(ProbeEnv):
     * `scene`: what contexts and options change, without a tube; default table 2 of the study. A `Scene`, or a mapping
       of what differs from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
     * `fidelity`: "standard", "fast", another preset, "auto" or settings of one's own, see `probe_env.fidelity`.
-    * `contexts`: "random", or a shipped list: "train", "validation", "test".
+    * `contexts`: "random", a shipped list ("train", "validation", "test"), `Context`s or mappings of one's own, or
+      `Ranges` to draw from.
     * `feed_speed`, `air_supply_rate`: of the settling, SI units; default 0.2 m/s and 63 m3/h, or the nearest in range.
     * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
       agent serves many probes; it shows in the reset's `info["probe"]` and, with `config={"observe_probe": True}`, in

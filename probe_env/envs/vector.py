@@ -24,6 +24,7 @@ from probe_env.envs.env import (
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.starts import EpisodeSettings, placed
 from probe_env.envs.task import TaskConfig
+from probe_env.settings import in_one_line
 
 
 class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
@@ -45,6 +46,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
 
     single: ClassVar[type[ProbeEnv]] = ProbeEnv
 
+    @in_one_line()
     def __init__(
         self,
         num_envs: int = 1,
@@ -71,6 +73,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self._ended = np.zeros(num_envs, dtype=bool)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
+    @in_one_line()
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

@@ -42,6 +42,10 @@ def test_the_shipped_log_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFix
         ({"tubes": ["a"]}, "--tubes: 1 names for 2 logs"),
         ({"tubes": ["a", "a"], "helix_diameters": [1.0, 1.2]}, "'a' has helix diameters of 1 and 1.2 m"),
         ({"plant": Plant(tube={"helix_diameter": (1.0, 1.2, 1.4)})}, "tube.helix_diameter: 3 for 2 logs"),
+        (
+            {"plant": Plant(tube={"helix_diameter": (1.0, 1.2)}), "helix_diameters": [9.0]},
+            "--helix-diameters: 9 m is none of the plant's: 1, 1.2 m",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_before_a_log_is_read(given: dict[str, object], problem: str) -> None:

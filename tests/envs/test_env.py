@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -160,3 +161,28 @@ def test_rendering_needs_no_display_and_shows_the_probe_moving():
     assert first.dtype == np.uint8
     assert (first != second).any()
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"config": {"bogus": 1}}, "bogus: there is no such field; accepted: scene, sensor, "),
+        (
+            {"tube": {"tube": {"bore": 1}}},
+            "tube.bore: there is no such field; accepted: helix_diameter, inner_diameter",
+        ),
+    ],
+)
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)], ids=["one", "many"])
+def test_what_is_not_known_is_said_in_one_line_with_what_is(make, settings, problem):
+    with pytest.raises(ValueError, match=problem) as caught:
+        make("probe_env/Insertion-v1", **settings)
+    assert "\n" not in str(caught.value)
+    assert "pydantic" not in str(caught.value)
+
+
+def test_an_option_of_reset_that_is_not_known_is_said_in_one_line():
+    env = gym.make("probe_env/Snapshot-v1")
+    with pytest.raises(ValueError, match="frictoin: there is no such field; accepted: friction, ") as caught:
+        env.reset(options={"frictoin": 0.1})
+    assert "\n" not in str(caught.value)

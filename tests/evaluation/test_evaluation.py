@@ -1,6 +1,7 @@
 """Evaluation: paired, resumable at any moment, and its statistics are right."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -192,6 +193,8 @@ def test_sentences_say_it_plainly():
     (line,) = sentences(synthetic(41.0), "B")
     assert line.startswith("A takes 41")
     assert "s less [" in line
+    (alone,) = sentences(synthetic(41.0, contexts=1), "B")  # one tube has no interval
+    assert re.search(r"A takes 4\d(\.\d)? s less than B", alone)
     (none,) = sentences(synthetic(0.0), "B")
     assert "no clearly different amount" in none
 

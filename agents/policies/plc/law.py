@@ -53,7 +53,7 @@ class Constants(Model):
     onset_diameter: Annotated[float, quantity(-10.0, 10.0, "")] = 1.0
     """and with the helix diameter to this."""
     slow_feed: Annotated[float, quantity(1e-3, 2.0, "m/s")] = 0.16
-    """Feed at ``LENGTH`` behind the onset, at ``FRICTION`` and ``DIAMETER``."""
+    """Feed past the onset, where ``LENGTH`` is inserted, at ``FRICTION`` and ``DIAMETER``."""
     slow_length: Annotated[float, quantity(-10.0, 10.0, "")] = 0.8
     """It goes with length to the minus this,"""
     slow_friction: Annotated[float, quantity(-10.0, 10.0, "")] = 0.5
@@ -78,7 +78,7 @@ class PlantData(Model):
     feed_speeds: tuple[float, float]
     """[m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s], the least that keeps the drive and the most."""
+    """[m3/s], the least that schedules blow, see ``lookup.least_air``, and the most."""
 
     @classmethod
     def of(cls, config: Any) -> Self:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 from agents.policies.places import Place
@@ -9,13 +10,14 @@ from agents.policies.plc.export import structured_text, table
 from agents.policies.plc.law import Constants, PlantData
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
+from probe_env.envs.task import TaskConfig
 
 DESCRIPTIONS = {
     "average": ("s", "time constant of the averages of friction and noise"),
     "onset_length": ("m", "slow with strong air from here on, at friction 0.175 and 1.5 m"),
     "onset_friction": ("", "... times friction to the minus this"),
     "onset_diameter": ("", "... times helix diameter to this"),
-    "slow_feed": ("m/s", "feed at 30 m behind the onset, at friction 0.175 and 1.5 m"),
+    "slow_feed": ("m/s", "feed once past the onset, where 30 m are in, at friction 0.175 and 1.5 m"),
     "slow_length": ("", "... times length to the minus this"),
     "slow_friction": ("", "... times friction to the minus this"),
     "slow_diameter": ("", "... times helix diameter to this"),
@@ -38,7 +40,18 @@ def print_law(constants: Constants) -> None:
 
 
 def write_law(constants: Constants, plant: PlantData, place: Place, st: Path | None, csv: Path | None) -> None:
-    """Write it as structured text and as a table, where asked for."""
+    """Write it as structured text and as a table, where asked for.
+
+    Its least air is a fixed one: a plant that asks for more tension than the task does is told so.
+    """
+    needed, usual = place.config.required_tension, TaskConfig().required_tension
+    if needed > usual:
+        warnings.warn(
+            f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, was"
+            f" chosen for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube's file, or"
+            " evaluate shielded:plc-law",
+            stacklevel=2,
+        )
     if st:
         write_atomically(st, structured_text(constants, plant))
         print(f"written: {st}")

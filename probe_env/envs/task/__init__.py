@@ -1,7 +1,7 @@
 """The control task: all rules, and no simulator.
 
-Actions and what was measured enter, targets, observations, rewards, costs and endings leave. Imports scenes, the sensor
-and settings. Everything is for N probes at once, one row or entry a probe.
+Actions and what was measured enter, targets, observations, rewards, costs and endings leave. Imports scenes, the
+sensor, the ranges of designs and settings. Everything is for N probes at once, one row or entry a probe.
 """
 
 from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, scene_of

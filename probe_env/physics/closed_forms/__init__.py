@@ -1,7 +1,8 @@
-"""Closed forms that runs are tested against: steady sliding, buckling, a straight part, the linear chain, an impact.
+"""Closed forms: steady sliding, buckling between floats, a straight part, the linear chain, an impact.
 
-Scenes, chains and measured tensions enter, what must come of them leaves; ``bare_chains`` runs chains without a tube.
-Imports the model, and the methods for bare chains.
+Scenes, chains and measured tensions enter, what must come of them leaves. Policies read friction from them, and runs
+are tested against them; ``bare_chains`` are the chains without a tube of such tests, and run. Imports the model,
+scenes and settings, and the methods for bare chains.
 """
 
 from probe_env.physics.closed_forms.sliding import (

@@ -135,7 +135,7 @@ class Lane:
         parameters, factors: see ``LaneKernel.constants``.
         state, root: of the probe.
         points: (p,) nodes that are sampled, -1 for the root.
-        inputs: (steps, 4) of the coming steps, see drive.py.
+        inputs: (steps, 4) of the coming steps, see model/drive.py.
         samples: (k, p, 4) of the coming steps.
     """
 
@@ -153,7 +153,7 @@ class Entered(NamedTuple):
 
     Attributes:
         parameters: (24, width), see ``lane_parameters``; ``ROOT`` is the held node.
-        inputs: (steps, 4, width), see drive.py.
+        inputs: (steps, 4, width), see model/drive.py.
         points: (p, width) nodes that are sampled, -1 for the root.
         roots: (width,) held nodes.
         failed: (width,) 0, or -1 in an idle lane; a kernel writes the step at which a probe diverged.

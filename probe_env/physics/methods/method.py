@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.lane_group import Lane, LaneKernel
 from probe_env.physics.methods.stability import contact_step, known_step
 from probe_env.physics.model.chain import Chain
-from probe_env.physics.model.kernel_call import Sampling, check_call, check_chain, check_lane_chain
+from probe_env.physics.model.kernel_call import Sampling, check_call, check_chain
 from probe_env.physics.model.state import State, at_rest
 from probe_env.scene import Scene
 
@@ -77,7 +79,7 @@ class Method:
         if time_step < self.least_step:
             raise ValueError(
                 f"time_step = {time_step!r} s is below {self.least_step:g} s, where the rounding of {self.name} shows:"
-                " imex has no such limit"
+                f" {names_of(lambda known: known.least_step == 0.0)} have no such limit"
             )
 
     def build(self, chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int, solver: Any = None) -> Advance:
@@ -102,11 +104,19 @@ class Method:
         if solver is not None:
             if self.solved_by is None:
                 raise ValueError(
-                    f"solver: {self.name} has its own; banded and transfer-matrix are for newmark and wilson"
+                    f"solver: {self.name} has its own;"
+                    f" {names_of(lambda known: known.solved_by is not None)} take another"
                 )
             prepare = self.solved_by(solver)
         advance = prepare(chain, time_step, sensor, nodes_per_pitch)
         return partial(_checked, advance, chain.node_count, self.memory)
+
+
+def names_of(which: Callable[[Method], bool]) -> str:
+    """Names of those methods, for an error that says which ones can do what another cannot."""
+    from probe_env.physics.methods import METHODS  # which has them all, this module below it
+
+    return ", ".join(name for name, method in METHODS.items() if which(method))
 
 
 def _checked(
@@ -139,3 +149,32 @@ def _prepare_lane(
         return status, failed or len(inputs), -1, lane.root
 
     return advance
+
+
+def check_lane_chain(method: str, chain: Chain, sensor: int, nodes_per_pitch: int) -> None:
+    """Raise ValueError if a chain has what the kernels of the lanes do not look at.
+
+    They know a float at every ``nodes_per_pitch``-th node from the tip, alike up to the sensor and alike behind it, and
+    neither loads nor supports.
+    """
+    for field in ("load", "support_stiffness"):
+        if getattr(chain, field).any():
+            raise ValueError(
+                f"chain.{field} is not zero: {method} does not simulate it;"
+                f" {names_of(lambda known: known.lanes is None)} do"
+            )
+    index = np.arange(chain.node_count - 1)
+    is_float, first = index % nodes_per_pitch == 0, (sensor // nodes_per_pitch + 1) * nodes_per_pitch
+    alike = np.where(index <= sensor, 0, min(first, chain.node_count - 1))
+    for field in ("contact_stiffness", "drag", "lever", "outer_gap"):
+        values = getattr(chain, field)
+        expected = values[alike if field != "contact_stiffness" else np.zeros_like(index)]
+        bad = np.flatnonzero(is_float & (values[:-1] != expected))
+        if not len(bad) and field in ("contact_stiffness", "drag"):
+            bad = np.flatnonzero(~is_float & (values[:-1] != 0.0))
+        if len(bad):
+            raise ValueError(
+                f"chain.{field}[{bad[0]}] = {values[bad[0]]:g}: {method} simulates floats at every"
+                f" {nodes_per_pitch}th node from the tip that are alike up to the sensor and alike behind it;"
+                f" {names_of(lambda known: known.lanes is None)} simulate any"
+            )

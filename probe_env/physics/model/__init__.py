@@ -1,4 +1,4 @@
-"""The lumped-mass model: a scene enters, the arrays that kernels take leave: chain, drive, state, and what calls them.
+"""The lumped-mass model: a scene enters, the arrays that kernels take leave: chain, drive, state.
 
-Imports scenes, settings and errors only.
+``kernel_call`` checks what they are called with. Imports scenes and arrays.
 """

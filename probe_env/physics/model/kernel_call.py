@@ -106,31 +106,3 @@ def check_chain(chain: Chain, sensor: int, nodes_per_pitch: int) -> None:
         raise ValueError(f"sensor = {sensor!r} is not a node from 0 to {nodes - 1}")
     if nodes_per_pitch < 1:
         raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is outside the accepted range 1 and more")
-
-
-def check_lane_chain(method: str, chain: Chain, sensor: int, nodes_per_pitch: int) -> None:
-    """Raise ValueError if a chain has what the kernels of the lanes do not look at.
-
-    They know a float at every ``nodes_per_pitch``-th node from the tip, alike up to the sensor and alike behind it, and
-    neither loads nor supports.
-    """
-    for field in ("load", "support_stiffness"):
-        if getattr(chain, field).any():
-            raise ValueError(
-                f"chain.{field} is not zero: {method} does not simulate it; newmark, wilson and implicit do"
-            )
-    index = np.arange(chain.node_count - 1)
-    is_float, first = index % nodes_per_pitch == 0, (sensor // nodes_per_pitch + 1) * nodes_per_pitch
-    alike = np.where(index <= sensor, 0, min(first, chain.node_count - 1))
-    for field in ("contact_stiffness", "drag", "lever", "outer_gap"):
-        values = getattr(chain, field)
-        expected = values[alike if field != "contact_stiffness" else np.zeros_like(index)]
-        bad = np.flatnonzero(is_float & (values[:-1] != expected))
-        if not len(bad) and field in ("contact_stiffness", "drag"):
-            bad = np.flatnonzero(~is_float & (values[:-1] != 0.0))
-        if len(bad):
-            raise ValueError(
-                f"chain.{field}[{bad[0]}] = {values[bad[0]]:g}: {method} simulates floats at every"
-                f" {nodes_per_pitch}th node from the tip that are alike up to the sensor and alike behind it;"
-                " newmark, wilson and implicit simulate any"
-            )

@@ -328,7 +328,7 @@ class Simulator(Saved):
             raise self._error
 
     def inputs_of_steps(self, steps: int) -> FloatArray:
-        """Inputs (steps, 4) of the coming steps, see drive.py; the drive moves on to their end."""
+        """Inputs (steps, 4) of the coming steps, see model/drive.py; the drive moves on to their end."""
         room, spare = self.chain.node_count - 1 - self.root, self.root - self.sensor - self.nodes_per_pitch
         return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room, max(spare, 0))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -107,3 +108,14 @@ def test_a_missing_or_second_file_is_named(folder: Path) -> None:
         plant_of_text(folder, 'posterior = "other.json"')
     with pytest.raises(ValueError, match="only one file"):
         plant_of_text(folder, 'posterior = "calibration.json"\n[contact]\nposterior = "b.json"')
+
+
+@pytest.mark.parametrize("misspecified", [False, True])
+def test_a_calibration_that_calls_itself_misspecified_is_warned_of(folder: Path, misspecified: bool) -> None:
+    (folder / "calibration.json").write_text(json.dumps({"misspecified": misspecified, "draws": DRAWS}))
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        plant_of_text(folder, 'posterior = "calibration.json"')
+    assert len(heard) == misspecified
+    for warning in heard:
+        assert "calibration.json: the calibration is misspecified: the model cannot have made" in str(warning.message)

@@ -33,6 +33,26 @@ def test_copies_go_on_as_the_probes_themselves_and_leave_them_alone(method: str)
     assert other.feed_speed[2] < after.feed_speed[1]
 
 
+def test_a_state_is_displaced_radially_at_its_free_nodes_alone() -> None:
+    simulator = running("imex").simulators[0]
+    before, moved = simulator.state.d.copy(), np.linspace(1e-6, 2e-6, simulator.root)
+    simulator.displace(moved)
+    np.testing.assert_array_equal(simulator.state.d[: simulator.root, 1], before[: simulator.root, 1] + moved)
+    simulator.state.d[: simulator.root, 1] = before[: simulator.root, 1]
+    np.testing.assert_array_equal(simulator.state.d, before)
+    with pytest.raises(ValueError, match=f"one displacement for each of {simulator.root} free nodes"):
+        simulator.displace(moved[1:])
+
+
+def test_no_more_is_in_the_helix_than_it_is_long() -> None:
+    scene = Scene(carrier_length=3.0, tube={"helix_length": 6.0})
+    simulator = Simulator(scene, "superelement32", 2e-4, growing=True, time_lapse=4.0)
+    assert simulator.length_in_helix == simulator.inserted_length == pytest.approx(scene.inserted_length)
+    simulator.advance(1.0, 0.02, 0.4, 1e-3)
+    assert simulator.inserted_length > 6.0
+    assert simulator.length_in_helix == 6.0
+
+
 def test_a_copy_goes_on_in_another_tube() -> None:
     batch = running("superelement32")
     rougher = batch.simulators[0].scene.model_copy(update={"contact": {"friction": 0.3}})

@@ -1,6 +1,7 @@
 """The law for a PLC: its friction, its form, its text run by an interpreter, its table, its search."""
 
 import json
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,7 @@ import pytest
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.search import MapCost
 from agents.policies.maps.vibration_map import stored_map
+from agents.policies.places import place_at
 from agents.policies.plc import search
 from agents.policies.plc.export import structured_text, table
 from agents.policies.plc.law import (
@@ -23,6 +25,7 @@ from agents.policies.plc.law import (
 )
 from agents.policies.plc.quasi_steady import quasi_steady_rewards
 from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
+from agents.policies.plc.writing import write_law
 from agents.processes.workers import HERE
 from agents.records.provenance import commit
 from probe_env import Context, spread_contexts
@@ -230,3 +233,16 @@ def test_it_goes_by_name_and_follows_what_is_observed() -> None:
     assert in_si_units(TaskConfig(), row)["root_tension"][0] == pytest.approx(4.0)
     assert 0.02 <= feed <= 0.4
     assert air in (pytest.approx(45.0 / 3600.0), pytest.approx(130.0 / 3600.0))
+
+
+@pytest.mark.parametrize(("needed", "warned"), [(0.8, False), (2.5, True)])
+def test_a_plant_that_asks_for_more_tension_is_told_that_the_least_air_is_a_fixed_one(needed, warned, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "mine.toml"
+    file.write_text(f"[task]\nrequired_tension = {needed}\n")
+    place = place_at(file, "test")
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        write_law(read_constants(), PlantData.of(place.config), place, tmp_path / "law.st", None)
+    assert len(heard) == warned
+    for warning in heard:
+        assert "required_tension = 2.5 N: the law's least air, 45 m3/h, was chosen for 0.8 N" in str(warning.message)

@@ -1,7 +1,7 @@
 """Pieces of cable condensed to their floats and some modes: matrices, tables of a probe, kernel, groups in lanes.
 
 Scenes and inputs enter; states of floats and modes a number of steps later leave. Imports
-the chain, the drive and what the methods share.
+the model and what the methods share.
 """
 
 from __future__ import annotations

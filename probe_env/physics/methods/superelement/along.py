@@ -101,7 +101,7 @@ def superelement_advance_along(
         evens: as long as there are even modes.
         odds: as long as there are odd ones.
         state: (blocks fields, lanes) with a block at rest beyond the last one.
-        inputs: (steps, 4), see drive.py.
+        inputs: (steps, 4), see model/drive.py.
         root: node that is held.
         dt: [s].
         tables: of the probe alone.

@@ -70,7 +70,7 @@ def ticm_step(chain, scheme, inputs, root, state, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def advance(chain, scheme, inputs, root, state, work, first_sample, sample_every, points, samples, tension_sum):
-    """A step for every row of ``inputs`` (see drive.py), and a record of ``points`` whenever a sample falls due.
+    """A step for every row of ``inputs`` (see model/drive.py), and a record of ``points`` whenever a sample falls due.
 
     ``first_sample`` is the number of steps until the next sample. ``samples`` is (k, p, 4): x, y, theta, V;
     ``tension_sum`` (n + 1,) gains the axial force at every sample.

@@ -7,7 +7,7 @@ from pathlib import Path
 from agents.records.columns import CORE_FAILURES, sentence_of
 from probe_env.envs.task import ENDINGS, FAILURES, Ending
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_every_failure_has_its_words_and_is_stored():
