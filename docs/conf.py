@@ -1,4 +1,4 @@
-"""The site: Sphinx, Furo and MyST, with warnings as errors, by ``make docs`` and by a test; needs the extra agents too."""
+"""The site: Sphinx, Furo, MyST, with warnings as errors, by ``make docs`` and by a test; needs the extra agents too."""
 
 from __future__ import annotations
 

@@ -132,7 +132,10 @@ def resolve_fidelity(
     try:
         tolerance = float(auto["tolerance"] or TOLERANCE)
     except ValueError:
-        raise ValueError(f"fidelity = {fidelity!r}: {auto['tolerance']!r} is not a number") from None
+        raise ValueError(
+            f"fidelity = {fidelity!r}: {auto['tolerance']!r} is not a number; a tolerance is a relative error, such as"
+            f" auto:{TOLERANCE:g}"
+        ) from None
     return choose_fidelity(scene or Scene(), tolerance, growing=growing).fidelity
 
 

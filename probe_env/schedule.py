@@ -32,6 +32,7 @@ BACK: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per
 """Columns of the way back, beside those of the way in."""
 COLUMNS: Final = (*POSITIONS, *RANGES, *BACK.values())
 CSV_COMMENT = "# interpolation:"
+SEPARATED: Final = " - semicolons or decimal commas? probe-env log reads such files, and makes schedules of them"
 MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
 """What a file may hold: three hours of a log at 100 Hz."""
 
@@ -157,7 +158,7 @@ def _from_csv(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
             if not header:
                 header = _header(path, line, row)
             elif len(row) != len(header):
-                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns")
+                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns{SEPARATED}")
             else:
                 used = ((name, value) for name, value in zip(header, row, strict=True) if name in COLUMNS)
                 named.append((f"line {line}", dict(used)))
@@ -197,7 +198,10 @@ def _check_columns(path: Path, columns: Iterable[str]) -> None:
     columns_given = set(columns)
     listed = ", ".join(sorted(columns_given)) or "none"
     if not columns_given & set(POSITIONS):
-        raise FileError(path, f"one of the columns {', '.join(POSITIONS)} is needed; found: {listed}")
+        raise FileError(
+            path,
+            f"one of the columns {', '.join(POSITIONS)} is needed; found: {listed}{SEPARATED if ';' in listed else ''}",
+        )
     for name in (FEED, AIR):
         if name not in columns_given:
             raise FileError(path, f"the column {name} is missing; found: {listed}")

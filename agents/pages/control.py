@@ -38,7 +38,7 @@ HEADLINE: Final = {
     "best-schedule-by-diameter": "the best schedule for each helix diameter",
     "tension-scheduled": "reads friction from the root tension, follows the best schedule for it",
     "adaptive": "the same, corrected by the vibration that is measured",
-    "ppo": "trained agents",
+    "ppo": "trained agents, the mean of five training seeds",
     "plc-law": "ten constants that a PLC can hold: length, root tension and noise in, feed and air out",
     "privileged": "is told the tube, which no rig knows, and follows the best schedule for it",
     "planner": "tries things out on the simulator itself: the measure of what feedback could win",

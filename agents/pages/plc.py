@@ -55,7 +55,7 @@ def plc_reached() -> str:
     return (
         "\n".join(lines) + f"\n\nThe law's reward less that of {against}. {lost} of its insertions"
         f" {ways_to_fail()}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
-        f" intervals. {source(FOLDER / 'provenance.json')}"
+        f" intervals; `ppo` is its training seed 0. {source(FOLDER / 'provenance.json')}"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -131,8 +132,14 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return load_bundle(spec, config)
     raise ValueError(
         f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
-        " schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.npz)"
+        f" schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.npz){_closest(spec)}"
     )
+
+
+def _closest(spec: str) -> str:
+    """The names that are most like one that is not known."""
+    similar = difflib.get_close_matches(spec, (*NAMES, *shipped_agents(), *shipped_names("schedules")))
+    return f"; the closest: {', '.join(similar)}" if similar else ""
 
 
 def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str, Domain | None]:

@@ -19,6 +19,8 @@ def refusal(error: Exception) -> str:
         missing = error.filename
         if missing is not None and Path(missing).is_dir():
             return one_line(f"{missing}: a folder, not a file" + (f" - {hint}" if hint else ""))
+        if missing is not None and not hint and not Path(missing).parent.is_dir():
+            hint = f"there is no folder {Path(missing).parent}"
         return one_line(f"no such file: {missing}" + (f" - {hint}" if hint else ""))
     if isinstance(error, FileExistsError | NotADirectoryError) and error.filename is not None:
         return one_line(f"{error.filename}: a file, where a folder is needed")

@@ -107,11 +107,12 @@ class TaskConfig(Model):
     @model_validator(mode="after")
     def _ranges_ascend(self) -> TaskConfig:
         # a feed that stands still would never end: what is not inspected costs what the slowest feed takes
-        for name, least, most in (("feed_speeds", 1e-6, 2.0), ("air_supply_rates", 0.0, 0.2)):
+        for name, least, most, unit in (("feed_speeds", 1e-6, 2.0, "m/s"), ("air_supply_rates", 0.0, 0.2, "m3/s")):
             low, high = getattr(self, name)
             if not least <= low < high <= most:
                 raise PydanticCustomError(
-                    "range", f"{name} = ({low!r}, {high!r}) must ascend within the accepted range {least:g} to {most:g}"
+                    "range",
+                    f"{name} = ({low!r}, {high!r}) must ascend within the accepted range {least:g} to {most:g} {unit}",
                 )
         return self
 
