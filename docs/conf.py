@@ -5,14 +5,24 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # from_code
+sys.path.insert(0, str(Path(__file__).parent))  # from_code, mathml
 
 project = "probe-env"
 html_title = "probe-env"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon", "from_code"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "from_code",
+    "mathml",
+]
 
 # Markdown: headings have the anchors that they have on a forge
 myst_heading_anchors = 4
+# $...$ and $$...$$ as a forge draws them
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"
 
 # what the code says of itself, with types
 autodoc_typehints = "signature"

@@ -43,6 +43,20 @@ def test_every_page_is_built_and_what_stands_for_code_is_filled_in(site):
     assert "known to hold up to" in (site / "simulation/methods.html").read_text()
 
 
+def test_formulas_are_drawn_by_the_browser_and_none_is_left_as_text(site):
+    """MathML, with nothing of LaTeX in it; a dollar that is left stands for a formula that was not found."""
+    drawn = 0
+    for page in (ROOT / "docs").rglob("*.md"):
+        text = re.sub(r"(?s)```.*?```|`[^`\n]*`", "", page.read_text())
+        formulas = len(re.findall(r"(?s)\$\$.+?\$\$|\$[^$]+?\$", text))
+        built = (site / page.relative_to(ROOT / "docs").with_suffix(".html")).read_text()
+        math = re.findall(r"(?s)<math.*?</math>", built)
+        assert len(math) == formulas, page
+        assert not re.search(r"\\[a-zA-Z]", "".join(math)), page
+        drawn += formulas
+    assert drawn > 50
+
+
 GOOD = '<html><body><h1 id="top">A</h1><a href="b.html#place">b</a><a href="https://example.org">out</a></body></html>'
 
 
