@@ -90,10 +90,10 @@ def plants() -> str:
     record = figures.model_dump()
     return (
         f"{markdown(plants_study.HEADER, plants_study.cells(summary))}\n\n"
-        f"Reward less that of the best fixed schedule for the plant, simulated at `fast` in {record['limit']} tubes of"
-        f" each, paired, with 95 % intervals: {verdict}; an interval around zero shows nothing either way."
-        " `recommended-law` is the law that `probe-env recommend --policy` makes for the plant. Made by"
-        f" `{command(record)}` at commit {record['commit']}."
+        f"Reward less that of the best fixed schedule for the plant, simulated at `{record['fidelity']}` in"
+        f" {record['limit']} tubes of each, paired, with 95 % intervals: {verdict}; an interval around zero shows"
+        " nothing either way. `recommended-law` is the law that `probe-env recommend --policy` makes for the plant."
+        f" Made by `{command(record)}` at commit {record['commit']}."
     )
 
 
@@ -116,10 +116,11 @@ def passes() -> str:
         f" {100.0 * slow['share_within_limit']:.0f} %. The most reward has {_best(best['original'])} with the study's"
         f" probe, and {_best(best['improved'])} with the improved one.**\n\n"
         f"{markdown(passes_study.HEADER, passes_study.cells(summary))}\n\n"
-        f"Simulated at `fast`, means over {record['limit']} test tubes, one of each diameter. Times are of both ways,"
-        " whatever counts: back as fast as the device can. `original` is table 2's probe, `improved` the study's;"
-        " `fast-in` feeds 0.4 m/s on the way in. The last column is the reward less that of looking on the way in by"
-        f" `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit {record['commit']}."
+        f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over the"
+        " diameters. Times are of both ways, whatever counts: back as fast as the device can. `original` is table 2's"
+        " probe, `improved` the study's; `fast-in` feeds 0.4 m/s on the way in. The last column is the reward less that"
+        " of looking on the way in by `best-schedule`, paired, with 95 % intervals. Made by"
+        f" `{command(record)}` at commit {record['commit']}."
     )
 
 
