@@ -63,7 +63,7 @@ def insert(
             assert episodes.window is not None
             assert episodes.window.radial is not None
             radial.append(episodes.window.radial[:, 0])
-            spectra.append(episodes.gauges.meter.spectrum[0].copy())
+            spectra.append(episodes.gauges.meter.of_filter(0))
             bar.update(info["inserted_length"] - guide - places[-1])
             places.append(info["inserted_length"] - guide)
             periods.append(info)

@@ -14,7 +14,7 @@ from probe_env.arrays import FloatArray
 from probe_env.inspection.flaw import shape
 from probe_env.inspection.matched import response_of
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import INVERSE, SPAN
+from probe_env.inspection.spectrum import SPAN
 
 SHOWN: Final = 10e-3
 """[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
@@ -44,7 +44,8 @@ class Passage:
         place: (k,) of the sensor from the helix's entrance [m].
         feed: (k,) feed speed [m/s].
         radial: (k,) displacement [m].
-        spectrum: (p, m) mean density of the motion in each of p control periods, at ``spectrum.FREQUENCY`` [m2/Hz].
+        spectrum: (p, m) density of the motion by whose inverse the filter of each of p control periods weighs, at
+            ``spectrum.FREQUENCY`` [m2/Hz].
         period: samples in a control period.
     """
 
@@ -136,7 +137,7 @@ def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray
     values = np.zeros(len(signal))
     for number, begin in enumerate(range(0, len(signal), passage.period)):
         part = padded[begin : begin + passage.period + 2 * around]
-        feed, spectrum = float(passage.feed[begin]), INVERSE * passage.spectrum[number]
+        feed, spectrum = float(passage.feed[begin]), passage.spectrum[number]
         out = response_of(sensor, feed, spectrum, part, passage.sample_period)
         values[begin : begin + passage.period] = out[around : around + passage.period]
     return values

@@ -13,7 +13,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.inspection.flaw import energy_above, power
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE, SPAN, STEP
+from probe_env.inspection.spectrum import COUNT, FREQUENCY, SPAN, STEP
 
 SLOWEST: Final = 0.01
 """[m/s]: below it a flaw's band has no line of the spectrum, and the figures of this speed are given."""
@@ -51,22 +51,37 @@ def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Float
     return np.asarray(2.0 * sensor.groove_signal * passing * np.sqrt(inner + above))
 
 
-def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray) -> Heard:
-    """What motion leaves of the signal-to-noise.
+def unbiased(sensor: Sensor, spectrum: FloatArray, inverse: float) -> FloatArray:
+    """(..., m) density of the motion [m2/Hz] with which 1/(all noise) is right in the mean.
 
-    A density from few seconds scatters, and the mean of 1/S is above 1/(mean of S): ``INVERSE`` takes that back where
-    motion is all the noise, and does nothing where there is none.
+    A density S from few seconds scatters, and the mean of 1/S is ``inverse``, c, times 1/(mean of S). With the
+    electronics' S_e the mean of 1/(S + S_e) is, to second order, (1 + (c - 1) s^2) / (S + S_e), s = S/(S + S_e), where
+    S times 1 + (c - 1) s takes that back.
+
+    Args:
+        sensor: its constants.
+        spectrum: (..., m) mean density of the motion [m2/Hz].
+        inverse: c, see ``spectrum.inverse``.
+    """
+    moved = sensor.seen_gain**2 * spectrum
+    return np.asarray(spectrum * (1.0 + (inverse - 1.0) * moved / (moved + sensor.noise_density)))
+
+
+def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray, inverse: float = 1.0) -> Heard:
+    """What motion leaves of the signal-to-noise.
 
     Args:
         sensor: its constants.
         feed: (N,) feed speed [m/s].
         motion: (N, COUNT) of the last second [m], see ``spectrum.straightened``.
         spectrum: (N, m) its mean density [m2/Hz].
+        inverse: the mean of its inverse over the inverse of its mean, see ``spectrum.inverse``.
     """
-    snr = snr_of_groove(sensor, feed, INVERSE * spectrum)
+    weighed = unbiased(sensor, spectrum, inverse)
+    snr = snr_of_groove(sensor, feed, weighed)
     passing = (sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))[:, None]
     moved = sensor.seen_gain**2 * spectrum
-    noise = INVERSE * moved + sensor.noise_density
+    noise = sensor.seen_gain**2 * weighed + sensor.noise_density
     weights = power(FREQUENCY * passing) / noise
     variance = (weights * moved / noise).sum(axis=1)
     all_of_it = np.maximum((weights * (moved + sensor.noise_density) / noise).sum(axis=1), 1e-300)

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.matched import Heard, heard
+from probe_env.inspection.matched import Heard, heard, unbiased
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import FREQUENCY, MEMORY, SPAN, density, straightened
+from probe_env.inspection.spectrum import FREQUENCY, SPAN, density, inverse, kept, straightened
 
 
 class Meter:
@@ -30,6 +30,7 @@ class Meter:
         self._kept = np.zeros((count, round(SPAN / sample_period)))
         self._known = np.zeros(count, dtype=np.int64)
         self.spectrum = np.zeros((count, len(FREQUENCY)))
+        self._inverse = 1.0
         self._last: dict[int, tuple[float, float, float, FloatArray]] = {}
 
     def forget(self, k: int) -> None:
@@ -39,6 +40,10 @@ class Meter:
     def of(self, k: int) -> tuple[float, float, float, FloatArray]:
         """What was heard of probe k last, see ``Heard``: one row of each."""
         return self._last[k]
+
+    def of_filter(self, k: int) -> FloatArray:
+        """(m,) density of the motion of probe k as the matched filter weighs by it [m2/Hz]."""
+        return unbiased(self.sensor, self.spectrum[k], self._inverse)
 
     def last_second(self, k: int) -> FloatArray:
         """(m,) motion of probe k that is kept, the newest last [m]; less than a second where less is known."""
@@ -59,9 +64,10 @@ class Meter:
         known = self._known[which] * self.sample_period
         motion *= np.sqrt(np.maximum(SPAN / known, 1.0))[:, None]
         passed = len(radial) * self.sample_period
-        gain = np.maximum(1.0 - np.exp(-passed / MEMORY), passed / known)[:, None]
+        gain = np.maximum(1.0 - kept(passed), passed / known)[:, None]
         self.spectrum[which] += np.minimum(gain, 1.0) * (density(motion) - self.spectrum[which])
-        reading = heard(self.sensor, feed, motion, self.spectrum[which])
+        self._inverse = inverse(passed)
+        reading = heard(self.sensor, feed, motion, self.spectrum[which], self._inverse)
         for row, k in enumerate(which.tolist()):
             self._last[k] = (*(float(values[row]) for values in reading[:3]), reading.excursions[row])
         return reading

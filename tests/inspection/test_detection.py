@@ -23,7 +23,7 @@ from probe_env.inspection.detection import (
 )
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY, INVERSE
+from probe_env.inspection.spectrum import COUNT, FREQUENCY
 from probe_env.inspection.tally import DetectionTally
 
 SENSOR = Sensor()
@@ -134,7 +134,7 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
         meter.listen(np.arange(members), trace, np.full(members, feed))
         if second:  # the first fills the meter
             traces.append(trace.T)
-            spectra.append(meter.spectrum.copy())
+            spectra.append([meter.of_filter(k) for k in range(members)])
             for k in range(members):
                 detection.add(1.0, *meter.of(k))
     curve, z = detection.curve(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
@@ -167,7 +167,7 @@ def _called(motion, spectrum, depth, feed, z, rng):
     signal, seen = (np.fft.rfft(values)[lines] for values in (
         SENSOR.seen_gain * level + float(SENSOR.amplitude(depth)) * seen + noise, seen
     ))  # fmt: skip
-    density = SENSOR.seen_gain**2 * INVERSE * spectrum + SENSOR.noise_density
+    density = SENSOR.seen_gain**2 * spectrum + SENSOR.noise_density
     # a line holds S * 500 Hz * samples, half of it in phase with the flaw
     deviation = math.sqrt((np.abs(seen) ** 2 / density).sum() * 250.0 * len(time))
     return (signal * seen.conj() / density).real.sum() / deviation > z

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from oracles.scatter import of_another
 from scipy.integrate import quad
+from scipy.signal import lfilter
 
 from probe_env.inspection import flaw
 from probe_env.inspection.matched import heard, snr_of_groove
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY, STEP, density, straightened
+from probe_env.inspection.spectrum import COUNT, FREQUENCY, OWN, STEP, density, inverse, kept, straightened
 
 FEEDS = np.array([0.02, 0.05, 0.08, 0.2, 0.4, 1.0])
 NONE = np.zeros((len(FEEDS), len(FREQUENCY)))
@@ -103,25 +104,83 @@ def test_white_noise_is_flat():
 
 
 @pytest.mark.processor
-def test_the_mean_of_estimates_is_that_of_the_true_spectrum(seeds):
+@pytest.mark.parametrize(
+    ("periods", "left", "scatter", "variance"),
+    [
+        (1, (1.0037, 0.0034), (0.0389, 0.0018), (0.842, 0.0175)),
+        (4, (1.0010, 0.0038), (0.0443, 0.0017), (0.847, 0.0184)),
+    ],
+)
+def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatter, variance, seeds):
     """SNR^2 of ringing noise by the meter, against that of its true spectrum at the meter's resolution.
 
-    400 probes are heard for 8 s. 24 such draws left 1.0 +- 0.33 % of the bias of 1/S, SNR scattered by 3.88 +- 0.18 %,
-    and the middle of the excursions, over what the spectrum of the same seconds says, had a variance of 0.84 +- 0.017.
-    All three are found again but for 1e-4: twice the bias, another half of the scatter or a window left out would show.
+    400 probes are heard for 8 s, ``periods`` in each. Of 24 such draws are the means and deviations above: of what is
+    left of the bias of 1/S (uncorrected 6 and 8 % where motion is all the noise), of SNR's scatter, and of the variance
+    that the middle of the excursions has over what the spectrum of the same seconds says.
     """
     sensor, feed, rng = Sensor(), np.full(400, 0.2), np.random.default_rng(seeds(1)[0])
     y, _ = ringing(rng, 400, 8, 2e-6)
     long = density(straightened(y.reshape(8, 1000, 400).transpose(2, 0, 1).reshape(3200, 1000), 1e-3)).mean(axis=0)
     meter = Meter(sensor, 400, 1e-3)
-    for second in y.reshape(8, 1000, 400):
-        reading = meter.listen(np.arange(400), second, feed)
+    for period in y.reshape(8 * periods, -1, 400):
+        reading = meter.listen(np.arange(400), period, feed)
     truth = float(snr_of_groove(sensor, feed[:1], long[None])[0])
     assert 1.0 < truth < 4.0  # motion is most of the noise
-    assert (reading.snr**2).mean() / truth**2 == pytest.approx(0.990, abs=of_another(0.0033, 24, among=3))
-    assert reading.snr.std() / reading.snr.mean() == pytest.approx(0.0388, abs=of_another(0.0018, 24, among=3))
     middle = reading.excursions[:, 75:125]
-    assert (middle**2).mean() == pytest.approx(0.841, abs=of_another(0.0175, 24, among=3))
+    found = ((reading.snr**2).mean() / truth**2, reading.snr.std() / reading.snr.mean(), (middle**2).mean())
+    for value, (mean, deviation) in zip(found, (left, scatter, variance), strict=True):
+        assert value == pytest.approx(mean, abs=of_another(deviation, 24, among=6))
+
+
+@pytest.mark.processor
+@pytest.mark.parametrize(("passed", "deviation"), [(1.0, 7.2e-4), (0.25, 1.03e-3), (0.05, 1.2e-3)])
+def test_freedom_of_a_mean_of_spectra(passed, deviation, seeds):
+    """Relative variance 2/nu of the meter's mean in white noise, with the nu behind ``inverse``.
+
+    Of 24 draws of 400 probes the mean lay within 0.25 % of the closed form, with the deviations given.
+    """
+    rng = np.random.default_rng(seeds(1)[0])
+    meter, steps = Meter(Sensor(), 400, STEP), round(passed / STEP)
+    for _ in range(round(12.0 / passed)):
+        meter.listen(np.arange(400), rng.normal(size=(steps, 400)), np.full(400, 0.2))
+    estimates = meter.spectrum[:, 4:90]
+    variance = (estimates.var(axis=0) / estimates.mean(axis=0) ** 2).mean()
+    c = inverse(passed)
+    assert variance == pytest.approx((c - 1.0) / c, abs=of_another(deviation, 24, among=3) + 0.0025 * variance)
+
+
+@pytest.mark.parametrize("passed", [2.0, 1.0, 0.5, 0.25, 0.1, 0.05, 0.005])
+def test_the_last_second_has_its_share_of_the_mean(passed):
+    """Weights of all spectra times their share of the last second; spectra without end fall off as exp(-t/m)."""
+    r, j = kept(passed), np.arange(round(40.0 / passed))
+    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(OWN, abs=1e-12)
+    if passed == 0.005:
+        m = -passed / np.log(r)
+        assert 1.0 - m * (1.0 - np.exp(-1.0 / m)) == pytest.approx(OWN, rel=passed)  # the sum's error is of first order
+
+
+@pytest.mark.processor
+@pytest.mark.parametrize(("passed", "mean", "deviation"), [(0.25, 0.119, 0.045), (0.05, 0.175, 0.047)])
+def test_bursts_stand_out_alike_at_any_period(passed, mean, deviation, seeds):
+    """Share of excursions beyond 3 deviations, of noise that waxes and wanes in a second, beside a spectrum a second.
+
+    Means and deviations of the logarithm of the ratio are of 24 draws. Means over 2 s of the motion would have made
+    0.4 and more of it, means over 2 s on the tube -0.4 and less.
+    """
+    rng, number, fade = np.random.default_rng(seeds(1)[0]), 400, np.exp(-STEP)
+    drift = lfilter(
+        [np.sqrt(1.0 - fade**2)], [1.0, -fade], rng.normal(size=(2400, number)), axis=0,
+        zi=fade * rng.normal(size=(1, number)),
+    )[0]  # fmt: skip
+    motion, shares = 1e-4 * np.exp(0.5 * drift) * rng.normal(size=drift.shape), []
+    for each in (1.0, passed):
+        meter, steps, seen = Meter(Sensor(), number, STEP), round(each / STEP), []
+        for begin in range(0, len(motion), steps):
+            reading = meter.listen(np.arange(number), motion[begin : begin + steps], np.full(number, 0.2))
+            if begin >= 800:
+                seen.append(reading.excursions[:, 75:125])
+        shares.append((np.abs(seen) > 3.0).mean())
+    assert np.log(shares[1] / shares[0]) == pytest.approx(mean, abs=of_another(deviation, 24, among=2))
 
 
 def test_a_batch_hears_what_one_hears():

@@ -51,7 +51,7 @@ class Shape:
         bore, helix_length, helix_diameter: of the tube [m].
         friction: of the tube [-].
         signal_time, signal_radial: (m,) of the sensor in the last second of its motion [s], [m].
-        spectrum: mean density of that motion at ``inspection.spectrum.FREQUENCY`` [m2/Hz].
+        spectrum: density of that motion as the filter weighs by it, at ``inspection.spectrum.FREQUENCY`` [m2/Hz].
         feed_speed: at the end of the period [m/s].
         seen: what the policy decides by next, SI units.
     """
@@ -153,7 +153,7 @@ def shape_of(playing: Playing, k: int) -> Shape:
         friction=scene.contact.friction,
         signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
         signal_radial=radial,
-        spectrum=episodes.gauges.meter.spectrum[k].copy(),
+        spectrum=episodes.gauges.meter.of_filter(k),
         feed_speed=simulator.feed_speed,
         seen={name: float(values[0]) for name, values in seen.items()},
     )

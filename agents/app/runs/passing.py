@@ -12,7 +12,6 @@ from probe_env.inspection.channels import Flaw, Passage, along, channels, filter
 from probe_env.inspection.detection import snr_at, threshold
 from probe_env.inspection.matched import snr_of_groove
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import INVERSE
 
 LEAST: Final = 100
 """Samples that are too few to show."""
@@ -63,7 +62,7 @@ def passed(sensor: Sensor, shape: Shape, before: float, depth: float) -> Passed 
     voltages = channels(sensor, passage, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
     near = np.abs(passage.place - flaw.place) <= 0.5 * sensor.flaw_width
     behind = filtered(sensor, passage, along(sensor, voltages))
-    groove = snr_of_groove(sensor, np.array([feed]), INVERSE * shape.spectrum[None])
+    groove = snr_of_groove(sensor, np.array([feed]), passage.spectrum)
     snr = float(snr_at(sensor, groove, np.array([depth]))[0, 0])
     shown = float(behind[near].max()) if near.any() else 0.0
     return Passed(time, smoothed(passage, voltages), near, snr, shown, threshold(sensor, shape.helix_length))

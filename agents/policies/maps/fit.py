@@ -23,8 +23,8 @@ from probe_env.envs.task import TaskConfig, value_at
 from probe_env.fidelity import PRESETS
 
 SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
-"""[m] of constant feed and air, by the vibration measure: the noise in a flaw's band is a running mean of 2 s, which at
-0.4 m/s and a time-lapse of 4 are 3.2 m,"""
+"""[m] of constant feed and air, by the vibration measure: the noise in a flaw's band is a running mean of 1.2 s of
+the motion, which at 0.4 m/s and a time-lapse of 4 are 1.9 m,"""
 SMEARED: Final = {"displacement": 0.0, "snr": 3.0}
 """[m] of each segment that are not fitted: they still hear the one before."""
 HIDDEN, EPOCHS, BATCH = 64, 300, 512
