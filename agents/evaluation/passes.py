@@ -11,6 +11,7 @@ from agents.policies.catalogue import named_policies
 from agents.policies.places import both_ways, place_of, with_probe
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
+from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
@@ -22,6 +23,8 @@ PROBES: Final = ("original", "improved")
 LOOKS: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "best": "the better of both"}
 KPIS: Final = {"reward": 1.0, "inspection_time_s": 1.0, "share_within_limit": 100.0}
 """KPI -> factor of the unit for people: s, %."""
+DEPTH: Final = "a90_95_percent_wall"
+"""Of the way that is looked at; what both ways find together is not told."""
 
 
 def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.DataFrame:
@@ -52,6 +55,8 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
             for kpi in KPIS:
                 interval = mean_interval(part[kpi].to_numpy())
                 row |= {kpi: interval.mean, f"{kpi}_low": interval.low, f"{kpi}_high": interval.high}
+            if inspects != "best":
+                row[DEPTH] = a90_95(part, str(policy))
             gain = paired_difference(paired, f"{policy}/{inspects}", f"{POLICIES[1]}/in", "reward")
             rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
     summary = pd.DataFrame(rows)
@@ -69,6 +74,7 @@ HEADER: Final = (
     "reward",
     "time [s]",
     "within the limit [%]",
+    "a90/95 [% wall]",
     "reward, paired",
 )
 
@@ -78,6 +84,7 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
     rows = []
     for row in summary.to_dict("records"):
         figures = [f"{factor * row[kpi]:.3g}" for kpi, factor in KPIS.items()]
+        depth = "" if pd.isna(row[DEPTH]) else f"{row[DEPTH]:.3g}"
         gain = f"{row['gain']:+.1f} [{row['gain_low']:.1f}, {row['gain_high']:.1f}]"
-        rows.append((str(row["probe"]), str(row["policy"]), LOOKS[row["inspects"]], *figures, gain))
+        rows.append((str(row["probe"]), str(row["policy"]), LOOKS[row["inspects"]], *figures, depth, gain))
     return rows

@@ -2,8 +2,9 @@
 
 Code that is moved keeps its hash; code that is rewritten does not, though it may compute the same. Then a stage's
 ``sample``, its command with fewer tubes or trials, is run with the commit that made the results and with the present
-one, on this machine. Where all numbers agree the results are kept under the new hash, and their record says so. What
-the present code writes besides, columns of a table or rows of other figures, is told and does not count.
+one, on this machine. Where all numbers that are published agree the results are kept under the new hash, and their
+record says so. What the present code writes besides, columns of a table or rows of other figures, is told and does not
+count; nor do columns that the stored table has not.
 
 No sample is run where only the measure changed, how code is hashed or which files a stage reads, and that commit had
 by today's measure the code and inputs of today.
@@ -17,7 +18,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -108,7 +109,7 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> st
     put_inputs(stage, tree)  # what the results were made from may have been published after the commit
     _run(stage, record["command"], tree, folders["before"])
     _run(stage, stage.command, CHECKOUT, folders["now"])
-    difference = first_difference(folders["before"], folders["now"])
+    difference = first_difference(folders["before"], folders["now"], _stored(stage, folders["before"]))
     if difference:
         raise RuntimeError(f"stage {stage.name}: {difference}; the results are stale: make them again")
     for line in additions(*folders.values()):
@@ -172,20 +173,40 @@ def _run(stage: Stage, command: str, tree: Path, folder: Path) -> None:
         )
 
 
-def first_difference(before: Path, now: Path) -> str:
-    """What differs between the results in two folders; empty if nothing does."""
-    names = [sorted(str(p.relative_to(f)) for p in f.rglob("*") if p.suffix in COMPARED) for f in (before, now)]
+def _stored(stage: Stage, folder: Path) -> dict[str, Path]:
+    """File of a sample's folder -> what is published in its place, if anything is."""
+    targets = {
+        str(path.relative_to(folder)): CHECKOUT / place / path.relative_to(folder)
+        for place, _, paths in stage.to_publish(folder)
+        for path in paths
+    }
+    return {name: path for name, path in targets.items() if path.exists()}
+
+
+def first_difference(before: Path, now: Path, stored: Mapping[str, Path]) -> str:
+    """What differs between the results in two folders; empty if nothing does.
+
+    Args:
+        before: folder of a sample with the code before.
+        now: folder of the same with the present one.
+        stored: file in them -> the published one. Others are not compared, nor columns that a published table has not.
+    """
+    names = [
+        sorted(name for name in stored if Path(name).suffix in COMPARED and (folder / name).exists())
+        for folder in (before, now)
+    ]
     if not names[0]:
         return f"{before} holds nothing to compare"
     if names[0] != names[1]:
         return f"the files differ: {', '.join(sorted(set(names[0]) ^ set(names[1])))}"
-    return next((f"{name} differs" for name in names[0] if not _equal(before / name, now / name)), "")
+    return next((f"{name} differs" for name in names[0] if not _equal(before / name, now / name, stored[name])), "")
 
 
-def _equal(one: Path, other: Path) -> bool:
+def _equal(one: Path, other: Path, stored: Path) -> bool:
     if one.suffix == ".csv":
         left, right = (_rows(path).drop(columns=list(APART), errors="ignore") for path in (one, other))
-        return _holds(right, left)
+        known = _columns(stored)
+        return _holds(right, left[[name for name in left.columns if name in known]])
     if one.suffix == ".npz":
         with np.load(one) as left, np.load(other) as right:
             return left.files == right.files and all(np.array_equal(left[name], right[name]) for name in left.files)

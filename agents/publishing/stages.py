@@ -14,7 +14,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -88,6 +88,12 @@ class Stage(Model):
         """The folder for just these code, inputs and command."""
         digest = hashlib.sha256(json.dumps(self.state(), sort_keys=True).encode()).hexdigest()[:8]
         return WORK / f"{self.name}-{digest}"
+
+    def to_publish(self, work: Path) -> Iterator[tuple[str, str, list[Path]]]:
+        """Published folder, pattern, and the files in a work folder that go there by it."""
+        for folder, patterns in self.publish.items():
+            for pattern in patterns:
+                yield folder, pattern, [path for path in work.glob(pattern) if path.is_file()]
 
     def published(self) -> list[str]:
         """Patterns of the files that it publishes, from the checkout's folder."""
@@ -260,12 +266,10 @@ def _run(stage: Stage) -> None:
 def _publish(stage: Stage, work: Path) -> list[str]:
     """Put a stage's files in their published places; files of an earlier run that there are no more go."""
     files: dict[str, Path] = {}
-    for folder, patterns in stage.publish.items():
-        for pattern in patterns:
-            paths = [path for path in work.glob(pattern) if path.is_file()]
-            if not paths:
-                raise RuntimeError(f"stage {stage.name}: {work} holds no {pattern} to publish")
-            files |= {str(Path(folder) / path.relative_to(work)): path for path in paths}
+    for folder, pattern, paths in stage.to_publish(work):
+        if not paths:
+            raise RuntimeError(f"stage {stage.name}: {work} holds no {pattern} to publish")
+        files |= {str(Path(folder) / path.relative_to(work)): path for path in paths}
     for target, path in files.items():
         write_atomically(CHECKOUT / target, path.read_bytes())
     for gone in set(stage.record().get("files", ())) - set(files):

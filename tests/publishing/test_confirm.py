@@ -30,6 +30,11 @@ def folder(place, table="a,commit\n1,x\n", value=1.0):
     return place
 
 
+def compared(before, now):
+    """As if the first had been published."""
+    return first_difference(before, now, {path.name: path for path in before.iterdir()})
+
+
 @pytest.mark.parametrize(
     ("change", "difference"),
     [
@@ -44,7 +49,19 @@ def folder(place, table="a,commit\n1,x\n", value=1.0):
     ],
 )
 def test_every_digit_counts_and_only_numbers_do(tmp_path, change, difference):
-    assert first_difference(folder(tmp_path / "before"), folder(tmp_path / "now", **change)) == difference
+    assert compared(folder(tmp_path / "before"), folder(tmp_path / "now", **change)) == difference
+
+
+def test_only_what_is_published_counts(tmp_path):
+    """A column that the stored table has not, and a file that is not published, may differ."""
+    one = folder(tmp_path / "before", "a,b,commit\n1,2,x\n")
+    other = folder(tmp_path / "now", "a,b,commit\n1,3,x\n", value=2.0)
+    stored = folder(tmp_path / "stored", "a,commit\n1,y\n5,y\n")
+    names = {"table.csv": stored / "table.csv"}
+    assert first_difference(one, other, names) == ""
+    assert first_difference(one, other, names | {"map.npz": stored / "map.npz"}) == "map.npz differs"
+    (stored / "table.csv").write_text("b,a,commit\n2,1,y\n")
+    assert first_difference(one, other, names) == "table.csv differs"
 
 
 def test_what_is_written_besides_is_told(tmp_path):
@@ -53,16 +70,16 @@ def test_what_is_written_besides_is_told(tmp_path):
     assert additions(one, one) == []
     (other / "table.csv").write_text("a,commit\n0,x\n1,x\n")
     assert additions(one, other) == ["table.csv: 1 new rows"]
-    assert first_difference(other, one) == "table.csv differs"  # what is lost is a difference
+    assert compared(other, one) == "table.csv differs"  # what is lost is a difference
 
 
 def test_a_file_that_is_not_there_is_a_difference(tmp_path):
     one, other = folder(tmp_path / "before"), folder(tmp_path / "now")
     (other / "map.npz").unlink()
-    assert first_difference(one, other) == "the files differ: map.npz"
+    assert compared(one, other) == "the files differ: map.npz"
     shutil.rmtree(one)
     one.mkdir()
-    assert "holds nothing to compare" in first_difference(one, other)
+    assert "holds nothing to compare" in compared(one, other)
 
 
 @pytest.mark.parametrize(("source", "shared"), [("x = 1\n", True), ("x = 2\n", False)])
@@ -92,7 +109,7 @@ def test_a_sample_is_the_command_with_other_options():
 def stage(tmp_path, monkeypatch):
     """A stage whose code has changed; ``outputs`` is what its samples write, before and now."""
     one = Stage(
-        name="numbers", command=RECORD["command"], publish={"results/numbers": ("*.csv",)},
+        name="numbers", command=RECORD["command"], publish={"results/numbers": ("*.csv", "*.npz")},
         code=("agents.study.cases:run_case",), sample={"limit": "1"}, minutes=1.0,
     )  # fmt: skip
     monkeypatch.setattr(stages, "CHECKOUT", tmp_path)
@@ -111,6 +128,7 @@ def stage(tmp_path, monkeypatch):
     (tmp_path / "results" / "records").mkdir(parents=True)
     (tmp_path / "results" / "numbers").mkdir()
     (tmp_path / "results" / "numbers" / "table.csv").write_text(f"a,code\n1,{OLD}\n")
+    np.savez(tmp_path / "results" / "numbers" / "map.npz", weights=np.array([1.0]))
     path = tmp_path / "results" / "records" / "numbers.json"
     path.write_text(json.dumps(RECORD | {"inputs": state["inputs"]}))
     return one, path, state

@@ -47,9 +47,10 @@ def try_insertions(
     sums = {name: np.zeros((count, places)) for name in SUMS}
     failed = {name: np.zeros(count, dtype=bool) for name in FAILURES}
     guides = np.array([candidate.design.built.guide_length for candidate in candidates])
-    inspected = np.zeros(count)
+    inspected, blown = np.zeros(count), np.zeros(count)
     for step, active in periods_of(episodes, policies, observation):
         before, inspected = inspected, np.array([tally.inspected for tally in episodes.tally])
+        blown_before, blown = blown, np.array([tally.air for tally in episodes.tally])
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
             for name, flags in failed.items():
@@ -60,7 +61,7 @@ def try_insertions(
                 travel = info["inspected_length"] - before[k]
                 sums["travel"][k, place] += travel
                 sums["seconds"][k, place] += config.period
-                sums["air"][k, place] += info["air_supply_rate"] * config.period
+                sums["air"][k, place] += blown[k] - blown_before[k]
                 sums["square"][k, place] += travel * info["radial_rms_m"] ** 2
                 sums["noise"][k, place] += travel / max(info["snr"], LEAST_SNR) ** 2
                 sums["tension"][k, place] += info["tension_mean_n"]
