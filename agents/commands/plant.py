@@ -199,7 +199,7 @@ class Passes:
     """Play schedules in and back, for both of the study's probes: where is it worth to look?"""
 
     limit: int = 12
-    """Tubes of the test list, the first of it, which are balanced."""
+    """Tubes of the test list, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
     """How closely to simulate: fast, standard or study."""
     output: Path = Path("output/passes")

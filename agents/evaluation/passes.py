@@ -18,7 +18,9 @@ from agents.terminal.tables import print_table
 from probe_env.envs.task import Inspects
 from probe_env.fidelity import resolve_fidelity
 
-POLICIES: Final = ("fast-in", "best-schedule", "tension-scheduled")
+POLICIES: Final = ("fast-in", "slow-back", "best-schedule", "tension-scheduled")
+BESIDE: Final = "best-schedule"
+"""Looking on the way in by this is what rewards are paired with."""
 PROBES: Final = ("original", "improved")
 LOOKS: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "best": "the better of both"}
 KPIS: Final = {"reward": 1.0, "inspection_time_s": 1.0, "share_within_limit": 100.0}
@@ -57,13 +59,14 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
                 row |= {kpi: interval.mean, f"{kpi}_low": interval.low, f"{kpi}_high": interval.high}
             if inspects != "best":
                 row[DEPTH] = a90_95(part, str(policy))
-            gain = paired_difference(paired, f"{policy}/{inspects}", f"{POLICIES[1]}/in", "reward")
+            gain = paired_difference(paired, f"{policy}/{inspects}", f"{BESIDE}/in", "reward")
             rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
     summary = pd.DataFrame(rows)
     write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "passes.csv", summary.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"limit": limit, "fidelity": fidelity})
-    print_table(f"Both passes, {limit} tubes", HEADER, cells(summary), left=3)
+    tubes = int(table["context"].nunique())
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | {"limit": tubes, "fidelity": fidelity})
+    print_table(f"Both passes, {tubes} tubes", HEADER, cells(summary), left=3)
     return summary
 
 
@@ -84,7 +87,7 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
     rows = []
     for row in summary.to_dict("records"):
         figures = [f"{factor * row[kpi]:.3g}" for kpi, factor in KPIS.items()]
-        depth = "" if pd.isna(row[DEPTH]) else f"{row[DEPTH]:.3g}"
+        depth = "" if pd.isna(row.get(DEPTH)) else f"{row[DEPTH]:.3g}"
         gain = f"{row['gain']:+.1f} [{row['gain_low']:.1f}, {row['gain_high']:.1f}]"
         rows.append((str(row["probe"]), str(row["policy"]), LOOKS[row["inspects"]], *figures, depth, gain))
     return rows
