@@ -15,7 +15,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
-        detection.anchors, detection.snr, detection.snr_agent,
+        detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
         plant.answers, plant.calibrations, plant.passes, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from agents.policies.catalogue import DATA
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
+from agents.rollouts.bootstrap import Interval
 from agents.rollouts.depths import depths_of
 from agents.rollouts.statistics import failures, grouped, paired_difference
 from probe_env.schedule import Schedule
@@ -19,6 +20,12 @@ from probe_env.schedule import Schedule
 FOLDER: Final = RESULTS / "snr"
 REFERENCE: Final = "millimetre-schedule"
 OWN: Final = "snr-schedule"
+HEARING: Final = {
+    "a90_percent_wall": ("a90", "%", 1.0),
+    "length_with_snr_over_3_m": ("S/N over 3", "m", 1.0),
+    "radial_rms_m": ("radial rms", "mm", 1e3),
+}
+"""What is compared at two fidelities -> name, unit for people, its factor."""
 AGENT: Final = "ppo-snr"
 TEACHER: Final = "tension-scheduled"
 HEADER: Final = (
@@ -53,6 +60,34 @@ def snr() -> str:
         f"{markdown(HEADER, rows)}\n\n"
         f"Means over {tubes} held-out tubes of `--tube snr`, differences paired, 95 % intervals; {lost} insertions"
         f" {ways_to_fail()}. {source(FOLDER / 'provenance.json')}\n\n{_schedules()}"
+    )
+
+
+def hearing() -> str:
+    """What is found at ``standard`` beside ``fast``."""
+    folder = RESULTS / "hearing"
+    checks = stored_table(folder / "fidelity.csv", "check", "policy", "kpi", "before", "mean", "low", "high")
+    acting, rows = checks[checks["check"].str.startswith("acting")], []
+    clear: dict[str, list[str]] = {kpi: [] for kpi in HEARING}
+    for policy, part in acting.groupby("policy", sort=False):
+        of_kpi: dict[Any, dict[Any, Any]] = {entry["kpi"]: entry for entry in part.to_dict("records")}
+        cells = []
+        for kpi, (_, _, factor) in HEARING.items():
+            entry = of_kpi[kpi]
+            change = Interval(entry["mean"], entry["low"], entry["high"])
+            cells += [f"{factor * entry['before']:.3g}", change.text(factor)]
+            if change.low > 0.0 or change.high < 0.0:
+                clear[kpi].append(f"`{policy}`")
+        rows.append((str(policy), *cells))
+    header = ["policy"]
+    for name, unit, _ in HEARING.values():
+        header += [f"{name} [{unit}] at `fast`", "change at `standard`"]
+    told = [f"{HEARING[kpi][0]} of {' and '.join(names)}" for kpi, names in clear.items() if names]
+    tubes = read_episodes(folder / "episodes.csv")["context"].nunique()
+    return (
+        f"{markdown(header, rows)}\n\nMeans over {tubes} held-out tubes; changes are paired, with 95 % intervals."
+        f" Clear of zero: {', '.join(told) if told else 'none'}."
+        f" {source(folder / 'provenance.json')}"
     )
 
 

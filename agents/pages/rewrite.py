@@ -100,7 +100,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_constants", "plc_text"),
-        DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent"),
+        DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent", "hearing"),
         DOCS / "inspection" / "passes.md": ("passes",),
         DOCS / "learning" / "headroom.md": ("headroom", "planner_settings"),
         DOCS / "learning" / "world.md": ("world",),
