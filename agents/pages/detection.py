@@ -82,11 +82,11 @@ def hearing() -> str:
     header = ["policy"]
     for name, unit, _ in HEARING.values():
         header += [f"{name} [{unit}] at `fast`", "change at `standard`"]
-    told = [f"{HEARING[kpi][0]} of {' and '.join(names)}" for kpi, names in clear.items() if names]
+    changed = [f"{HEARING[kpi][0]} of {' and '.join(names)}" for kpi, names in clear.items() if names]
     tubes = read_episodes(folder / "episodes.csv")["context"].nunique()
     return (
         f"{markdown(header, rows)}\n\nMeans over {tubes} held-out tubes; changes are paired, with 95 % intervals."
-        f" Clear of zero: {', '.join(told) if told else 'none'}."
+        f" Clear of zero: {', '.join(changed) if changed else 'none'}."
         f" {source(folder / 'provenance.json')}"
     )
 

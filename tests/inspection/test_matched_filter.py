@@ -127,8 +127,8 @@ def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatt
     truth = float(snr_of_groove(sensor, feed[:1], long[None])[0])
     assert 1.0 < truth < 4.0  # motion is most of the noise
     middle = reading.excursions[:, 75:125]
-    found = ((reading.snr**2).mean() / truth**2, reading.snr.std() / reading.snr.mean(), (middle**2).mean())
-    for value, (mean, deviation) in zip(found, (left, scatter, variance), strict=True):
+    figures = ((reading.snr**2).mean() / truth**2, reading.snr.std() / reading.snr.mean(), (middle**2).mean())
+    for value, (mean, deviation) in zip(figures, (left, scatter, variance), strict=True):
         assert value == pytest.approx(mean, abs=of_another(deviation, 24, among=6))
 
 
