@@ -65,7 +65,7 @@ def tuning_of(folder, phases=2, seed=0):
 
 
 def table_of(folder):
-    return pd.read_csv(folder / "trials.csv").drop(columns="seconds")
+    return pd.read_csv(folder / "trials.csv", dtype={"commit": str}).drop(columns="seconds")
 
 
 def reward(training, phase):
