@@ -73,6 +73,10 @@ def read_episodes(path: Path) -> pd.DataFrame:
     return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
 
 
+HASHES: Final = ("code", "commit")
+"""Columns that are text, though the digits of a hash may all be decimal, or one of them an e between decimal ones."""
+
+
 def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd.DataFrame:
     """A CSV table with a header and the needed columns; those of ``newer`` are of their kind where there are any.
 
@@ -96,7 +100,9 @@ def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd
     lines = [line for line, _ in rows[1:]]
     cells = zip(*(row for _, row in rows[1:]), strict=True) if len(rows) > 1 else ([] for _ in header)
     converted = {
-        name: _converted(path, name, list(values), lines, columns[name]) if name in columns else _inferred(list(values))
+        name: _converted(path, name, list(values), lines, columns[name])
+        if name in columns
+        else _inferred(list(values), name in HASHES)
         for name, values in zip(header, cells, strict=True)
     }
     return check_table(path, pd.DataFrame(converted), columns)
@@ -199,8 +205,10 @@ def _converted(path: Path, name: str, cells: list[str], lines: list[int], kind: 
     return np.array(numbers)
 
 
-def _inferred(cells: list[str]) -> list[Any] | np.ndarray:
+def _inferred(cells: list[str], text: bool = False) -> list[Any] | np.ndarray:
     """A column that nothing is said of: as pandas would take it, but numbers are exact."""
+    if text:
+        return [cell or math.nan for cell in cells]
     if any(cells) and all(cell in ("True", "False") for cell in cells):
         return np.array([cell == "True" for cell in cells])
     if any(cells) and all(re.fullmatch(r"[+-]?\d{1,18}", cell, re.ASCII) for cell in cells):

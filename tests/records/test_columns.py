@@ -70,3 +70,9 @@ def test_designs_that_were_compared_before_there_was_a_kpi(tmp_path):
 def test_other_lists_choose_from_the_one():
     assert set(CORE) | set(HIGH) <= set(KPIS)
     assert {name: factor for name, (_, factor, _) in KPIS.items() if name in passes.KPIS} == passes.KPIS
+
+
+def test_a_hash_of_decimal_digits_is_text(tmp_path):
+    (tmp_path / "table.csv").write_text("commit,code,value\n075498296950,12345e678901,075\n")
+    row = tables.read_csv(tmp_path / "table.csv").iloc[0]
+    assert (row["commit"], row["code"], row["value"]) == ("075498296950", "12345e678901", 75)
