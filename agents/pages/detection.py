@@ -9,6 +9,7 @@ import numpy as np
 from agents.detection import anchors as anchor_runs
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.catalogue import DATA
+from agents.records.columns import KPIS
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -20,12 +21,8 @@ from probe_env.schedule import Schedule
 FOLDER: Final = RESULTS / "snr"
 REFERENCE: Final = "millimetre-schedule"
 OWN: Final = "snr-schedule"
-HEARING: Final = {
-    "a90_percent_wall": ("a90", "%", 1.0),
-    "length_with_snr_over_3_m": ("S/N over 3", "m", 1.0),
-    "radial_rms_m": ("radial rms", "mm", 1e3),
-}
-"""What is compared at two fidelities -> name, unit for people, its factor."""
+HEARING: Final = ("a90_percent_wall", "length_with_snr_over_3_m", "radial_rms_m")
+"""What is compared at two fidelities."""
 AGENT: Final = "ppo-snr"
 TEACHER: Final = "tension-scheduled"
 HEADER: Final = (
@@ -72,17 +69,17 @@ def hearing() -> str:
     for policy, part in acting.groupby("policy", sort=False):
         of_kpi: dict[Any, dict[Any, Any]] = {entry["kpi"]: entry for entry in part.to_dict("records")}
         cells = []
-        for kpi, (_, _, factor) in HEARING.items():
-            entry = of_kpi[kpi]
+        for kpi in HEARING:
+            entry, factor = of_kpi[kpi], KPIS[kpi][1]
             change = Interval(entry["mean"], entry["low"], entry["high"])
             cells += [f"{factor * entry['before']:.3g}", change.text(factor)]
             if change.low > 0.0 or change.high < 0.0:
                 clear[kpi].append(f"`{policy}`")
         rows.append((str(policy), *cells))
     header = ["policy"]
-    for name, unit, _ in HEARING.values():
+    for name, _, unit in (KPIS[kpi] for kpi in HEARING):
         header += [f"{name} [{unit}] at `fast`", "change at `standard`"]
-    changed = [f"{HEARING[kpi][0]} of {' and '.join(names)}" for kpi, names in clear.items() if names]
+    changed = [f"{KPIS[kpi][0]} of {' and '.join(names)}" for kpi, names in clear.items() if names]
     tubes = read_episodes(folder / "episodes.csv")["context"].nunique()
     return (
         f"{markdown(header, rows)}\n\nMeans over {tubes} held-out tubes; changes are paired, with 95 % intervals."
