@@ -126,3 +126,26 @@ def test_a_tube_in_which_no_probe_can_be_compared_is_refused(tube, message):
     probe = {name: 0.015 for name in RANGES if name.endswith("float_diameter")}
     with pytest.raises(ValueError, match=message):
         DesignEnv(tube={"tube": tube, "probe": probe}).reset()
+
+
+class Alternating:
+    """Feeds 0.2 m/s with the least and the most air in turn."""
+
+    def __init__(self, config):
+        self.targets = [config.action(0.2, rate) for rate in config.air_supply_rates]
+        self.number = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.number += 1
+        return np.tile(self.targets[self.number % 2], (len(observation), 1)), state
+
+
+def test_air_of_a_period_is_the_mean_of_both_ends():
+    """It nears the mean of what is asked for, as the supply lags.
+
+    There are five periods a metre: by the air at their ends every other metre would have three of one kind.
+    """
+    config = task(40.0, feed={"feed_speeds": [0.05, 0.3]})
+    trial = try_insertions([Candidate(Design(), Context(), Alternating(config))], config, Fidelity(time_lapse=20.0))
+    assert (np.diff(trial.air_supply_rate[0]) > 0.0).all()
+    assert trial.air_supply_rate[0, -1] == pytest.approx(np.mean(config.air_supply_rates), rel=1e-3)
