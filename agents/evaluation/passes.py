@@ -26,7 +26,6 @@ LOOKS: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "bes
 KPIS: Final = {"reward": 1.0, "inspection_time_s": 1.0, "share_within_limit": 100.0}
 """KPI -> factor of the unit for people: s, %."""
 DEPTH: Final = "a90_95_percent_wall"
-"""Of the way that is looked at; what both ways find together is not told."""
 
 
 def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.DataFrame:
@@ -57,8 +56,7 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
             for kpi in KPIS:
                 interval = mean_interval(part[kpi].to_numpy())
                 row |= {kpi: interval.mean, f"{kpi}_low": interval.low, f"{kpi}_high": interval.high}
-            if inspects != "best":
-                row[DEPTH] = a90_95(part, str(policy))
+            row[DEPTH] = a90_95(part, str(policy))
             gain = paired_difference(paired, f"{policy}/{inspects}", f"{BESIDE}/in", "reward")
             rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
     summary = pd.DataFrame(rows)
@@ -87,7 +85,7 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
     rows = []
     for row in summary.to_dict("records"):
         figures = [f"{factor * row[kpi]:.3g}" for kpi, factor in KPIS.items()]
-        depth = "" if pd.isna(row.get(DEPTH)) else f"{row[DEPTH]:.3g}"
+        depth = "" if pd.isna(row[DEPTH]) else f"{row[DEPTH]:.3g}"
         gain = f"{row['gain']:+.1f} [{row['gain_low']:.1f}, {row['gain_high']:.1f}]"
         rows.append((str(row["probe"]), str(row["policy"]), LOOKS[row["inspects"]], *figures, depth, gain))
     return rows

@@ -232,7 +232,8 @@ class InspectionEnv(ProbeEnv):
     ## Rewards
     As `Insertion-v1`, for time and air of both ways. `config={"inspects": "best"}` (default): a metre that is quieter
     on the way back than on the way in gives the difference back; `"in"`: the way back shows nothing; `"back"`: nothing
-    but the way back counts as inspected.
+    but the way back counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
+    either way calls it, each with half of the false calls.
 
     ## Starting State
     As `Insertion-v1`.

@@ -31,6 +31,8 @@ MIDDLE: Final = slice(3 * COUNT // 8, 5 * COUNT // 8)
 """Of the last second, what is counted: its ends wrap around in the filter."""
 POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in DEPTHS)
 """KPIs: the probability of detection at each of ``DEPTHS``."""
+Reading = tuple[float, float, float, FloatArray]
+"""What is heard of one probe in a period, see ``matched.Heard``: one row of each."""
 
 
 @dataclass
@@ -70,34 +72,54 @@ class DetectionTally:
             return z
         return threshold_as_seen(z, lengths, np.array(self.shares), self.counts)
 
+    def pod(self, z: float) -> FloatArray:
+        """(n, d) probability of detection at the places and ``DEPTHS``, for a threshold."""
+        snr = snr_at(self.sensor, np.array(self.snr))
+        return pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, np.array(self.shares), self.counts)
+
     def curve(self, length: float, tube_length: float) -> FloatArray:
         """Probability of detection (d,) at ``DEPTHS``, mean over ``length`` [m]; nothing is found where no sensor was.
 
         ``tube_length`` [m] is what false calls are counted over.
         """
-        return self._curve(length, self.threshold(tube_length))
-
-    def _curve(self, length: float, z: float) -> FloatArray:
-        if not self.lengths or length <= 0.0:
-            return np.zeros(len(DEPTHS))
-        snr = snr_at(self.sensor, np.array(self.snr))
-        pod = pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, np.array(self.shares), self.counts)
-        # a plain sum: a matrix product rounds by where its arrays lie
-        return np.asarray((np.array(self.lengths)[:, None] * pod).sum(axis=0) / max(length, sum(self.lengths)))
+        return curve(np.array(self.lengths), self.pod(self.threshold(tube_length)), length)
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
         """Figures by name; ``length`` is all that was to be inspected [m]. Depths are in % of the wall."""
-        z, metres = self.threshold(tube_length), np.array(self.lengths)
-        pod = self._curve(length, z)
-        inspected = float(metres.sum()) if len(metres) else 0.0
-        over = float(metres[np.array(self.snr) >= GOOD].sum()) if inspected else 0.0
-        peaks = float((metres * self.peaks).sum()) / inspected if inspected > 0.0 else 0.0
-        return {
-            "a50_percent_wall": 100.0 * depth_found(pod, 0.5),
-            "a90_percent_wall": 100.0 * depth_found(pod, 0.9),
-            "length_with_snr_over_3_m": over,
-            "noise_peak_to_peak_v": peaks,
-            "noise_gaussian": float(self.gaussian),
-            "call_threshold": z,
-            **dict(zip(POD_NAMES, map(float, pod), strict=True)),
-        }
+        z, lengths = self.threshold(tube_length), np.array(self.lengths)
+        return figures(lengths, np.array(self.snr), np.array(self.peaks), self.pod(z), length, z, self.gaussian)
+
+
+def curve(lengths: FloatArray, pod: FloatArray, length: float) -> FloatArray:
+    """Mean (d,) over ``length`` [m] of the probability (n, d) at places of lengths (n,) [m]; elsewhere it is 0."""
+    if not len(lengths) or length <= 0.0:
+        return np.zeros(len(DEPTHS))
+    # a plain sum: a matrix product rounds by where its arrays lie
+    return np.asarray((lengths[:, None] * pod).sum(axis=0) / max(length, sum(lengths)))
+
+
+def figures(
+    lengths: FloatArray, snr: FloatArray, peaks: FloatArray, pod: FloatArray, length: float, z: float, gaussian: bool
+) -> dict[str, float]:
+    """KPIs by name.
+
+    Args:
+        lengths: (n,) of the places [m].
+        snr: (n,) of the 20 % groove.
+        peaks: (n,) peak to peak of the motion signal [V].
+        pod: (n, d) probability of detection at ``DEPTHS``.
+        length: all that was to be inspected [m].
+        z: threshold, deviations of the noise.
+        gaussian: whether the motion passed for Gaussian.
+    """
+    mean = curve(lengths, pod, length)
+    inspected = float(lengths.sum())
+    return {
+        "a50_percent_wall": 100.0 * depth_found(mean, 0.5),
+        "a90_percent_wall": 100.0 * depth_found(mean, 0.9),
+        "length_with_snr_over_3_m": float(lengths[snr >= GOOD].sum()),
+        "noise_peak_to_peak_v": float((lengths * peaks).sum()) / inspected if inspected > 0.0 else 0.0,
+        "noise_gaussian": float(gaussian),
+        "call_threshold": z,
+        **dict(zip(POD_NAMES, map(float, mean), strict=True)),
+    }

@@ -13,6 +13,8 @@ from probe_env.envs.task.passes import Period, passes_of
 from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
+from probe_env.inspection.either import TURN
+from probe_env.inspection.tally import POD_NAMES
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}
@@ -110,6 +112,37 @@ def test_the_probe_turns_at_the_end_and_ends_where_it_began(played):
     assert kpis["air_m3"] > 0.5 * 63.0 / 3600.0 * kpis["inspection_time_s"]  # blown both ways
     assert kpis["reward"] == pytest.approx(sum(rewards))
     assert kpis["radial_max_m"] < 5.5e-3  # where it rests does not count as vibration
+
+
+def inspected(inspects, false_calls):
+    """What was found in 8 m, fast in and slowly back; the KPIs, and inserted lengths from the turn on [m]."""
+    config = {"inspects": inspects, "sensor": {"false_calls": false_calls}}
+    env = gym.make("probe_env/Inspection-v0", fidelity="fast", scene=SHORT, config=config).unwrapped
+    env.reset(seed=3, options=HARD.model_dump())
+    way, back = 1.0, []
+    while True:
+        _, _, terminated, truncated, info = env.step(env.config.action(0.4 if way > 0.0 else 0.1, 63.0 / 3600.0))
+        way = info["way"]
+        if way < 0.0:
+            back.append(info["inserted_length"])
+        if terminated or truncated:
+            return env.episodes.passes.detection[0], info["episode_kpis"], back
+
+
+def test_both_ways_find_what_either_finds():
+    """With half of the false calls for each alone: at least what the better one finds, at most the sum of both."""
+    curves = {}
+    for inspects, calls in (("in", 0.05), ("back", 0.05), ("best", 0.1)):
+        detection, kpis, back = inspected(inspects, calls)
+        curves[inspects] = np.array([kpis[name] for name in POD_NAMES])
+    better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
+    assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
+    assert (curves["best"] > better + 1e-3).any()
+    metres = {stretch: sum(tally.lengths) for stretch, tally in detection.tallies.items()}
+    assert metres["in"] == pytest.approx(3.0)
+    assert metres["turn"] + metres["back"] == pytest.approx(3.0)
+    after = round(TURN * 4.0)  # periods of a second, by time-lapse a quarter of one
+    assert metres["turn"] == pytest.approx(8.0 - back[after], abs=1e-6)
 
 
 def test_it_is_pulled_in_and_pressed_out(played):

@@ -33,7 +33,6 @@ from probe_env.envs.task import (
 from probe_env.envs.task.passes import Counted, Period, passes_of
 from probe_env.envs.task.safety import cost_terms
 from probe_env.fidelity import resolve_fidelity
-from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
@@ -151,7 +150,7 @@ class Episodes:
             self.batch.replace(k, simulator)
             self.start[k] = simulator.inserted_length
             self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.tally[k] = Tally(detection=DetectionTally(self.config.sensor))
+            self.tally[k] = Tally(detection=self.passes.detection[k])
             self.gauges.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
@@ -315,7 +314,7 @@ class Episodes:
             back = self.passes.way[k] < 0.0
             rest = float(window.radial[:, k].mean()) if back else 0.0  # on the outer wall, or on its way there
             tally.add_signals(counted.measures[k].tolist(), window.radial[:, k], SAMPLE_PERIOD, rest)
-            tally.detection.add(inspected, *self.gauges.meter.of(int(k)))
+            self.passes.hear(int(k), inspected, self._dynamic_period, self.gauges.meter.of(int(k)))
 
     def _options(self) -> dict[str, Any]:
         return {

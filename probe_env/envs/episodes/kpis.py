@@ -11,6 +11,7 @@ import numpy.typing as npt
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import slack_in_a_row
 from probe_env.envs.task.safety import COSTS
+from probe_env.inspection.either import EitherTally
 from probe_env.inspection.tally import DetectionTally
 
 LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200
@@ -55,7 +56,7 @@ class Tally:
     greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
     last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
-    detection: DetectionTally = field(default_factory=DetectionTally)
+    detection: DetectionTally | EitherTally = field(default_factory=DetectionTally)
 
     def add_period(self, inspected: float, within_limit: float, air: float) -> None:
         """Length inspected [m], how much of it within the limit [m], and air [m3] of a period."""

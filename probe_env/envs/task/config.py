@@ -63,7 +63,7 @@ class TaskConfig(Model):
 
     With ``passes = "both"`` the probe is fed in to the helix's end and drawn back to where it began, feed and air being
     how fast and how much on the way that it is on. ``inspects`` says what a metre counts for: the way in, the way back,
-    or the better of both.
+    or the better of both; a flaw is then found where either way calls it.
     """
 
     scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()

@@ -14,6 +14,8 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import END_TOLERANCE, Ending, travel
+from probe_env.inspection.either import TURN, EitherTally
+from probe_env.inspection.tally import DetectionTally, Reading
 
 BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""
@@ -57,14 +59,21 @@ class WayIn:
 
     Attributes:
         way: (N,) 1, the way in.
+        detection: (N,) what was found so far.
     """
 
     def __init__(self, count: int, config: TaskConfig) -> None:
         self.config = config
         self.way = np.ones(count)
+        self.detection = [DetectionTally(config.sensor) for _ in range(count)]
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length."""
+        self.detection[k] = DetectionTally(self.config.sensor)
+
+    def hear(self, k: int, inspected: float, passed: float, heard: Reading) -> None:
+        """What was ``Meter.of`` probe ``k`` in the last period: of the length inspected [m], in seconds of motion."""
+        self.detection[k].add(inspected, *heard)
 
     def count(self, period: Period) -> Counted:
         """Add a period."""
@@ -91,19 +100,24 @@ class BothWays:
         begun: (N,) inserted length at the start [m].
         reached: (N,) greatest inserted length so far [m].
         left: (N,) least inserted length on the way back so far [m].
+        detection: (N,) what was found so far.
     """
 
     def __init__(self, count: int, config: TaskConfig, measures: int) -> None:
         self.config, self._columns = config, 3 + measures
+        self.detection = [EitherTally(config.sensor, config.inspects) for _ in range(count)]
         self.way, self.begun, self.reached = np.ones(count), np.zeros(count), np.zeros(count)
         self.left = np.full(count, np.inf)
         self._shown: list[FloatArray] = [np.zeros((0, self._columns)) for _ in range(count)]
+        self._new, self._since_turn = [(0.0, 0.0, True)] * count, np.zeros(count)  # low, high [m], on the way in
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length, on the way in."""
         self.way[k], self.begun[k], self.reached[k], self.left[k] = 1.0, start, start, np.inf
         # a row a bin, sums over its length: 1, squares, within the limit, measures
         self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, self._columns))
+        self._since_turn[k] = 0.0
+        self.detection[k] = EitherTally(self.config.sensor, self.config.inspects)
 
     def count(self, period: Period) -> Counted:
         """Add a period."""
@@ -111,7 +125,9 @@ class BothWays:
         for k in np.flatnonzero(period.good).tolist():
             shown = np.concatenate([[1.0, period.squares[k], float(period.within[k])], period.measures[k]])
             after, remembered = period.after[k], self._shown[k]
+            self._new[k] = float(after), float(after), True
             if after > self.reached[k]:
+                self._new[k] = float(self.reached[k]), float(after), True
                 for bin_, length in _bins(self.reached[k], after):
                     remembered[bin_] += length * shown
                 if self.config.inspects != "back":
@@ -120,10 +136,19 @@ class BothWays:
             if self.way[k] < 0.0:
                 high, low = min(self.left[k], self.reached[k]), max(after, self.begun[k])
                 if low < high:
+                    self._new[k] = float(low), float(high), False
                     for bin_, length in _bins(low, high):
                         sums[k] += self._back(remembered[bin_], length, shown)
                     self.left[k] = low
         return Counted(sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3:])
+
+    def hear(self, k: int, inspected: float, passed: float, heard: Reading) -> None:
+        """What was ``Meter.of`` probe ``k`` in the last period counted, which is ``passed`` seconds of motion."""
+        low, high, way_in = self._new[k]
+        turning = self._since_turn[k] < TURN
+        self.detection[k].add("in" if way_in else "turn" if turning else "back", low, high, heard)
+        if self.way[k] < 0.0:
+            self._since_turn[k] += passed
 
     def ended(self, end: Ending, period: Period) -> Ending:
         """How episodes end, where ``end`` tells who is at the helix's end: those are sent back."""
