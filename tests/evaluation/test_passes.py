@@ -1,0 +1,70 @@
+"""Both passes: what is played, and the table that is made of it."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.evaluation import passes
+from agents.evaluation.passes import BESIDE, DEPTH, POLICIES, PROBES, cells, run_study
+from agents.processes.workers import HERE
+from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian
+from probe_env.inspection.tally import POD_NAMES
+
+COUNTS = {"in": 2.0, "back": 3.0, "best": 4.0}
+"""S/N of a 20 % groove, for what counts."""
+
+
+def curve(policy: str, inspects: str, tube: int) -> np.ndarray:
+    """What a policy finds in a tube: more of them the later in the list."""
+    return pod_gaussian(COUNTS[inspects] * (1.0 + 0.1 * POLICIES.index(policy) + 0.05 * tube) * DEPTHS / 0.2, 4.6)
+
+
+@pytest.fixture
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
+    """Probe, what counts and guide float's diameter of each plan; a policy earns its number and tube by what counts."""
+    seen: list[tuple[str, str, float]] = []
+
+    def run_plan(plan, output, workers):  # type: ignore[no-untyped-def]
+        probe, inspects = output.name.rsplit("-", 1)
+        assert plan.config.passes == "both"
+        assert plan.config.inspects == inspects
+        seen.append((probe, inspects, plan.config.scene.probe.guide_float_diameter))
+        output.mkdir(parents=True, exist_ok=True)
+        rows = []
+        for k, name in enumerate(plan.policies):
+            for tube in range(len(plan.contexts)):
+                row = {"policy": name, "context": tube, "seed": 0, "commit": "0123456789ab", "share_within_limit": 0.9}
+                row |= {"reward": COUNTS[inspects] * (k + tube), "inspection_time_s": 300.0}
+                rows.append(row | dict(zip(POD_NAMES, curve(name, inspects, tube), strict=True)))
+        return pd.DataFrame(rows)
+
+    monkeypatch.setattr(passes, "run_plan", run_plan)
+    return seen
+
+
+def test_every_policy_is_judged_by_every_way_with_both_probes(plans, tmp_path):
+    summary = run_study(3, "fast", tmp_path, HERE)
+    assert [(probe, inspects) for probe, inspects, _ in plans] == [
+        (p, i) for p in PROBES for i in ("in", "back", "best")
+    ]
+    assert len({diameter for *_, diameter in plans}) == 2
+    assert len(summary) == len(PROBES) * len(POLICIES) * 3
+    for row in summary.to_dict("records"):
+        curves = np.array([curve(row["policy"], row["inspects"], tube) for tube in range(3)])
+        single = [100.0 * depth_found(one, 0.9) for one in curves]
+        assert min(single) <= row[DEPTH] <= max(single)
+        assert row[DEPTH] >= 100.0 * depth_found(curves.mean(axis=0), 0.9)
+        gains = [
+            COUNTS[row["inspects"]] * (POLICIES.index(row["policy"]) + k) - 2.0 * (POLICIES.index(BESIDE) + k)
+            for k in range(3)
+        ]
+        assert row["gain"] == pytest.approx(np.mean(gains))
+        assert min(gains) - 1e-9 <= row["gain_low"] <= row["gain_high"] <= max(gains) + 1e-9
+    by_way = summary[(summary["probe"] == "original") & (summary["policy"] == BESIDE)].set_index("inspects")[DEPTH]
+    assert by_way["best"] < by_way["back"] < by_way["in"]
+    assert json.loads((tmp_path / "provenance.json").read_text())["limit"] == 3
+    stored = pd.read_csv(tmp_path / "passes.csv")
+    assert [row[:3] for row in cells(stored)] == [row[:3] for row in cells(summary)]
+    assert all(row[6] for row in cells(stored))
