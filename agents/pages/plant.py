@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
@@ -11,8 +12,12 @@ from agents.pages.sources import RESULTS, command, markdown, source, stored_tabl
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
 from agents.records.reading import read_json
+from probe_env.schedule import Schedule
 
-PASSES = ("probe", "policy", "inspects", "tubes", "reward", "inspection_time_s", "share_within_limit", "gain")
+PASSES = (
+    "probe", "policy", "inspects", "tubes", "reward", "inspection_time_s", "share_within_limit", "gain",
+    passes_study.DEPTH,
+)  # fmt: skip
 
 WAITS = {
     "page": ("from the command to a page that can be used", 1.0, "s"),
@@ -103,29 +108,40 @@ def passes() -> str:
     summary, figures = stored_table(folder / "passes.csv", *PASSES), read_json(folder / "provenance.json", Record)
     entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
     by_case = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
-    fast, slow, way_in = (
+    fast, slow, way_in, both = (
         by_case["original", policy, way]
-        for policy, way in (("fast-in", "back"), ("slow-back", "back"), ("best-schedule", "in"))
-    )
+        for policy, way in (
+            ("fast-in", "back"), ("slow-back", "back"), ("best-schedule", "in"), ("best-schedule", "best")
+        )
+    )  # fmt: skip
     best = {
         probe: max((entry for entry in entries if entry["probe"] == probe), key=lambda entry: float(entry["reward"]))
         for probe in passes_study.PROBES
     }
-    record = figures.model_dump()
+    record, (speed_in, fast_back), (_, slow_back) = figures.model_dump(), _speeds("fast-in"), _speeds("slow-back")
     return (
-        f"**With table 2's probe, going in fast and looking on the way back at 0.4 m/s takes {_shift(fast)}; coming"
-        f" back at 0.15 m/s takes {_shift(slow)}; looking on the way in by the best schedule takes {_shift(way_in)}."
+        f"**With table 2's probe, going in fast and looking on the way back at {fast_back:g} m/s takes {_shift(fast)};"
+        f" coming back at {slow_back:g} m/s takes {_shift(slow)}; looking on the way in by the best schedule takes"
+        f" {_shift(way_in)}, and from {both[passes_study.DEPTH]:.0f} % on where its way back is looked at as well."
         f" The most reward in millimetres has {_best(best['original'])} with table 2's probe, and"
         f" {_best(best['improved'])} with the study's improved one.**\n\n"
         f"{markdown(passes_study.HEADER, passes_study.cells(summary))}\n\n"
         f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over the"
         " diameters. Times are of both ways, whatever counts: back as fast as the device can, but for `slow-back`."
-        " `original` is table 2's probe, `improved` the study's; `fast-in` and `slow-back` feed 0.4 m/s on the way in,"
-        " the second 0.15 m/s back. a90/95 is the depth that is found with 90 % over the tubes, with 95 % confidence,"
-        " on the way that is looked at; what both ways find together is not told. The last column is the reward less"
-        " that of looking on the way in by `best-schedule`, paired, with 95 % intervals. Made by"
-        f" `{command(record)}` at commit {record['commit']}."
+        f" `original` is table 2's probe, `improved` the study's; `fast-in` and `slow-back` feed {speed_in:g} m/s on"
+        f" the way in, the second {slow_back:g} m/s back. a90/95 is the depth that is found with 90 % over the tubes,"
+        " with 95 % confidence, on the way that is looked at; of the better of both it is the depth that either way"
+        " finds, each with half of the false calls. The last column is the reward less that of looking on the way in by"
+        f" `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit {record['commit']}."
     )
+
+
+def _speeds(name: str) -> tuple[float, float]:
+    """Feed of a shipped schedule on the way in and on the way back [m/s]."""
+    path = Path("configs") / "schedules" / f"{name}.csv"
+    forth, back = Schedule.read(path), Schedule.read_back(path)
+    assert back is not None
+    return forth.feed_speed[0], back.feed_speed[0]
 
 
 def _shift(entry: dict[str, Any]) -> str:
