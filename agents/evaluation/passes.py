@@ -18,7 +18,7 @@ from agents.terminal.tables import print_table
 from probe_env.envs.task import Inspects
 from probe_env.fidelity import resolve_fidelity
 
-POLICIES: Final = ("fast-in", "slow-back", "best-schedule", "tension-scheduled")
+POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled")
 BESIDE: Final = "best-schedule"
 """Looking on the way in by this is what rewards are paired with."""
 PROBES: Final = ("original", "improved")
