@@ -19,6 +19,11 @@ PASSES = (
     passes_study.DEPTH,
 )  # fmt: skip
 
+BACK = ("fast-in", "steady-back", "slow-back")
+"""Schedules that look on the way back."""
+FORTH = ("tension-scheduled", "best-schedule")
+"""Policies that look on the way in."""
+
 WAITS = {
     "page": ("from the command to a page that can be used", 1.0, "s"),
     "first_run": ("from the command to the first finished run, at `fast`", 1.0, "s"),
@@ -107,32 +112,30 @@ def passes() -> str:
     folder = RESULTS / "passes"
     summary, figures = stored_table(folder / "passes.csv", *PASSES), read_json(folder / "provenance.json", Record)
     entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
-    by_case = {(entry["probe"], entry["policy"], entry["inspects"]): entry for entry in entries}
-    fast, slow, way_in, both = (
-        by_case["original", policy, way]
-        for policy, way in (
-            ("fast-in", "back"), ("slow-back", "back"), ("best-schedule", "in"), ("best-schedule", "best")
-        )
-    )  # fmt: skip
+    of_original = {(entry["policy"], entry["inspects"]): entry for entry in entries if entry["probe"] == "original"}
+    way_back = ", ".join(_way_back(name, of_original[name, "back"]) for name in BACK)
+    way_in = " and ".join(_way_in(name, of_original[name, "in"]) for name in FORTH)
+    either = " and ".join(_depth(of_original[name, "best"]) for name in FORTH)
     best = {
         probe: max((entry for entry in entries if entry["probe"] == probe), key=lambda entry: float(entry["reward"]))
         for probe in passes_study.PROBES
     }
-    record, (speed_in, fast_back), (_, slow_back) = figures.model_dump(), _speeds("fast-in"), _speeds("slow-back")
+    record, speeds = figures.model_dump(), {name: _speeds(name) for name in BACK}
+    fed = ", ".join(f"`{name}` {forth:g} and {back:g} m/s" for name, (forth, back) in speeds.items())
     return (
-        f"**With table 2's probe, going in fast and looking on the way back at {fast_back:g} m/s takes {_shift(fast)};"
-        f" coming back at {slow_back:g} m/s takes {_shift(slow)}; looking on the way in by the best schedule takes"
-        f" {_shift(way_in)}, and from {both[passes_study.DEPTH]:.0f} % on where its way back is looked at as well."
-        f" The most reward in millimetres has {_best(best['original'])} with table 2's probe, and"
-        f" {_best(best['improved'])} with the study's improved one.**\n\n"
+        f"**With table 2's probe, fed in fast, flaws are found on the way back {way_back}. On the way in they are found"
+        f" {way_in}; from {either} on where the way back, at full speed, is looked at as well.**"
+        " Shares are of the wall, times of both ways. The most reward in millimetres has"
+        f" {_best(best['original'])} with table 2's probe, and {_best(best['improved'])} with the study's improved"
+        " one.\n\n"
         f"{markdown(passes_study.HEADER, passes_study.cells(summary))}\n\n"
         f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over the"
-        " diameters. Times are of both ways, whatever counts: back as fast as the device can, but for `slow-back`."
-        f" `original` is table 2's probe, `improved` the study's; `fast-in` and `slow-back` feed {speed_in:g} m/s on"
-        f" the way in, the second {slow_back:g} m/s back. a90/95 is the depth that is found with 90 % over the tubes,"
-        " with 95 % confidence, on the way that is looked at; of the better of both it is the depth that either way"
-        " finds, each with half of the false calls. The last column is the reward less that of looking on the way in by"
-        f" `best-schedule`, paired, with 95 % intervals. Made by `{command(record)}` at commit {record['commit']}."
+        " diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
+        f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
+        " tubes, with 95 % confidence, on the way that is looked at; of the better of both it is the depth that either"
+        " way finds, each with half of the false calls. The last column is the reward less that of looking on the way"
+        f" in by `{passes_study.BESIDE}`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
+        f" {record['commit']}."
     )
 
 
@@ -144,12 +147,16 @@ def _speeds(name: str) -> tuple[float, float]:
     return forth.feed_speed[0], back.feed_speed[0]
 
 
-def _shift(entry: dict[str, Any]) -> str:
-    share, depth = 100.0 * entry["share_within_limit"], entry[passes_study.DEPTH]
-    return (
-        f"{entry['inspection_time_s']:.0f} s, {share:.0f} % of the length is within the limit, and flaws are found from"
-        f" {depth:.0f} % of the wall on"
-    )
+def _way_back(name: str, entry: dict[str, Any]) -> str:
+    return f"from {_depth(entry)} on at {_speeds(name)[1]:g} m/s ({entry['inspection_time_s']:.0f} s)"
+
+
+def _way_in(name: str, entry: dict[str, Any]) -> str:
+    return f"from {_depth(entry)} on by `{name}` ({entry['inspection_time_s']:.0f} s)"
+
+
+def _depth(entry: dict[str, Any]) -> str:
+    return f"{entry[passes_study.DEPTH]:.0f} %"
 
 
 def answers() -> str:
