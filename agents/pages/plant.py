@@ -113,6 +113,7 @@ def passes() -> str:
     summary, figures = stored_table(folder / "passes.csv", *PASSES), read_json(folder / "provenance.json", Record)
     entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
     of_original = {(entry["policy"], entry["inspects"]): entry for entry in entries if entry["probe"] == "original"}
+    improved = next(e for e in entries if (e["probe"], e["policy"], e["inspects"]) == ("improved", "fast-in", "best"))
     way_back = ", ".join(_way_back(name, of_original[name, "back"]) for name in BACK)
     way_in = " and ".join(_way_in(name, of_original[name, "in"]) for name in FORTH)
     either = " and ".join(_depth(of_original[name, "best"]) for name in FORTH)
@@ -125,17 +126,19 @@ def passes() -> str:
     return (
         f"**With table 2's probe, fed in fast, flaws are found on the way back {way_back}. On the way in they are found"
         f" {way_in}; from {either} on where the way back, at full speed, is looked at as well.**"
-        " Shares are of the wall, times of both ways. The most reward in millimetres has"
+        f" With the improved probe {_depth(improved)} takes {improved['inspection_time_s']:.0f} s, at full speed and"
+        " looking both ways. Shares are of the wall, times of both ways. The most reward in millimetres has"
         f" {_best(best['original'])} with table 2's probe, and {_best(best['improved'])} with the study's improved"
         " one.\n\n"
-        f"{markdown(passes_study.HEADER, passes_study.cells(summary))}\n\n"
+        f"{markdown(passes_study.FOUND, passes_study.found_cells(summary))}\n\n"
+        "Reward, and in brackets what it is more than that of looking on the way in by"
+        f" `{passes_study.BESIDE}`, paired, with 95 % intervals:\n\n"
+        f"{markdown(passes_study.REWARDS, passes_study.reward_cells(summary))}\n\n"
         f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over the"
         " diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
         f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
-        " tubes, with 95 % confidence, on the way that is looked at; of the better of both it is the depth that either"
-        " way finds, each with half of the false calls. The last column is the reward less that of looking on the way"
-        f" in by `{passes_study.BESIDE}`, paired, with 95 % intervals. Made by `{command(record)}` at commit"
-        f" {record['commit']}."
+        " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
+        f" calls. Made by `{command(record)}` at commit {record['commit']}."
     )
 
 

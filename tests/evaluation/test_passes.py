@@ -7,7 +7,17 @@ import pandas as pd
 import pytest
 
 from agents.evaluation import passes
-from agents.evaluation.passes import BESIDE, DEPTH, POLICIES, PROBES, cells, run_study
+from agents.evaluation.passes import (
+    BESIDE,
+    DEPTH,
+    FOUND,
+    POLICIES,
+    PROBES,
+    REWARDS,
+    found_cells,
+    reward_cells,
+    run_study,
+)
 from agents.processes.workers import HERE
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian
 from probe_env.inspection.tally import POD_NAMES
@@ -66,5 +76,15 @@ def test_every_policy_is_judged_by_every_way_with_both_probes(plans, tmp_path):
     assert by_way["best"] < by_way["back"] < by_way["in"]
     assert json.loads((tmp_path / "provenance.json").read_text())["limit"] == 3
     stored = pd.read_csv(tmp_path / "passes.csv")
-    assert [row[:3] for row in cells(stored)] == [row[:3] for row in cells(summary)]
-    assert all(row[6] for row in cells(stored))
+    depths, rewards = found_cells(stored), reward_cells(stored)
+    assert depths == found_cells(summary)
+    assert rewards == reward_cells(summary)
+    assert len(depths) == len(rewards) == len(PROBES) * len(POLICIES)
+    assert {len(row) for row in depths} == {len(FOUND)}
+    assert {len(row) for row in rewards} == {len(REWARDS)}
+    for row in depths:
+        assert [float(cell) for cell in row[3:6]] == sorted((float(cell) for cell in row[3:6]), reverse=True)
+    beside = rewards[POLICIES.index(BESIDE)]
+    assert beside[:2] == (PROBES[0], BESIDE)
+    assert beside[2].endswith("(+0.0 [0.0, 0.0])")
+    assert beside[4].startswith(f"{COUNTS['best'] * (POLICIES.index(BESIDE) + 1.0):.1f} (")
