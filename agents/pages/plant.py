@@ -12,6 +12,8 @@ from agents.pages.sources import RESULTS, command, markdown, source, stored_tabl
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
 from agents.records.reading import read_json
+from agents.records.tables import read_episodes
+from agents.rollouts.statistics import paired_difference
 from probe_env.schedule import Schedule
 
 PASSES = (
@@ -23,6 +25,8 @@ BACK = ("fast-in", "steady-back", "slow-back")
 """Schedules that look on the way back."""
 FORTH = ("tension-scheduled", "best-schedule")
 """Policies that look on the way in."""
+PAIRED = (("steady-back", "tension-scheduled"), ("slow-back", "best-schedule"))
+"""Looking on the way back, and the policy of the way in that takes about as long with table 2's probe."""
 
 WAITS = {
     "page": ("from the command to a page that can be used", 1.0, "s"),
@@ -129,7 +133,7 @@ def passes() -> str:
         f" With the improved probe {_depth(improved)} takes {improved['inspection_time_s']:.0f} s, at full speed and"
         " looking both ways. Shares are of the wall, times of both ways. The most reward in millimetres has"
         f" {_best(best['original'])} with table 2's probe, and {_best(best['improved'])} with the study's improved"
-        " one.\n\n"
+        f" one.\n\n{_paired()}\n\n"
         f"{markdown(passes_study.FOUND, passes_study.found_cells(summary))}\n\n"
         "Reward, and in brackets what it is more than that of looking on the way in by"
         f" `{passes_study.BESIDE}`, paired, with 95 % intervals:\n\n"
@@ -140,6 +144,25 @@ def passes() -> str:
         " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
         f" calls. Made by `{command(record)}` at commit {record['commit']}."
     )
+
+
+def _paired() -> str:
+    """What looking on the way back finds beside policies of the way in, tube by tube."""
+    table, lines = read_episodes(RESULTS / "passes" / "episodes.csv"), []
+    for probe in passes_study.PROBES:
+        part = table[table["probe"] == probe]
+        seconds = part.groupby("policy")["inspection_time_s"].mean()
+        part = part.assign(policy=part["policy"] + "/" + part["inspects"])
+        for back, forth in PAIRED:
+            alone, either = (
+                paired_difference(part, f"{back}/back", f"{forth}/{looks}", "a90_percent_wall").text()
+                for looks in ("in", "best")
+            )
+            lines.append(
+                f"`{back}` ({probe}, {seconds[back]:.0f} s) {alone} beside `{forth}` ({seconds[forth]:.0f} s), {either}"
+                " where its way back counts too"
+            )
+    return f"a90 of the way back less that of the way in, paired, with 95 % intervals [% wall]: {'; '.join(lines)}."
 
 
 def _speeds(name: str) -> tuple[float, float]:
