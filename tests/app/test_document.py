@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import json
+import shutil
 import weakref
 from collections import deque
 from pathlib import Path
@@ -25,11 +26,13 @@ from agents.app.server import server_of
 from agents.design.compare import cells, read_comparison, summarise
 from agents.policies.catalogue import named_policies
 from agents.policies.places import place_of
+from agents.records.columns import DETECTION
 from agents.rollouts.depths import a90_95, bands
 from agents.rollouts.plan import Plan
 from agents.rollouts.playing import Playing
 from agents.rollouts.statistics import grouped
 from probe_env.fidelity import resolve_fidelity
+from probe_env.inspection.tally import POD_NAMES
 
 
 class Idle:
@@ -148,7 +151,7 @@ def test_names_in_the_chart_of_time_and_vibration_stay_within_it(office):
     assert at[max(at)] == ("right", -8)
 
 
-def test_curves_of_detection_are_those_of_the_report(office):
+def test_curves_of_detection_are_those_of_the_report(office, tmp_path):
     table = grouped(pd.read_csv("results/control/episodes.csv"))
     policies, shown = ["adaptive", "plc-law", "best-schedule"], Detection()
     shown.show(table, policies)
@@ -159,7 +162,10 @@ def test_curves_of_detection_are_those_of_the_report(office):
     least = min(a90_95(table, name) for name in policies)
     assert f"<b>{least:.1f} %</b>" in shown.caption.text
     page = page_of(office)
-    page.compare.open.value = "results/any-probe"  # an evaluation of before there was a sensor
+    older = shutil.copytree("results/evaluation", tmp_path / "of-before-there-was-a-sensor")
+    stored = pd.read_parquet(older / "episodes.parquet")
+    stored.drop(columns=[*DETECTION, *POD_NAMES]).to_parquet(older / "episodes.parquet")
+    page.compare.open.value = str(older)
     assert page.compare.wrong.text == ""
     assert "No curves of detection" in page.compare.detection.caption.text
     page.compare.open.value = "results/evaluation"
