@@ -212,3 +212,21 @@ class Passes:
 
         run_study(self.limit, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (passes.csv, episodes.csv)")
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Draw the probe back with feed devices that turn round faster and slower: how gently has it to be done?"""
+
+    limit: int = 6
+    """Tubes of the test list, the first of it, which are balanced; 0: all."""
+    output: Path = Path("output/turning")
+    """Folder of the tables; episodes that are there already are not played again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Play, store, print."""
+        from agents.evaluation.turning import run_study
+
+        run_study(self.limit, self.output, self.workers)
+        print(f"written: {self.output}/ (turning.csv, episodes.csv)")

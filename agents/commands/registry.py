@@ -113,6 +113,7 @@ MAKERS: Final = {
         "probe-env headroom tension-scheduled ppo --limit 6",
     ),
     "passes": Entry("plant:Passes", "where to look: on the way in, back, or both", "probe-env passes --limit 6"),
+    "turning": Entry("plant:Turning", "how gently the feed has to turn round", "probe-env turning --limit 6"),
     "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
     "other-probes": Entry(

@@ -129,7 +129,8 @@ class Training(Model):
         simulated = [given for given in (self.environment.fidelity, self.validation.fidelity) if given != MAP]
         if self.validation.fidelity == MAP:
             raise PydanticCustomError("fidelity", "validation.fidelity = 'map': agents are chosen by simulation")
-        for fidelity in map(resolve_fidelity, simulated):
+        for given in simulated:
+            fidelity = resolve_fidelity(given, both_ways=self.task.returns)
             if fidelity.time_lapse > 1.0 and not self.task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)

@@ -6,7 +6,7 @@ import difflib
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from agents.policies.both_ways import BothWays, fastest_back, way_in
 from agents.policies.domain import Domain
@@ -22,6 +22,9 @@ from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
+
+if TYPE_CHECKING:
+    from agents.policies.bundle import Agent
 
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
@@ -89,17 +92,15 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
 
     ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
     NAME, which is training seed 0, or NAME@SEED. "shielded:" before any of these keeps a margin of drive. Where the
-    probe is drawn back, too, a policy is for the way in, and the way back is in a schedule file's own columns, or as
-    fast as it goes.
+    probe is drawn back, too, an agent that was trained so acts both ways; other policies are for the way in, and the
+    way back is in a schedule file's own columns, or as fast as it goes.
 
     Raises:
         ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
     if config.returns:
-        forth, file = make_policy(spec, way_in(config), vibration), Path(policy_file(unshielded(spec)))
-        back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
-        return BothWays(config, forth, back or fastest_back(config))
+        return _both_ways(spec, config, vibration)
     if spec.startswith(PREFIX):
         return Shielded(config, make_policy(unshielded(spec), config, vibration))
     spec = policy_file(spec)
@@ -127,13 +128,28 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if suffix == ".json":
         return Lawful(config, law=Law.read(spec))
     if suffix == ".npz":
-        from agents.policies.bundle import load_bundle  # torch takes seconds to import
-
-        return load_bundle(spec, config)
+        return _agent(spec, config)
     raise ValueError(
         f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
         f" schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.npz){_closest(spec)}"
     )
+
+
+def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) -> Policy:
+    """Of a task of both passes: an agent that was trained in one acts both ways, others are given a way back."""
+    file = Path(policy_file(unshielded(spec)))
+    if file.suffix == ".npz" and _agent(file).config.returns:
+        if spec.startswith(PREFIX):
+            raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
+        return _agent(file, config)
+    back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
+    return BothWays(config, make_policy(spec, way_in(config), vibration), back or fastest_back(config))
+
+
+def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:
+    from agents.policies.bundle import load_bundle  # torch takes seconds to import
+
+    return load_bundle(file, config)
 
 
 def _closest(spec: str) -> str:
