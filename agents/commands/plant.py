@@ -216,8 +216,10 @@ class Passes:
 
 @dataclass(frozen=True)
 class Turning:
-    """Draw the probe back with feed devices that turn round faster and slower: how gently has it to be done?"""
+    """Draw the probe back with feed devices that change the feed faster and slower: how gently has it to be done?"""
 
+    parts: tyro.conf.Positional[tuple[Literal["schedules", "changes"], ...]] = ("schedules",)
+    """schedules: whole inspections; changes: one change of the feed at constant length."""
     limit: int = 6
     """Tubes of the test list, the first of it, which are balanced; 0: all."""
     output: Path = Path("output/turning")
@@ -226,7 +228,10 @@ class Turning:
 
     def run(self) -> None:
         """Play, store, print."""
-        from agents.evaluation.turning import run_study
+        from agents.evaluation import feed_changes, turning
 
-        run_study(self.limit, self.output, self.workers)
-        print(f"written: {self.output}/ (turning.csv, episodes.csv)")
+        if "changes" in self.parts:
+            feed_changes.run_changes(self.output / "changes")
+        if "schedules" in self.parts:
+            turning.run_study(self.limit, self.output, self.workers)
+        print(f"written: {self.output}/")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, detection, headroom, plant, plc, robustness, scratch, simulator
+from agents.pages import control, designs, detection, headroom, passes, plant, plc, robustness, scratch, simulator
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -16,7 +16,8 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
-        plant.answers, plant.calibrations, plant.passes, plant.plants, plant.recommendations,
+        passes.changes, passes.passes, passes.turning,
+        plant.answers, plant.calibrations, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,

@@ -1,0 +1,150 @@
+"""What a probe that is drawn back shows: where it is worth to look, and how gently the feed has to turn round."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from agents.evaluation import feed_changes
+from agents.evaluation import passes as passes_study
+from agents.evaluation import turning as turning_study
+from agents.pages.sources import RESULTS, command, markdown, source, stored_table
+from agents.records.models import Record
+from agents.records.reading import read_json
+from agents.records.tables import read_episodes
+from agents.rollouts.bootstrap import Interval
+from agents.rollouts.statistics import paired_difference
+from probe_env.schedule import Schedule
+
+PASSES = (
+    "probe", "policy", "inspects", "tubes", "reward", "inspection_time_s", "share_within_limit", "gain",
+    passes_study.DEPTH,
+)  # fmt: skip
+
+BACK = ("fast-in", "steady-back", "slow-back")
+"""Schedules that look on the way back."""
+FORTH = ("tension-scheduled", "best-schedule")
+"""Policies that look on the way in."""
+PAIRED = (("steady-back", "tension-scheduled"), ("slow-back", "best-schedule"))
+"""Looking on the way back, and the policy of the way in that takes about as long with table 2's probe."""
+TURNING = (*turning_study.KEYS, *turning_study.SHOWN, "change", "change_low", "change_high", "lapsed", "lapsed_low",
+           "lapsed_high")  # fmt: skip
+
+
+def passes() -> str:
+    """Where it is worth to look."""
+    folder = RESULTS / "passes"
+    summary, figures = stored_table(folder / "passes.csv", *PASSES), read_json(folder / "provenance.json", Record)
+    entries: list[dict[str, Any]] = summary.to_dict("records")  # type: ignore[assignment]
+    of_original = {(entry["policy"], entry["inspects"]): entry for entry in entries if entry["probe"] == "original"}
+    improved = next(e for e in entries if (e["probe"], e["policy"], e["inspects"]) == ("improved", "fast-in", "best"))
+    way_back = ", ".join(_way_back(name, of_original[name, "back"]) for name in BACK)
+    way_in = " and ".join(_way_in(name, of_original[name, "in"]) for name in FORTH)
+    either = " and ".join(_depth(of_original[name, "best"]) for name in FORTH)
+    best = {
+        probe: max((entry for entry in entries if entry["probe"] == probe), key=lambda entry: float(entry["reward"]))
+        for probe in passes_study.PROBES
+    }
+    record, speeds = figures.model_dump(), {name: _speeds(name) for name in BACK}
+    fed = ", ".join(f"`{name}` {forth:g} and {back:g} m/s" for name, (forth, back) in speeds.items())
+    return (
+        f"**With table 2's probe, fed in fast, flaws are found on the way back {way_back}. On the way in they are found"
+        f" {way_in}; from {either} on where the way back, at full speed, is looked at as well.**"
+        f" With the improved probe {_depth(improved)} takes {improved['inspection_time_s']:.0f} s, at full speed and"
+        " looking both ways. Shares are of the wall, times of both ways. The most reward in millimetres has"
+        f" {_best(best['original'])} with table 2's probe, and {_best(best['improved'])} with the study's improved"
+        f" one.\n\n{_paired()}\n\n"
+        f"{markdown(passes_study.FOUND, passes_study.found_cells(summary))}\n\n"
+        "Reward, and in brackets what it is more than that of looking on the way in by"
+        f" `{passes_study.BESIDE}`, paired, with 95 % intervals:\n\n"
+        f"{markdown(passes_study.REWARDS, passes_study.reward_cells(summary))}\n\n"
+        f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over the"
+        " diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
+        f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
+        " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
+        f" calls. Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def _paired() -> str:
+    """What looking on the way back finds beside policies of the way in, tube by tube."""
+    table, lines = read_episodes(RESULTS / "passes" / "episodes.csv"), []
+    for probe in passes_study.PROBES:
+        part = table[table["probe"] == probe]
+        seconds = part.groupby("policy")["inspection_time_s"].mean()
+        part = part.assign(policy=part["policy"] + "/" + part["inspects"])
+        for back, forth in PAIRED:
+            alone, either = (
+                paired_difference(part, f"{back}/back", f"{forth}/{looks}", "a90_percent_wall").text()
+                for looks in ("in", "best")
+            )
+            lines.append(
+                f"`{back}` ({probe}, {seconds[back]:.0f} s) {alone} beside `{forth}` ({seconds[forth]:.0f} s), {either}"
+                " where its way back counts too"
+            )
+    return f"a90 of the way back less that of the way in, paired, with 95 % intervals [% wall]: {'; '.join(lines)}."
+
+
+def _speeds(name: str) -> tuple[float, float]:
+    """Feed of a shipped schedule on the way in and on the way back [m/s]."""
+    path = Path("configs") / "schedules" / f"{name}.csv"
+    forth, back = Schedule.read(path), Schedule.read_back(path)
+    assert back is not None
+    return forth.feed_speed[0], back.feed_speed[0]
+
+
+def _way_back(name: str, entry: dict[str, Any]) -> str:
+    return f"from {_depth(entry)} on at {_speeds(name)[1]:g} m/s ({entry['inspection_time_s']:.0f} s)"
+
+
+def _way_in(name: str, entry: dict[str, Any]) -> str:
+    return f"from {_depth(entry)} on by `{name}` ({entry['inspection_time_s']:.0f} s)"
+
+
+def _depth(entry: dict[str, Any]) -> str:
+    return f"{entry[passes_study.DEPTH]:.0f} %"
+
+
+def _best(entry: dict[str, Any]) -> str:
+    return f"`{entry['policy']}` looking at {passes_study.LOOKS[entry['inspects']]}"
+
+
+def turning() -> str:
+    """What a gentler turn is worth, and what time-lapse makes of it."""
+    folder = RESULTS / "turning"
+    summary = stored_table(folder / "turning.csv", *TURNING)
+    record = read_json(folder / "provenance.json", Record).model_dump()
+    usual, gentle = turning_study.RAMPS[0], turning_study.RAMPS[-1]
+    lapsed, alone = turning_study.LAPSES
+    rows = {tuple(row[key] for key in turning_study.KEYS): row for row in summary.to_dict("records")}
+    gained = ", ".join(
+        f"{_interval(rows[policy, gentle, alone], 'change')} by `{policy}`" for policy in turning_study.POLICIES
+    )
+    deeper = ", ".join(
+        f"{_interval(rows[policy, ramp, alone], 'lapsed')} at {ramp:g} m/s² by `{policy}`"
+        for policy in turning_study.POLICIES
+        for ramp in (usual, gentle)
+    )
+    return (
+        f"{markdown(turning_study.HEADER, turning_study.cells(summary))}\n\n"
+        f"A feed device that changes its speed by {gentle:g} m/s² instead of {usual:g} changes a90 of the way back by"
+        f" {gained}. With time-lapse {lapsed:g} a90 is, paired, {deeper} [% of the wall] than without. Means over"
+        f" {record['limit']} test tubes, one of each helix diameter, table 2's probe, 95 % intervals; nodes as at"
+        f" `fast`. Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def _interval(row: dict[Any, Any], name: str) -> str:
+    return Interval(row[name], row[f"{name}_low"], row[f"{name}_high"]).text()
+
+
+def changes() -> str:
+    """What one change of the feed on the way back does."""
+    folder = RESULTS / "turning" / "changes"
+    table = stored_table(folder / "changes.csv", "friction", "carrier_length", "member", "ramp", "radial_rms_m")
+    return (
+        f"{markdown(feed_changes.HEADER, feed_changes.cells(table))}\n\n"
+        f"Greatest radial rms of half a second [mm], when the feed has gone from {-feed_changes.FROM:g} to"
+        f" {-feed_changes.TO:g} m/s, at the ramps of the header; means of {table['member'].nunique()} starts, constant"
+        f" length, table 2's probe and tube, nodes as at `fast`. {source(folder / 'provenance.json')}"
+    )
