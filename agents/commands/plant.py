@@ -198,10 +198,10 @@ class Plants:
 class Passes:
     """Play schedules in and back, for both of the study's probes: where is it worth to look?"""
 
-    limit: int = 12
+    limit: int = 6
     """Tubes of the test list, the first of it, which are balanced; 0: all."""
-    fidelity: str = "fast"
-    """How closely to simulate: fast, standard or study."""
+    fidelity: str = "unlapsed"
+    """How closely to simulate: unlapsed (as fast, without its time-lapse), fast, standard or study."""
     output: Path = Path("output/passes")
     """Folder of the tables; episodes that are there already are not played again."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
