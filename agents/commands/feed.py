@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -61,10 +62,23 @@ class Evaluate:
         place, checks = place_at(self.tube, self.contexts, self.limit), Checks(self.check_fidelity, self.finer)
         if self.passes == "both":
             place = both_ways(place, self.inspects or "best")
+            _warn_of_time_lapse(self.fidelity)
         elif self.inspects:
             raise ValueError(f"inspects = {self.inspects!r} needs --passes both: the probe is not drawn back")
         plan = plan_of(self.policies, place, self.seeds, self.fidelity, self.probes, self.strict)
         evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))
+
+
+def _warn_of_time_lapse(fidelity: str) -> None:
+    """Say what time-lapse does to the depths of the way back."""
+    from probe_env.fidelity import resolve_fidelity
+
+    if resolve_fidelity(fidelity, both_ways=True).time_lapse > 1.0:
+        warnings.warn(
+            f"fidelity = {fidelity!r}: with time-lapse the turn shakes the probe over several times as many metres, and"
+            " depths found on the way back come out far too deep; standard has none",
+            stacklevel=2,
+        )
 
 
 @dataclass(frozen=True)

@@ -141,10 +141,13 @@ def _interval(row: dict[Any, Any], name: str) -> str:
 def changes() -> str:
     """What one change of the feed on the way back does."""
     folder = RESULTS / "turning" / "changes"
-    table = stored_table(folder / "changes.csv", "friction", "carrier_length", "member", "ramp", "radial_rms_m")
+    table = stored_table(folder / "changes.csv", *feed_changes.COLUMNS)
+    tubes = ", ".join(f"{length:g} m in a helix of {diameter:g} m" for length, diameter in feed_changes.TUBES)
     return (
         f"{markdown(feed_changes.HEADER, feed_changes.cells(table))}\n\n"
         f"Greatest radial rms of half a second [mm], when the feed has gone from {-feed_changes.FROM:g} to"
-        f" {-feed_changes.TO:g} m/s, at the ramps of the header; means of {table['member'].nunique()} starts, constant"
-        f" length, table 2's probe and tube, nodes as at `fast`. {source(folder / 'provenance.json')}"
+        f" {-feed_changes.TO:g} m/s, at the ramps of the header: the least and the greatest of three scenes, means of"
+        f" {table['member'].nunique()} starts. Cable and helix are {tubes}, with the friction that makes the number on"
+        " the left; constant length, table 2's probe, nodes as at `fast`."
+        f" {source(folder / 'provenance.json')}"
     )

@@ -43,6 +43,18 @@ def test_simulate_writes_everything(tmp_path, capsys):
         assert (output / f"{picture}.png").stat().st_size > 5000
 
 
+def test_time_lapse_of_both_passes_is_warned_of(capsys):
+    """Before any work; a name that is none ends the command."""
+    for fidelity, said in (("fast", True), ("standard", False)):
+        given = ["evaluate", "nobody", "--passes", "both", "--limit", "1", "--fidelity", fidelity]
+        if said:
+            with pytest.warns(UserWarning, match="with time-lapse the turn shakes the probe over several times as many"):
+                assert main(given) == 2
+        else:
+            assert main(given) == 2
+        assert "policy = 'nobody'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
