@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from agents.processes.workers import Workers
+
+if TYPE_CHECKING:
+    from probe_env.fidelity import Fidelity
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class Evaluate:
     seeds: int = 1
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE."""
+    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
+    with --passes both study, standard, unlapsed (a third of its price) or fast."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
     """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed, the policies themselves
@@ -48,7 +51,8 @@ class Evaluate:
     """Refuse policies that were not made for these tubes, instead of saying so."""
     passes: Literal["in", "both"] = "in"
     """both: feed the probe in and draw it back. Policies are for the way in; schedule files may have columns for the
-    way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others come back as fast as the device can."""
+    way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others come back as fast as the device can. Agents
+    that were trained for both passes act on both."""
     inspects: Literal["in", "back", "best"] | None = None
     """What a metre counts for with --passes both: the way in, the way back, or the better of both (default)."""
 
@@ -58,27 +62,22 @@ class Evaluate:
         from agents.evaluation.report import evaluate, plan_of
         from agents.policies.catalogue import own_policies
         from agents.policies.places import both_ways, place_at
+        from agents.policies.unlapsed import fidelity_of, warn_of_time_lapse
 
-        place, checks = place_at(self.tube, self.contexts, self.limit), Checks(self.check_fidelity, self.finer)
+        place = place_at(self.tube, self.contexts, self.limit)
+        fidelity: str | Fidelity = self.fidelity
+        finer: str | Fidelity = self.finer
         if self.passes == "both":
-            place = both_ways(place, self.inspects or "best")
-            _warn_of_time_lapse(self.fidelity)
+            place, fidelity = both_ways(place, self.inspects or "best"), fidelity_of(self.fidelity)
+            if self.check_fidelity != "no":
+                finer = fidelity_of(self.finer)
+            if self.inspects != "in":
+                warn_of_time_lapse(fidelity)
         elif self.inspects:
             raise ValueError(f"inspects = {self.inspects!r} needs --passes both: the probe is not drawn back")
-        plan = plan_of(self.policies, place, self.seeds, self.fidelity, self.probes, self.strict)
+        plan = plan_of(self.policies, place, self.seeds, fidelity, self.probes, self.strict)
+        checks = Checks(self.check_fidelity, finer)
         evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))
-
-
-def _warn_of_time_lapse(fidelity: str) -> None:
-    """Say what time-lapse does to the depths of the way back."""
-    from probe_env.fidelity import resolve_fidelity
-
-    if resolve_fidelity(fidelity, both_ways=True).time_lapse > 1.0:
-        warnings.warn(
-            f"fidelity = {fidelity!r}: with time-lapse the turn shakes the probe over several times as many metres, and"
-            " depths found on the way back come out far too deep; standard has none",
-            stacklevel=2,
-        )
 
 
 @dataclass(frozen=True)

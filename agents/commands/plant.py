@@ -209,17 +209,17 @@ class Passes:
     def run(self) -> None:
         """Play, store, print."""
         from agents.evaluation.passes import run_study
+        from agents.policies.unlapsed import fidelity_of, warn_of_time_lapse
 
+        warn_of_time_lapse(fidelity_of(self.fidelity))
         run_study(self.limit, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (passes.csv, episodes.csv)")
 
 
 @dataclass(frozen=True)
 class Turning:
-    """Draw the probe back with feed devices that change the feed faster and slower: how gently has it to be done?"""
+    """Draw the probe back with feed devices that turn round faster and slower: how gently has it to be done?"""
 
-    parts: tyro.conf.Positional[tuple[Literal["schedules", "changes"], ...]] = ("schedules",)
-    """schedules: whole inspections; changes: one change of the feed at constant length."""
     limit: int = 6
     """Tubes of the test list, the first of it, which are balanced; 0: all."""
     output: Path = Path("output/turning")
@@ -228,10 +228,22 @@ class Turning:
 
     def run(self) -> None:
         """Play, store, print."""
-        from agents.evaluation import feed_changes, turning
+        from agents.evaluation.turning import run_study
 
-        if "changes" in self.parts:
-            feed_changes.run_changes(self.output / "changes")
-        if "schedules" in self.parts:
-            turning.run_study(self.limit, self.output, self.workers)
-        print(f"written: {self.output}/")
+        run_study(self.limit, self.output, self.workers)
+        print(f"written: {self.output}/ (turning.csv, episodes.csv)")
+
+
+@dataclass(frozen=True)
+class FeedChanges:
+    """Change the feed of a probe that is drawn back, by friction, length and helix: what arrives at the sensor?"""
+
+    output: Path = Path("output/feed-changes")
+    """Folder of the table."""
+
+    def run(self) -> None:
+        """Simulate, store, print."""
+        from agents.evaluation.feed_changes import run_changes
+
+        run_changes(self.output)
+        print(f"written: {self.output}/ (changes.csv)")

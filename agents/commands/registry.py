@@ -114,6 +114,9 @@ MAKERS: Final = {
     ),
     "passes": Entry("plant:Passes", "where to look: on the way in, back, or both", "probe-env passes --limit 6"),
     "turning": Entry("plant:Turning", "how gently the feed has to turn round", "probe-env turning --limit 6"),
+    "feed-changes": Entry(
+        "plant:FeedChanges", "what a change of the feed on the way back does", "probe-env feed-changes"
+    ),
     "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
     "other-probes": Entry(

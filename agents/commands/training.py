@@ -32,9 +32,13 @@ class Train:
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
         from agents.policies.places import plant_at
+        from agents.policies.unlapsed import warn_of_time_lapse
         from agents.records.shipped import file_or_shipped
+        from probe_env.fidelity import resolve_fidelity
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
+        if training.task.returns:
+            warn_of_time_lapse(resolve_fidelity(training.validation.fidelity, both_ways=True))
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:

@@ -39,7 +39,7 @@ class Checks:
     """Which checks; ``finer`` is the fidelity, see ``resolve_fidelity``, that "replayed" and "acting" take."""
 
     level: Level = "no"
-    finer: str = FINER
+    finer: str | Fidelity = FINER
 
 
 def run_checks(checks: Checks, plan: Plan, table: pd.DataFrame, output: Path, workers: Workers = HERE) -> None:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from agents.policies.catalogue import named_policies
 from agents.policies.places import both_ways, place_of, with_probe
+from agents.policies.unlapsed import fidelity_of
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.depths import a90_95
@@ -16,7 +17,6 @@ from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
 from probe_env.envs.task import Inspects
-from probe_env.fidelity import BOTH_WAYS, Fidelity, resolve_fidelity
 
 POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled")
 BESIDE: Final = "best-schedule"
@@ -26,8 +26,6 @@ LOOKS: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "bes
 KPIS: Final = {"reward": 1.0, "inspection_time_s": 1.0, "share_within_limit": 100.0}
 """KPI -> factor of the unit for people: s, %."""
 DEPTH: Final = "a90_95_percent_wall"
-UNLAPSED: Final = "unlapsed"
-"""Nodes and step of ``fast`` without its time-lapse, which spreads the shaking of the turn over four times as much."""
 
 
 def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.DataFrame:
@@ -70,13 +68,6 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
     print_table(f"{title}: found with 90 % [% wall], and within the limit [%]", FOUND, found_cells(summary), left=2)
     print_table(f"{title}: reward", REWARDS, reward_cells(summary), left=2)
     return summary
-
-
-def fidelity_of(name: str) -> Fidelity:
-    """A fidelity of both ways by its name, or ``UNLAPSED``."""
-    if name == UNLAPSED:
-        return BOTH_WAYS["fast"].model_copy(update={"time_lapse": 1.0})
-    return resolve_fidelity(name, both_ways=True)
 
 
 FOUND: Final = (

@@ -22,11 +22,16 @@ from agents.rollouts.plan import Plan, run_plan, stored_episodes
 from agents.rollouts.statistics import endings, grouped, in_words, method_and_seed, sentences, summarise
 from agents.terminal.tables import print_table
 from probe_env.envs.episodes.starts import Probes
-from probe_env.fidelity import resolve_fidelity
+from probe_env.fidelity import Fidelity, resolve_fidelity
 
 
 def plan_of(
-    specs: Sequence[str], place: Place, seeds: int, fidelity: str, probes: Probes = "scene", strict: bool = False
+    specs: Sequence[str],
+    place: Place,
+    seeds: int,
+    fidelity: str | Fidelity,
+    probes: Probes = "scene",
+    strict: bool = False,
 ) -> Plan:
     """Named policies in a place, so many seeds each; those that were not made for its tubes are told, or refused.
 

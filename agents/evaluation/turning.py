@@ -9,78 +9,80 @@ import pandas as pd
 
 from agents.policies.catalogue import named_policies
 from agents.policies.places import both_ways, place_of
+from agents.policies.unlapsed import UNLAPSED, fidelity_of
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import mean_interval, paired_difference
+from agents.rollouts.statistics import paired_difference
 from agents.terminal.tables import print_table
-from probe_env.fidelity import BOTH_WAYS
 
 POLICIES: Final = ("fast-in", "steady-back")
 RAMPS: Final = (0.5, 0.2, 0.1)
 """Greatest change of the feed speed [m/s2]; the first is the task's own."""
-LAPSES: Final = (4.0, 1.0)
-"""Time-lapse: that of ``fast``, and none."""
+FIDELITIES: Final = ("fast", UNLAPSED)
+"""With time-lapse and without."""
+KEYS: Final = ("policy", "ramp", "fidelity")
 KPIS: Final = ("reward", "inspection_time_s", "share_within_limit", "a90_percent_wall")
 DEPTH: Final = "a90_95_percent_wall"
-SHOWN: Final = {"inspection_time_s": 1.0, DEPTH: 1.0, "share_within_limit": 100.0}
+SHOWN: Final = {"inspection_time_s": 1.0, DEPTH: 1.0, "share_within_limit": 100.0, "reward": 1.0}
 """Column of the summary -> factor of the unit for people."""
-KEYS: Final = ("policy", "ramp", "time_lapse")
+CHANGES: Final = {"ramp": "by_ramp", "fidelity": "by_time_lapse"}
+"""What a90 is paired over, and how the columns of its change begin."""
 HEADER: Final = (
     "policy", "ramp [m/s2]",
-    *(f"{what}, {how}" for how in ("fast", "no time-lapse")
-      for what in ("time [s]", "a90/95, back [% wall]", "within the limit [%]")),
+    *(f"{what}, `{fidelity}`" for fidelity in FIDELITIES
+      for what in ("time [s]", "a90/95 [% wall]", "within the limit [%]", "reward")),
 )  # fmt: skip
 
 
 def run_study(limit: int, output: Path, workers: Workers) -> pd.DataFrame:
     """Play every schedule with every ramp, with time-lapse and without, where the way back counts; store and print.
 
-    Nodes are those of ``fast``. Episodes that are in ``output`` are not played again. Depths are paired with those of
-    the first ramp, tube by tube.
+    Episodes that are in ``output`` are not played again.
 
     Raises:
         ValueError: the limit is out of range.
     """
     place, episodes = both_ways(place_of(None, "test", limit), "back"), []
-    for lapse in LAPSES:
-        fidelity = BOTH_WAYS["fast"].model_copy(update={"time_lapse": lapse})
+    for fidelity in FIDELITIES:
         for ramp in RAMPS:
             config = place.config.all_shown.model_copy(update={"ramp": ramp})
-            plan = Plan(named_policies(POLICIES, config), place.contexts, config=config, fidelity=fidelity)
-            table = run_plan(plan, output / f"ramp-{ramp:g}-lapse-{lapse:g}", workers=workers)
-            episodes.append(table.assign(ramp=ramp, time_lapse=lapse))
+            policies = named_policies(POLICIES, config)
+            plan = Plan(policies, place.contexts, config=config, fidelity=fidelity_of(fidelity))
+            table = run_plan(plan, output / f"{fidelity}-ramp-{ramp:g}", workers=workers)
+            episodes.append(table.assign(ramp=ramp, fidelity=fidelity))
     table = pd.concat(episodes, ignore_index=True)
     summary = summarise(table)
     write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "turning.csv", summary.to_csv(index=False, float_format="%.5g"))
-    record = {"limit": int(table["context"].nunique()), "fidelity": BOTH_WAYS["fast"].model_dump()}
+    record = {"limit": int(table["context"].nunique()), "fidelity": list(FIDELITIES)}
     write_json(output / "provenance.json", provenance(commits=table["commit"]) | record)
     print_table(f"Looking on the way back, {record['limit']} tubes", HEADER, cells(summary), left=1)
     return summary
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
-    """A row a policy, ramp and time-lapse: means, depth, and what a90 changes by against the first ramp."""
-    rows = []
-    named = table.assign(policy=[_name(*key) for key in zip(*(table[c] for c in KEYS), strict=True)])
-    for (policy, ramp, lapse), part in table.groupby(list(KEYS), sort=False):
-        row: dict[str, Any] = {"policy": policy, "ramp": ramp, "time_lapse": lapse, "tubes": part["context"].nunique()}
-        row |= {kpi: mean_interval(part[kpi].to_numpy()).mean for kpi in KPIS}
-        row[DEPTH] = a90_95(part, str(policy))
-        here, usual = _name(policy, ramp, lapse), _name(policy, RAMPS[0], lapse)
-        change = paired_difference(named, here, usual, "a90_percent_wall")
-        lapsed = paired_difference(named, _name(policy, ramp, LAPSES[0]), _name(policy, ramp, LAPSES[1]),
-                                   "a90_percent_wall")  # fmt: skip
-        row |= {"change": change.mean, "change_low": change.low, "change_high": change.high}
-        rows.append(row | {"lapsed": lapsed.mean, "lapsed_low": lapsed.low, "lapsed_high": lapsed.high})
+    """A row a policy, ramp and fidelity: means, depth, and by how much a90 differs [% of the wall], tube by tube.
+
+    ``by_ramp`` is less that of the first ramp at the same fidelity, ``by_time_lapse`` less that without time-lapse.
+    """
+    names = [_name(*key) for key in table[list(KEYS)].itertuples(index=False)]
+    named, rows = table.assign(policy=names), []
+    for (policy, ramp, fidelity), part in table.groupby(list(KEYS), sort=False):
+        row: dict[str, Any] = dict(zip(KEYS, (policy, ramp, fidelity), strict=True)) | {"tubes": len(part)}
+        row |= {kpi: part[kpi].mean() for kpi in KPIS} | {DEPTH: a90_95(part, str(policy))}
+        others = {"ramp": _name(policy, RAMPS[0], fidelity), "fidelity": _name(policy, ramp, UNLAPSED)}
+        for what, column in CHANGES.items():
+            change = paired_difference(named, _name(policy, ramp, fidelity), others[what], "a90_percent_wall")
+            row |= {column: change.mean, f"{column}_low": change.low, f"{column}_high": change.high}
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _name(policy: Any, ramp: Any, lapse: Any) -> str:
-    """Of a policy with a ramp and a time-lapse, for pairs."""
-    return f"{policy}/{ramp:g}/{lapse:g}"
+def _name(policy: Any, ramp: Any, fidelity: Any) -> str:
+    """Of a policy with a ramp at a fidelity, for pairs."""
+    return f"{policy}/{ramp:g}/{fidelity}"
 
 
 def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
@@ -89,7 +91,7 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
     rows = []
     for policy in summary["policy"].unique():
         for ramp in summary["ramp"].unique():
-            played = [by_key[policy, ramp, lapse] for lapse in LAPSES]
+            played = [by_key[policy, ramp, fidelity] for fidelity in FIDELITIES]
             figures = [f"{factor * row[name]:.3g}" for row in played for name, factor in SHOWN.items()]
             rows.append((policy, f"{ramp:g}", *figures))
     return rows

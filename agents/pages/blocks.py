@@ -16,7 +16,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
-        passes.changes, passes.passes, passes.turning,
+        passes.feed_changes, passes.passes, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,

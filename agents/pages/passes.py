@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation import feed_changes
+from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
 from agents.evaluation import turning as turning_study
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
@@ -27,8 +27,10 @@ FORTH = ("tension-scheduled", "best-schedule")
 """Policies that look on the way in."""
 PAIRED = (("steady-back", "tension-scheduled"), ("slow-back", "best-schedule"))
 """Looking on the way back, and the policy of the way in that takes about as long with table 2's probe."""
-TURNING = (*turning_study.KEYS, *turning_study.SHOWN, "change", "change_low", "change_high", "lapsed", "lapsed_low",
-           "lapsed_high")  # fmt: skip
+TURNING = (
+    *turning_study.KEYS, *turning_study.SHOWN,
+    *(f"{column}{end}" for column in turning_study.CHANGES.values() for end in ("", "_low", "_high")),
+)  # fmt: skip
 
 
 def passes() -> str:
@@ -115,22 +117,18 @@ def turning() -> str:
     summary = stored_table(folder / "turning.csv", *TURNING)
     record = read_json(folder / "provenance.json", Record).model_dump()
     usual, gentle = turning_study.RAMPS[0], turning_study.RAMPS[-1]
-    lapsed, alone = turning_study.LAPSES
+    lapsed, alone = turning_study.FIDELITIES
     rows = {tuple(row[key] for key in turning_study.KEYS): row for row in summary.to_dict("records")}
-    gained = ", ".join(
-        f"{_interval(rows[policy, gentle, alone], 'change')} by `{policy}`" for policy in turning_study.POLICIES
-    )
-    deeper = ", ".join(
-        f"{_interval(rows[policy, ramp, alone], 'lapsed')} at {ramp:g} m/s² by `{policy}`"
-        for policy in turning_study.POLICIES
-        for ramp in (usual, gentle)
+    gained, deeper = (
+        ", ".join(f"{_interval(rows[policy, *key], column)} by `{policy}`" for policy in turning_study.POLICIES)
+        for key, column in (((gentle, alone), "by_ramp"), ((usual, lapsed), "by_time_lapse"))
     )
     return (
         f"{markdown(turning_study.HEADER, turning_study.cells(summary))}\n\n"
-        f"A feed device that changes its speed by {gentle:g} m/s² instead of {usual:g} changes a90 of the way back by"
-        f" {gained}. With time-lapse {lapsed:g} a90 is, paired, {deeper} [% of the wall] than without. Means over"
-        f" {record['limit']} test tubes, one of each helix diameter, table 2's probe, 95 % intervals; nodes as at"
-        f" `fast`. Made by `{command(record)}` at commit {record['commit']}."
+        f"Looking on the way back. Paired, a90 with a ramp of {gentle:g} m/s² less that with {usual:g} m/s², without"
+        f" time-lapse: {gained} [% of the wall]; a90 with time-lapse less that without, at {usual:g} m/s²: {deeper}."
+        f" Brackets are 95 % intervals over {record['limit']} balanced test tubes; table 2's probe. `{alone}` is"
+        f" `{lapsed}` without its time-lapse. Made by `{command(record)}` at commit {record['commit']}."
     )
 
 
@@ -138,16 +136,16 @@ def _interval(row: dict[Any, Any], name: str) -> str:
     return Interval(row[name], row[f"{name}_low"], row[f"{name}_high"]).text()
 
 
-def changes() -> str:
-    """What one change of the feed on the way back does."""
-    folder = RESULTS / "turning" / "changes"
-    table = stored_table(folder / "changes.csv", *feed_changes.COLUMNS)
-    tubes = ", ".join(f"{length:g} m in a helix of {diameter:g} m" for length, diameter in feed_changes.TUBES)
+def feed_changes() -> str:
+    """What a change of the feed on the way back does."""
+    folder = RESULTS / "feed-changes"
+    table = stored_table(folder / "changes.csv", *changes_study.COLUMNS)
+    tubes = ", ".join(f"{length:g} m in a helix of {diameter:g} m" for length, diameter in changes_study.TUBES)
     return (
-        f"{markdown(feed_changes.HEADER, feed_changes.cells(table))}\n\n"
-        f"Greatest radial rms of half a second [mm], when the feed has gone from {-feed_changes.FROM:g} to"
-        f" {-feed_changes.TO:g} m/s, at the ramps of the header: the least and the greatest of three scenes, means of"
+        f"{markdown(changes_study.HEADER, changes_study.cells(table))}\n\n"
+        f"Greatest radial rms [mm] of {changes_study.SPAN:g} s, from when the feed leaves {-changes_study.FROM:g} m/s"
+        f" until {changes_study.AFTER:g} s after it has come to {-changes_study.TO:g} m/s, at the ramps of the header:"
+        f" the least and the greatest of {len(changes_study.TUBES)} scenes, means of"
         f" {table['member'].nunique()} starts. Cable and helix are {tubes}, with the friction that makes the number on"
-        " the left; constant length, table 2's probe, nodes as at `fast`."
-        f" {source(folder / 'provenance.json')}"
+        f" the left; constant length, table 2's probe, nodes as at `fast`. {source(folder / 'provenance.json')}"
     )

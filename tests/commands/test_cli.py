@@ -45,10 +45,10 @@ def test_simulate_writes_everything(tmp_path, capsys):
 
 def test_time_lapse_of_both_passes_is_warned_of(capsys):
     """Before any work; a name that is none ends the command."""
-    for fidelity, said in (("fast", True), ("standard", False)):
+    for fidelity, said in (("fast", True), ("unlapsed", False), ("standard", False)):
         given = ["evaluate", "nobody", "--passes", "both", "--limit", "1", "--fidelity", fidelity]
         if said:
-            with pytest.warns(UserWarning, match="with time-lapse the turn shakes the probe over several times as many"):
+            with pytest.warns(UserWarning, match="time_lapse = 4: the turn shakes the probe over so many"):
                 assert main(given) == 2
         else:
             assert main(given) == 2
@@ -65,6 +65,10 @@ def test_time_lapse_of_both_passes_is_warned_of(capsys):
         (["simulate", SCENE, "--duration", "-1"], "duration = -1.0 s is outside the accepted range 0.001 to 100000 s"),
         (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
         (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
+        (
+            ["evaluate", "constant", "--passes", "both", "--check-fidelity", "acting"],
+            "fidelity = 'reference': superelement does not simulate the way back; give one of standard, fast, study",
+        ),
         (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
         (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),

@@ -14,8 +14,6 @@ from agents.evaluation.passes import (
     POLICIES,
     PROBES,
     REWARDS,
-    UNLAPSED,
-    fidelity_of,
     found_cells,
     reward_cells,
     run_study,
@@ -54,14 +52,6 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
 
     monkeypatch.setattr(passes, "run_plan", run_plan)
     return seen
-
-
-def test_the_way_back_is_simulated_without_time_lapse():
-    usual, without = fidelity_of("fast"), fidelity_of(UNLAPSED)
-    assert (usual.time_lapse, without.time_lapse) == (4.0, 1.0)
-    assert without.model_copy(update={"time_lapse": 4.0}) == usual
-    with pytest.raises(ValueError, match="reference"):
-        fidelity_of("reference")
 
 
 def test_every_policy_is_judged_by_every_way_with_both_probes(plans, tmp_path):

@@ -7,26 +7,26 @@ import pandas as pd
 import pytest
 
 from agents.evaluation import turning
-from agents.evaluation.turning import DEPTH, HEADER, LAPSES, POLICIES, RAMPS, cells, run_study
+from agents.evaluation.turning import DEPTH, FIDELITIES, HEADER, POLICIES, RAMPS, cells, run_study
 from agents.processes.workers import HERE
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian
 from probe_env.inspection.tally import POD_NAMES
 
 
-def curve(policy: str, ramp: float, lapse: float, tube: int) -> np.ndarray:
+def curve(policy: str, ramp: float, fidelity: str, tube: int) -> np.ndarray:
     """What is found: the more, the gentler, the less time-lapse, the later the policy and the tube."""
-    snr = (2.0 + POLICIES.index(policy)) * (2.0 - ramp) * (1.0 + 0.5 / lapse) * (1.0 + 0.1 * tube)
+    snr = (2.0 + POLICIES.index(policy)) * (2.0 - ramp) * (1.0 + 0.5 * FIDELITIES.index(fidelity)) * (1.0 + 0.1 * tube)
     return pod_gaussian(snr * DEPTHS / 0.2, 4.6)
 
 
 @pytest.fixture
-def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
-    """Ramp and time-lapse of each plan."""
-    seen: list[tuple[float, float]] = []
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, str]]:
+    """Ramp and fidelity of each plan."""
+    seen: list[tuple[float, str]] = []
 
     def run_plan(plan, output, workers):  # type: ignore[no-untyped-def]
         assert (plan.config.passes, plan.config.inspects) == ("both", "back")
-        key = (plan.config.ramp, plan.fidelity.time_lapse)
+        key = (plan.config.ramp, {4.0: "fast", 1.0: "unlapsed"}[plan.fidelity.time_lapse])
         seen.append(key)
         output.mkdir(parents=True)  # a folder of its own
         rows = []
@@ -45,20 +45,20 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
 
 def test_every_ramp_is_played_with_and_without_time_lapse(plans, tmp_path):
     summary = run_study(3, tmp_path, HERE)
-    assert plans == [(ramp, lapse) for lapse in LAPSES for ramp in RAMPS]
-    assert len(summary) == len(POLICIES) * len(RAMPS) * len(LAPSES)
+    assert plans == [(ramp, fidelity) for fidelity in FIDELITIES for ramp in RAMPS]
+    assert len(summary) == len(POLICIES) * len(RAMPS) * len(FIDELITIES)
     for row in summary.to_dict("records"):
 
-        def depths(ramp, lapse, row=row):
-            return np.array([100.0 * depth_found(curve(row["policy"], ramp, lapse, tube), 0.9) for tube in range(3)])
+        def depths(ramp, fidelity, row=row):
+            return np.array([100.0 * depth_found(curve(row["policy"], ramp, fidelity, k), 0.9) for k in range(3)])
 
-        here = depths(row["ramp"], row["time_lapse"])
+        here = depths(row["ramp"], row["fidelity"])
         assert here.min() <= row[DEPTH] <= here.max()
         assert row["a90_percent_wall"] == pytest.approx(here.mean())
-        assert row["change"] == pytest.approx((here - depths(RAMPS[0], row["time_lapse"])).mean())
-        lapsed = depths(row["ramp"], LAPSES[0]) - depths(row["ramp"], LAPSES[1])
-        assert row["lapsed"] == pytest.approx(lapsed.mean())
-        assert lapsed.min() - 1e-9 <= row["lapsed_low"] <= row["lapsed_high"] <= lapsed.max() + 1e-9
+        assert row["by_ramp"] == pytest.approx((here - depths(RAMPS[0], row["fidelity"])).mean())
+        lapsed = here - depths(row["ramp"], "unlapsed")
+        assert row["by_time_lapse"] == pytest.approx(lapsed.mean())
+        assert lapsed.min() - 1e-9 <= row["by_time_lapse_low"] <= row["by_time_lapse_high"] <= lapsed.max() + 1e-9
     stored = pd.read_csv(tmp_path / "turning.csv")
     assert cells(stored) == cells(summary)
     assert [row[:2] for row in cells(summary)] == [(policy, f"{ramp:g}") for policy in POLICIES for ramp in RAMPS]
