@@ -43,12 +43,15 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.processor
 def test_what_arrives_grows_with_the_exponent(small: None, tmp_path: Path):
-    """MEASURED"""
+    """By a factor of 65 from 6 to 9, where the first floats leave the wall; without a change nothing does.
+
+    The logarithm and its deviation from member to member are those of the four in the published table.
+    """
     table = run_changes(tmp_path)
     mean = table.groupby(["exponent", "ramp"])["radial_rms_m"].mean()
-    assert mean[9.0, 0.0] < mean[9.0, 0.5]
+    assert (mean[:, 0.0] < 1e-3 * mean[9.0, 0.5]).all()
     growth = math.log(mean[9.0, 0.5] / mean[6.0, 0.5])
-    assert growth == pytest.approx(4.0, abs=of_another(0.3, 4, members=2))
+    assert growth == pytest.approx(4.18, abs=of_another(0.011, measured=4, members=2))
     stored = pd.read_csv(tmp_path / "changes.csv")
     assert np.allclose(stored["radial_rms_m"], table["radial_rms_m"], rtol=1e-4)
 
