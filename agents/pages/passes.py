@@ -9,6 +9,7 @@ from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
 from agents.evaluation import turning as turning_study
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
+from agents.policies.unlapsed import UNLAPSED
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -47,7 +48,9 @@ def passes() -> str:
         probe: max((entry for entry in entries if entry["probe"] == probe), key=lambda entry: float(entry["reward"]))
         for probe in passes_study.PROBES
     }
-    record, speeds = figures.model_dump(), {name: _speeds(name) for name in BACK}
+    record = figures.model_dump()
+    lapsed = " (as `fast`, without its time-lapse)" if record["fidelity"] == UNLAPSED else ""
+    speeds = {name: _speeds(name) for name in BACK}
     fed = ", ".join(f"`{name}` {forth:g} and {back:g} m/s" for name, (forth, back) in speeds.items())
     return (
         f"**With table 2's probe, fed in fast, flaws are found on the way back {way_back}. On the way in they are found"
@@ -60,8 +63,8 @@ def passes() -> str:
         "Reward, and in brackets what it is more than that of looking on the way in by"
         f" `{passes_study.BESIDE}`, paired, with 95 % intervals:\n\n"
         f"{markdown(passes_study.REWARDS, passes_study.reward_cells(summary))}\n\n"
-        f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over the"
-        " diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
+        f"Simulated at `{record['fidelity']}`{lapsed}, means over {record['limit']} test tubes, which are balanced over"
+        " the diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
         f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
         " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
         f" calls. Made by `{command(record)}` at commit {record['commit']}."

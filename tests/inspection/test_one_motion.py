@@ -34,11 +34,11 @@ def motion(seeds):
 def test_one_motion_is_heard_alike_with_and_without_time_lapse(seeds):
     """In seconds, as ``standard`` and ``reference`` hear it, and in quarters, as ``fast`` does.
 
-    32 other probes told the 1.2 % more, and the deviation from probe to probe; at 35 and 50 m it is 1.0 and 0.4 %. The
-    bias of 1/S is taken back as that of Gaussian motion, which this is not.
+    The logarithm of the ratio, 0.0118, and its deviation from probe to probe are of 32 others; 16 each at 35 and 50 m
+    gave 0.010 and 0.004. It is not 0, for the bias of 1/S is taken back as if the motion were Gaussian.
     """
     radial = motion(seeds(PROBES))
     seconds, quarters = signal_to_noise(radial, 1.0), signal_to_noise(radial, 0.25)
-    assert 1.5 < seconds.mean() < 3.5
+    assert seconds.mean() < 0.5 * Sensor().quiet_snr  # motion is most of the noise
     ratio = np.log(quarters / seconds)
     assert ratio.mean() == pytest.approx(0.0118, abs=of_another(0.013, 32, members=PROBES))

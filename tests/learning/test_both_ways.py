@@ -1,6 +1,7 @@
 """An agent of the whole shift: trained in Inspection-v0 it acts on both ways, and nowhere else."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from agents.learning.config import Training
@@ -8,8 +9,10 @@ from agents.learning.train import BEST, train_all
 from agents.policies.both_ways import BothWays
 from agents.policies.bundle import Agent
 from agents.policies.catalogue import make_policy
+from agents.rollouts.plan import Plan, run_plan
+from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import BOTH_WAYS, Fidelity
 from probe_env.files import FileError
 
 COARSE = Fidelity(method="imex", time_step=1.25e-4, time_lapse=20.0)
@@ -25,20 +28,47 @@ TINY = {
 }  # fmt: skip
 
 
-def test_an_agent_of_both_passes_acts_on_both(tmp_path):
+def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
+    """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
     train_all(Training(**TINY), tmp_path, resume=False)
-    path, config = str(tmp_path / "seed-0" / BEST), TaskConfig(passes="both").all_shown
+    path = str(tmp_path / "seed-0" / BEST)
+    config = TaskConfig(
+        passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
+    ).all_shown
     agent = make_policy(path, config)
     assert isinstance(agent, Agent)
-    names = list(config.observations)
-    rows = np.full((2, len(names)), 0.5, dtype=np.float32)
-    rows[1, names.index("way")] = -1.0
-    actions, _ = agent.predict(rows, deterministic=True)
-    assert (actions[0] != actions[1]).any()  # it sees which way it is on
+    asked, predict, way = [], agent.predict, list(config.observations).index("way")
+
+    def told(observation, state=None, episode_start=None, deterministic=False):
+        rows = np.atleast_2d(observation)
+        asked.extend(rows[:, way].tolist())
+        actions, state = predict(observation, state, episode_start, deterministic)
+        fast_back = config.action(0.4, 0.02)
+        return np.where(rows[:, way : way + 1] < 0.0, fast_back, actions).astype(np.float32), state
+
+    monkeypatch.setattr(agent, "predict", told)
+    table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, COARSE), None)
+    assert {1.0, -1.0} <= set(asked)
+    assert bool(table["complete"].all())
     with pytest.raises(FileError, match="way"):
         make_policy(path, TaskConfig().all_shown)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.npz': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
+
+
+def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):
+    """``fast`` is superelements in an insertion, which cannot go back."""
+    seen = []
+    validated = {"reward": [1.0], "inspection_time_s": [1.0], "share_within_limit": [1.0], "diverged": [0.0]}
+
+    def run_plan_seen(plan, output, **settings):
+        seen.append(plan.fidelity)
+        return pd.DataFrame(validated)
+
+    monkeypatch.setattr("agents.learning.train.run_plan", run_plan_seen)
+    by_name = TINY["validation"] | {"fidelity": "fast"}
+    train_all(Training(**TINY | {"validation": by_name}), tmp_path, resume=False)
+    assert set(seen) == {BOTH_WAYS["fast"]}
 
 
 def test_an_agent_of_the_way_in_is_drawn_back():
@@ -51,6 +81,3 @@ def test_a_method_that_cannot_go_back_is_refused_before_any_work():
         settings = TINY | {part: TINY[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
             Training(**settings)
-    assert resolve_fidelity("fast", both_ways=True).time_lapse == 4.0
-    fast = TINY | {part: TINY[part] | {"fidelity": "fast"} for part in ("environment", "validation")}
-    assert Training(**fast).task.returns
