@@ -60,9 +60,9 @@ class Evaluate:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
+        from agents.policies.both_ways import fidelity_of, warn_of_time_lapse
         from agents.policies.catalogue import own_policies
         from agents.policies.places import both_ways, place_at
-        from agents.policies.unlapsed import fidelity_of, warn_of_time_lapse
 
         place = place_at(self.tube, self.contexts, self.limit)
         fidelity: str | Fidelity = self.fidelity

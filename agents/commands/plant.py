@@ -209,7 +209,7 @@ class Passes:
     def run(self) -> None:
         """Play, store, print."""
         from agents.evaluation.passes import run_study
-        from agents.policies.unlapsed import fidelity_of, warn_of_time_lapse
+        from agents.policies.both_ways import fidelity_of, warn_of_time_lapse
 
         warn_of_time_lapse(fidelity_of(self.fidelity))
         run_study(self.limit, self.fidelity, self.output, self.workers)

@@ -31,8 +31,8 @@ class Train:
         """Train, print the learning curves."""
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
+        from agents.policies.both_ways import warn_of_time_lapse
         from agents.policies.places import plant_at
-        from agents.policies.unlapsed import warn_of_time_lapse
         from agents.records.shipped import file_or_shipped
         from probe_env.fidelity import resolve_fidelity
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.policies.unlapsed import UNLAPSED, fidelity_of
+from agents.policies.both_ways import UNLAPSED, fidelity_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.terminal.tables import print_table
 from probe_env.physics.simulation.batch import SimulatorBatch

@@ -7,9 +7,9 @@ from typing import Any, Final, get_args
 
 import pandas as pd
 
+from agents.policies.both_ways import fidelity_of
 from agents.policies.catalogue import named_policies
 from agents.policies.places import both_ways, place_of, with_probe
-from agents.policies.unlapsed import fidelity_of
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.depths import a90_95

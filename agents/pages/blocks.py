@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, detection, headroom, passes, plant, plc, robustness, scratch, simulator
+from agents.pages import control, designs, detection, headroom, passes, plant, plc, scratch, simulator
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -18,7 +18,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
         passes.feed_changes, passes.passes, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,
-        designs.codesign, designs.designs, designs.search, robustness.robustness, scratch.scratch,
+        designs.codesign, designs.designs, designs.search, plant.robustness, scratch.scratch,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
         simulator.root, simulator.scaling, simulator.smooth, simulator.stability,

@@ -9,7 +9,7 @@ from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
 from agents.evaluation import turning as turning_study
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
-from agents.policies.unlapsed import UNLAPSED
+from agents.policies.both_ways import UNLAPSED
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes

@@ -1,4 +1,4 @@
-"""What plants' users read in words: calibrations, recommendations, the app."""
+"""What plants' users read in words: calibrations, recommendations, robustness, the app."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from agents.calibration.unknowns import UNKNOWNS
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
-from agents.records.reading import read_json
+from agents.records.reading import read_csv, read_json
+from agents.robustness import study as robustness_study
 
 WAITS = {
     "page": ("from the command to a page that can be used", 1.0, "s"),
@@ -89,6 +90,30 @@ def plants() -> str:
         f" {record['limit']} tubes of each, paired, with 95 % intervals: {verdict}; an interval around zero shows"
         " nothing either way. `recommended-law` is the law that `probe-env recommend --policy` makes for the plant."
         f" Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def robustness() -> str:
+    """What policies lose along the axes."""
+    folder = RESULTS / "robustness"
+    if not folder.exists():
+        return "Nothing is stored yet: `probe-env results robustness` makes it."
+    summary = read_csv(folder / "robustness.csv", robustness_study.COLUMNS)
+    header = robustness_study.header(tuple(dict.fromkeys(summary["policy"])))
+    worst = "; ".join(
+        f"`{policy}` {loss.mean:+.1f} [{loss.low:.1f}, {loss.high:.1f}] with {name}"
+        for policy, (name, loss) in robustness_study.worst_of(summary).items()
+    )
+    record = read_json(folder / "provenance.json", Record).model_dump()
+    return (
+        f"What each loses at worst: {worst}.\n\n"
+        f"{markdown(header, robustness_study.cells(summary))}\n\n"
+        f"Mean reward over {record['limit']} tubes in the task itself, and how it changes, paired tube by tube, with"
+        " 95 % intervals; ! where insertions diverged.\n\n"
+        "![What every policy loses along every axis](../../results/robustness/robustness.png)\n\n"
+        "Control periods of an insertion that were unsafe, and how many of the insertions lost their drive:\n\n"
+        f"{markdown(header, robustness_study.cost_cells(summary))}\n\n"
+        f"Simulated with `{record['fidelity']}`. {source(folder / 'provenance.json')}"
     )
 
 

@@ -94,7 +94,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         results / "study.md": ("study", "back"),
         results / "speed.md": ("bench", "environments", "presets"),
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),
-        DOCS / "simulation" / "return.md": ("pressed_scenes", "lost_insertions", "feed_changes"),
+        DOCS / "simulation" / "return.md": ("feed_changes", "pressed_scenes", "lost_insertions"),
         DOCS / "superelement.md": ("superelement", "other_probes"),
         DOCS / "simulation" / "root.md": ("root",),
         DOCS / "cluster.md": ("scaling",),

@@ -1,7 +1,8 @@
-"""Policies of both passes: one for the way in, as anywhere else, and a schedule for the way back."""
+"""Both passes: a policy for the way in with a schedule for the way back, and how closely they are simulated."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -12,10 +13,13 @@ from agents.policies.fixed import STUDY_AIR
 from agents.rollouts.plan import Policy
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units
+from probe_env.fidelity import BOTH_WAYS, Fidelity, resolve_fidelity
 from probe_env.schedule import Schedule
 
 SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
 """What turns round with the probe."""
+UNLAPSED: Final = "unlapsed"
+"""Nodes and step of ``fast`` without its time-lapse, which spreads the shaking of the turn over four times as much."""
 
 
 def fastest_back(config: TaskConfig) -> Schedule:
@@ -75,3 +79,24 @@ class BothWays:
 def way_in(config: TaskConfig) -> TaskConfig:
     """The task of the way in alone."""
     return config.model_copy(update={"passes": "in"})
+
+
+def fidelity_of(name: str) -> Fidelity:
+    """A fidelity of both ways by its name, or ``UNLAPSED``.
+
+    Raises:
+        ValueError: no such fidelity, or one that does not simulate the way back.
+    """
+    if name == UNLAPSED:
+        return BOTH_WAYS["fast"].model_copy(update={"time_lapse": 1.0})
+    return resolve_fidelity(name, both_ways=True)
+
+
+def warn_of_time_lapse(fidelity: Fidelity) -> None:
+    """Say what time-lapse does to what is found on the way back."""
+    if fidelity.time_lapse > 1.0:
+        warnings.warn(
+            f"time_lapse = {fidelity.time_lapse:g}: the turn shakes the probe over so many times as many metres, and"
+            f" less is found on the way back than would be; {UNLAPSED} and standard have none",
+            stacklevel=2,
+        )

@@ -11,7 +11,7 @@ import pytest
 
 from agents.calibration.unknowns import UNKNOWNS
 from agents.policies.plc.law import Constants
-from probe_env import Context, Design, Fidelity, Plant, Simulator
+from probe_env import Context, Design, Fidelity, Plant, Scene, Simulator
 from probe_env.settings import Model
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +44,8 @@ def fields(model: type[Model]) -> Iterator[str]:
                 yield from fields(inner)
 
 
-OWN = frozenset({*fields(Plant), *fields(Design), *fields(Context), *fields(Fidelity), *fields(Constants), *UNKNOWNS})
+MODELS = (Plant, Scene, Design, Context, Fidelity, Constants)
+OWN = frozenset({*(name for model in MODELS for name in fields(model)), *UNKNOWNS})
 STATES = frozenset(name for name, value in vars(Simulator).items() if isinstance(value, property))
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.pages import robustness as page
+from agents.pages import plant as page
 from agents.policies.places import place_of
 from agents.processes.workers import Workers
 from agents.records.columns import COST_KPIS

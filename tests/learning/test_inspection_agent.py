@@ -39,14 +39,14 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     assert isinstance(agent, Agent)
     asked, predict, way = [], agent.predict, list(config.observations).index("way")
 
-    def told(observation, state=None, episode_start=None, deterministic=False):
+    def recorded(observation, state=None, episode_start=None, deterministic=False):
         rows = np.atleast_2d(observation)
         asked.extend(rows[:, way].tolist())
         actions, state = predict(observation, state, episode_start, deterministic)
         fast_back = config.action(0.4, 0.02)
         return np.where(rows[:, way : way + 1] < 0.0, fast_back, actions).astype(np.float32), state
 
-    monkeypatch.setattr(agent, "predict", told)
+    monkeypatch.setattr(agent, "predict", recorded)
     table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, COARSE), None)
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())

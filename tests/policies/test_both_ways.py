@@ -4,7 +4,7 @@ import warnings
 
 import pytest
 
-from agents.policies.unlapsed import UNLAPSED, fidelity_of, warn_of_time_lapse
+from agents.policies.both_ways import UNLAPSED, fidelity_of, warn_of_time_lapse
 
 
 def test_unlapsed_is_fast_without_its_time_lapse():
