@@ -60,7 +60,7 @@ class Evaluate:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
-        from agents.policies.both_ways import fidelity_of, warn_of_time_lapse
+        from agents.policies.both_ways import check_goes_back, fidelity_of, warn_of_time_lapse
         from agents.policies.catalogue import own_policies
         from agents.policies.places import both_ways, place_at
 
@@ -70,6 +70,7 @@ class Evaluate:
         if self.passes == "both":
             place, fidelity = both_ways(place, self.inspects or "best"), fidelity_of(self.fidelity)
             if self.check_fidelity != "no":
+                check_goes_back("finer", self.finer)
                 finer = fidelity_of(self.finer)
             if self.inspects != "in":
                 warn_of_time_lapse(fidelity)

@@ -87,9 +87,17 @@ def fidelity_of(name: str) -> Fidelity:
     Raises:
         ValueError: no such fidelity, or one that does not simulate the way back.
     """
+    check_goes_back("fidelity", name)
     if name == UNLAPSED:
         return BOTH_WAYS["fast"].model_copy(update={"time_lapse": 1.0})
     return resolve_fidelity(name, both_ways=True)
+
+
+def check_goes_back(field: str, name: str) -> None:
+    """Raise ValueError unless a fidelity, by its name, simulates the way back; ``field`` is whose value it is."""
+    known = (*BOTH_WAYS, UNLAPSED, "study")
+    if name not in known:
+        raise ValueError(f"{field} = {name!r} does not simulate the way back; give one of {', '.join(known)}")
 
 
 def warn_of_time_lapse(fidelity: Fidelity) -> None:

@@ -67,7 +67,7 @@ def test_time_lapse_of_both_passes_is_warned_of(capsys):
         (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
         (
             ["evaluate", "constant", "--passes", "both", "--check-fidelity", "acting"],
-            "fidelity = 'reference': superelement does not simulate the way back; give one of standard, fast, study",
+            "finer = 'reference' does not simulate the way back; give one of standard, fast, unlapsed, study",
         ),
         (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
