@@ -34,11 +34,14 @@ class Train:
         from agents.policies.both_ways import warn_of_time_lapse
         from agents.policies.places import plant_at
         from agents.records.shipped import file_or_shipped
+        from agents.worlds.vec_env import MAP
         from probe_env.fidelity import resolve_fidelity
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         if training.task.returns:
-            warn_of_time_lapse(resolve_fidelity(training.validation.fidelity, both_ways=True))
+            given = (training.environment.fidelity, training.validation.fidelity)
+            for fidelity in {resolve_fidelity(one, both_ways=True) for one in given if one != MAP}:
+                warn_of_time_lapse(fidelity)
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:

@@ -26,8 +26,8 @@ BACK = ("fast-in", "steady-back", "slow-back")
 """Schedules that look on the way back."""
 FORTH = ("tension-scheduled", "best-schedule")
 """Policies that look on the way in."""
-PAIRED = (("steady-back", "tension-scheduled"), ("slow-back", "best-schedule"))
-"""Looking on the way back, and the policy of the way in that takes about as long with table 2's probe."""
+PAIRED = (("fast-in", "best-schedule"), ("steady-back", "tension-scheduled"), ("slow-back", "best-schedule"))
+"""Looking on the way back, and a policy of the way in: the last two take about as long with table 2's probe."""
 TURNING = (
     *turning_study.KEYS, *turning_study.SHOWN,
     *(f"{column}{end}" for column in turning_study.CHANGES.values() for end in ("", "_low", "_high")),
