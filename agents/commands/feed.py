@@ -38,7 +38,7 @@ class Evaluate:
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
-    with --passes both study, standard, unlapsed (a third of its price) or fast."""
+    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
     """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed, the policies themselves
@@ -60,7 +60,7 @@ class Evaluate:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
-        from agents.policies.both_ways import check_goes_back, fidelity_of, warn_of_time_lapse
+        from agents.policies.both_ways import check_goes_back, fidelity_of
         from agents.policies.catalogue import own_policies
         from agents.policies.places import both_ways, place_at
 
@@ -72,8 +72,6 @@ class Evaluate:
             if self.check_fidelity != "no":
                 check_goes_back("finer", self.finer)
                 finer = fidelity_of(self.finer)
-            if self.inspects != "in":
-                warn_of_time_lapse(fidelity)
         elif self.inspects:
             raise ValueError(f"inspects = {self.inspects!r} needs --passes both: the probe is not drawn back")
         plan = plan_of(self.policies, place, self.seeds, fidelity, self.probes, self.strict)

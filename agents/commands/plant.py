@@ -200,8 +200,8 @@ class Passes:
 
     limit: int = 6
     """Tubes of the test list, the first of it, which are balanced; 0: all."""
-    fidelity: str = "unlapsed"
-    """How closely to simulate: unlapsed (as fast, without its time-lapse), fast, standard or study."""
+    fidelity: str = "fast"
+    """How closely to simulate: fast (time-lapse on the way in alone), unlapsed (none), standard or study."""
     output: Path = Path("output/passes")
     """Folder of the tables; episodes that are there already are not played again."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
@@ -209,9 +209,7 @@ class Passes:
     def run(self) -> None:
         """Play, store, print."""
         from agents.evaluation.passes import run_study
-        from agents.policies.both_ways import fidelity_of, warn_of_time_lapse
 
-        warn_of_time_lapse(fidelity_of(self.fidelity))
         run_study(self.limit, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (passes.csv, episodes.csv)")
 

@@ -31,17 +31,10 @@ class Train:
         """Train, print the learning curves."""
         from agents.learning.config import Training
         from agents.learning.train import print_curves, train_all
-        from agents.policies.both_ways import warn_of_time_lapse
         from agents.policies.places import plant_at
         from agents.records.shipped import file_or_shipped
-        from agents.worlds.vec_env import MAP
-        from probe_env.fidelity import resolve_fidelity
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
-        if training.task.returns:
-            given = (training.environment.fidelity, training.validation.fidelity)
-            for fidelity in {resolve_fidelity(one, both_ways=True) for one in given if one != MAP}:
-                warn_of_time_lapse(fidelity)
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:

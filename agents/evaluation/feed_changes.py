@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.policies.both_ways import UNLAPSED, fidelity_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.terminal.tables import print_table
+from probe_env.fidelity import BOTH_WAYS
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Scene
@@ -44,7 +44,7 @@ def run_changes(output: Path) -> pd.DataFrame:
     Raises:
         RuntimeError: a simulation diverged.
     """
-    fidelity, rows = fidelity_of(UNLAPSED), []
+    fidelity, rows = BOTH_WAYS["fast"], []
     runs = [(e, scene_of(e, *tube), member) for e, tube, member in product(EXPONENTS, TUBES, range(MEMBERS))]
     for ramp in tqdm(RAMPS, unit="ramp"):
         batch = SimulatorBatch(

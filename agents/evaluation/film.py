@@ -145,7 +145,6 @@ def _figures(motion: Motion) -> dict[str, float]:
 def _motion(play: _Play, at: float, look: Look) -> Motion:
     """What is seen near the tip from the control period on in which a length [m] has been reached."""
     episodes = play.episodes
-    period = episodes.config.period / episodes.fidelity.time_lapse  # of the dynamics
     with tqdm(desc="feeding", unit="period") as bar:
         while play.info["inserted_length"] < at and not play.ended:
             play.step(play.decide())
@@ -162,7 +161,8 @@ def _motion(play: _Play, at: float, look: Look) -> Motion:
     watch = Watch(episodes.batch.simulators[0], look.length, *(before or (np.zeros(0), np.zeros(0))))
     while left > 0.5 * SAMPLE_PERIOD and not play.ended:
         action = play.decide()
-        feed_speed, air_supply_rate = episodes.config.targets(action[None])[0]
+        period = episodes.config.period / episodes.time_lapse[0]  # of the dynamics
+        feed_speed, air_supply_rate = episodes.config.targets(action[None])[0] * episodes.passes.way[0]
         watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(left, period))
         play.step(action)
         left -= period

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import pandas as pd
 
@@ -16,36 +16,36 @@ from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
-from probe_env.envs.task import Inspects
 
 POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled")
 BESIDE: Final = "best-schedule"
 """Looking on the way in by this is what rewards are paired with."""
 PROBES: Final = ("original", "improved")
 LOOKS: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "best": "the better of both"}
+PLAYED: Final = "best"
+"""What counts in the episodes that are played; their KPIs have the others' beside."""
 KPIS: Final = {"reward": 1.0, "inspection_time_s": 1.0, "share_within_limit": 100.0}
 """KPI -> factor of the unit for people: s, %."""
 DEPTH: Final = "a90_95_percent_wall"
 
 
 def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.DataFrame:
-    """Play every policy both ways with every probe, for each thing that a metre may count for; store and print.
+    """Play every policy both ways with every probe, judged by each thing that a metre may count for; store and print.
 
     Episodes that are in ``output`` are not played again. The rewards are paired with those of the way in with
     ``best-schedule``, tube by tube.
 
     Raises:
-        ValueError: the limit is out of range, or the fidelity is none of both ways nor ``UNLAPSED``.
+        ValueError: the limit is out of range, or the fidelity is none of both ways.
     """
     rows, episodes = [], []
     for probe in PROBES:
-        for inspects in get_args(Inspects):
-            place = both_ways(place_of(None, "test", limit), inspects)
-            config = with_probe(place.config.all_shown, probe)
-            policies = named_policies(POLICIES, config)
-            plan = Plan(policies, place.contexts, config=config, fidelity=fidelity_of(fidelity))
-            table = run_plan(plan, output / f"{probe}-{inspects}", workers=workers)
-            episodes.append(table.assign(probe=probe, inspects=inspects))
+        place = both_ways(place_of(None, "test", limit), PLAYED)
+        config = with_probe(place.config.all_shown, probe)
+        policies = named_policies(POLICIES, config)
+        plan = Plan(policies, place.contexts, config=config, fidelity=fidelity_of(fidelity))
+        played = run_plan(plan, output / probe, workers=workers)
+        episodes += [judged_by(played, look).assign(probe=probe, inspects=look) for look in LOOKS]
     table = pd.concat(episodes, ignore_index=True)
     for probe in PROBES:
         of_probe = table[table["probe"] == probe]
@@ -68,6 +68,15 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
     print_table(f"{title}: found with 90 % [% wall], and within the limit [%]", FOUND, found_cells(summary), left=2)
     print_table(f"{title}: reward", REWARDS, reward_cells(summary), left=2)
     return summary
+
+
+def judged_by(table: pd.DataFrame, look: str) -> pd.DataFrame:
+    """Episodes of both passes, which were played for ``PLAYED``, with the KPIs of what else a metre may count for."""
+    beside = {
+        other: [name for name in table.columns if name.startswith(f"{other}_")] for other in LOOKS if other != PLAYED
+    }
+    own = table.drop(columns=[name for names in beside.values() for name in names])
+    return own.assign(**{name.removeprefix(f"{look}_"): table[name] for name in beside.get(look, ())})
 
 
 FOUND: Final = (

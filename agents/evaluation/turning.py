@@ -1,4 +1,4 @@
-"""How gently feed has to turn round, and what time-lapse makes of it: schedules in Inspection-v0, looking back."""
+"""How gently feed has to turn round, and what time-lapse on the way in makes of it: schedules that look back."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import pandas as pd
 
-from agents.policies.both_ways import UNLAPSED, fidelity_of
 from agents.policies.catalogue import named_policies
 from agents.policies.places import both_ways, place_of
 from agents.processes.workers import Workers
@@ -16,12 +15,13 @@ from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import paired_difference
 from agents.terminal.tables import print_table
+from probe_env.fidelity import BOTH_WAYS
 
 POLICIES: Final = ("fast-in", "steady-back")
 RAMPS: Final = (0.5, 0.2, 0.1)
 """Greatest change of the feed speed [m/s2]; the first is the task's own."""
-FIDELITIES: Final = ("fast", UNLAPSED)
-"""With time-lapse and without."""
+FIDELITIES: Final = ("fast", "unlapsed")
+"""With time-lapse on the way in and without."""
 KEYS: Final = ("policy", "ramp", "fidelity")
 KPIS: Final = ("reward", "inspection_time_s", "share_within_limit", "a90_percent_wall")
 DEPTH: Final = "a90_95_percent_wall"
@@ -49,7 +49,7 @@ def run_study(limit: int, output: Path, workers: Workers) -> pd.DataFrame:
         for ramp in RAMPS:
             config = place.config.all_shown.model_copy(update={"ramp": ramp})
             policies = named_policies(POLICIES, config)
-            plan = Plan(policies, place.contexts, config=config, fidelity=fidelity_of(fidelity))
+            plan = Plan(policies, place.contexts, config=config, fidelity=BOTH_WAYS[fidelity])
             table = run_plan(plan, output / f"{fidelity}-ramp-{ramp:g}", workers=workers)
             episodes.append(table.assign(ramp=ramp, fidelity=fidelity))
     table = pd.concat(episodes, ignore_index=True)
@@ -72,7 +72,7 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
     for (policy, ramp, fidelity), part in table.groupby(list(KEYS), sort=False):
         row: dict[str, Any] = dict(zip(KEYS, (policy, ramp, fidelity), strict=True)) | {"tubes": len(part)}
         row |= {kpi: part[kpi].mean() for kpi in KPIS} | {DEPTH: a90_95(part, str(policy))}
-        others = {"ramp": _name(policy, RAMPS[0], fidelity), "fidelity": _name(policy, ramp, UNLAPSED)}
+        others = {"ramp": _name(policy, RAMPS[0], fidelity), "fidelity": _name(policy, ramp, FIDELITIES[-1])}
         for what, column in CHANGES.items():
             change = paired_difference(named, _name(policy, ramp, fidelity), others[what], "a90_percent_wall")
             row |= {column: change.mean, f"{column}_low": change.low, f"{column}_high": change.high}

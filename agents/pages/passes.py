@@ -9,7 +9,6 @@ from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
 from agents.evaluation import turning as turning_study
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
-from agents.policies.both_ways import UNLAPSED
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -49,7 +48,6 @@ def passes() -> str:
         for probe in passes_study.PROBES
     }
     record = figures.model_dump()
-    lapsed = " (as `fast`, without its time-lapse)" if record["fidelity"] == UNLAPSED else ""
     speeds = {name: _speeds(name) for name in BACK}
     fed = ", ".join(f"`{name}` {forth:g} and {back:g} m/s" for name, (forth, back) in speeds.items())
     return (
@@ -63,7 +61,7 @@ def passes() -> str:
         "Reward, and in brackets what it is more than that of looking on the way in by"
         f" `{passes_study.BESIDE}`, paired, with 95 % intervals:\n\n"
         f"{markdown(passes_study.REWARDS, passes_study.reward_cells(summary))}\n\n"
-        f"Simulated at `{record['fidelity']}`{lapsed}, means over {record['limit']} test tubes, which are balanced over"
+        f"Simulated at `{record['fidelity']}`, means over {record['limit']} test tubes, which are balanced over"
         " the diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
         f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
         " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
@@ -115,7 +113,7 @@ def _best(entry: dict[str, Any]) -> str:
 
 
 def turning() -> str:
-    """What a gentler turn is worth, and what time-lapse makes of it."""
+    """What a gentler turn is worth, and what time-lapse on the way in makes of it."""
     folder = RESULTS / "turning"
     summary = stored_table(folder / "turning.csv", *TURNING)
     record = read_json(folder / "provenance.json", Record).model_dump()
@@ -128,10 +126,10 @@ def turning() -> str:
     )
     return (
         f"{markdown(turning_study.HEADER, turning_study.cells(summary))}\n\n"
-        f"Looking on the way back. Paired, a90 with a ramp of {gentle:g} m/s² less that with {usual:g} m/s², without"
-        f" time-lapse: {gained} [% of the wall]; a90 with time-lapse less that without, at {usual:g} m/s²: {deeper}."
+        f"Looking on the way back. Paired, a90 with a ramp of {gentle:g} m/s² less that with {usual:g} m/s², at"
+        f" `{alone}`: {gained} [% of the wall]; a90 at `{lapsed}` less that at `{alone}`, {usual:g} m/s²: {deeper}."
         f" Brackets are 95 % intervals over {record['limit']} balanced test tubes; table 2's probe. `{alone}` is"
-        f" `{lapsed}` without its time-lapse. Made by `{command(record)}` at commit {record['commit']}."
+        f" `{lapsed}` without its time-lapse on the way in. Made by `{command(record)}` at commit {record['commit']}."
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -19,8 +18,6 @@ from probe_env.schedule import Schedule
 
 SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
 """What turns round with the probe."""
-UNLAPSED: Final = "unlapsed"
-"""Nodes and step of ``fast`` without its time-lapse, which spreads the shaking of the turn over four times as much."""
 
 
 def fastest_back(config: TaskConfig) -> Schedule:
@@ -83,30 +80,18 @@ def way_in(config: TaskConfig) -> TaskConfig:
 
 
 def fidelity_of(name: str) -> Fidelity:
-    """A fidelity of both ways by its name, or ``UNLAPSED``.
+    """A fidelity of both ways by its name.
 
     Raises:
         ValueError: no such fidelity, or one that does not simulate the way back.
     """
     check_goes_back("fidelity", name)
-    if name == UNLAPSED:
-        return BOTH_WAYS["fast"].model_copy(update={"time_lapse": 1.0})
     return resolve_fidelity(name, both_ways=True)
 
 
 def check_goes_back(field: str, name: str) -> None:
     """Raise ValueError unless a fidelity, by its name, simulates the way back; ``field`` is whose value it is."""
     presets = [preset for preset, settings in PRESETS.items() if METHODS[settings.method].draws_back]
-    known = (*BOTH_WAYS, UNLAPSED, *presets)
+    known = (*BOTH_WAYS, *presets)
     if name not in known:
         raise ValueError(f"{field} = {name!r} does not simulate the way back; give one of {', '.join(known)}")
-
-
-def warn_of_time_lapse(fidelity: Fidelity) -> None:
-    """Say what time-lapse does to what is found on the way back."""
-    if fidelity.time_lapse > 1.0:
-        warnings.warn(
-            f"time_lapse = {fidelity.time_lapse:g}: the turn shakes the probe over so many times as many metres, and"
-            f" less is found on the way back than would be; {UNLAPSED} and standard have none",
-            stacklevel=2,
-        )

@@ -6,12 +6,14 @@ one, on this machine. Where all numbers that are published agree the results are
 record says so. What the present code writes besides, columns of a table or rows of other figures, is told and does not
 count; nor do columns that the stored table has not.
 
-No sample is run where only the measure changed, how code is hashed or which files a stage reads, and that commit had
+A sample of the code before is kept, so that it is run once, however often the present code is mended. No sample is run
+where only the measure changed, how code is hashed or which files a stage reads, and that commit had
 by today's measure the code and inputs of today.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -37,6 +39,7 @@ from agents.records.provenance import (
     write_json,
 )
 from agents.terminal.tables import print_table
+from probe_env.files import read_text
 
 COMPARED: Final = (".csv", ".npz", ".toml")
 
@@ -93,7 +96,8 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> st
     changed = [name for name, value in state.items() if record.get(name) != value]
     if not record or not changed:
         return "up to date" if record else "never made"
-    tree = tree_of(since or _last(record))
+    compared_with = since or _last(record)
+    tree = tree_of(compared_with)
     if since and not _up_to_date(stage, record, tree):
         raise RuntimeError(f"stage {stage.name}: its results were not up to date at {since}: leave --since out")
     if _is_the_same(stage, record, tree):
@@ -104,10 +108,10 @@ def confirm(stage: Stage, tree_of: Callable[[str], Path], since: str = "") -> st
     if not (stage.sample or stage.script):
         return "no sample is known: make it again"
     place = WORK / f"{stage.name}-sample"
-    shutil.rmtree(place, ignore_errors=True)
-    folders = {"before": place / "before", "now": place / "now"}
+    folders = {"before": place / f"before-{compared_with}", "now": place / "now"}
+    shutil.rmtree(folders["now"], ignore_errors=True)
     put_inputs(stage, tree)  # what the results were made from may have been published after the commit
-    _run(stage, record["command"], tree, folders["before"])
+    _run_once(stage, record, tree, folders["before"])
     _run(stage, stage.command, CHECKOUT, folders["now"])
     difference = first_difference(folders["before"], folders["now"], _stored(stage, folders["before"]))
     if difference:
@@ -158,6 +162,18 @@ def sampled(command: str, sample: dict[str, str]) -> str:
         else:
             words += [flag, value]
     return shlex.join(words)
+
+
+def _run_once(stage: Stage, record: dict[str, Any], tree: Path, folder: Path) -> None:
+    """Run a sample with the code before; one that has run to its end here, with these inputs, is not run again."""
+    mark = folder / "sample.json"
+    asked = {"command": sampled(record["command"], stage.sample), "inputs": record["inputs"]}
+    if mark.exists() and json.loads(read_text(mark)) == asked:
+        print(f"{stage.name}: its sample with the code in {tree} is there", flush=True)
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    _run(stage, record["command"], tree, folder)
+    write_json(mark, asked)
 
 
 def _run(stage: Stage, command: str, tree: Path, folder: Path) -> None:

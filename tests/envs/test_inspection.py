@@ -1,5 +1,7 @@
 """In and back: what a metre counts for, when the probe turns and ends, and policies of both passes."""
 
+import copy
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from pydantic import ValidationError
 from agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.kpis import OF_MOTION
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.passes import Period, passes_of
 from probe_env.envs.task.rules import Ending
@@ -141,8 +144,7 @@ def test_both_ways_find_what_either_finds():
     metres = {stretch: sum(tally.lengths) for stretch, tally in detection.tallies.items()}
     assert metres["in"] == pytest.approx(3.0)
     assert metres["turn"] + metres["back"] == pytest.approx(3.0)
-    after = round(TURN * 4.0)  # periods of a second, by time-lapse a quarter of one
-    assert metres["turn"] == pytest.approx(8.0 - back[after], abs=1e-6)
+    assert metres["turn"] == pytest.approx(8.0 - back[round(TURN)], abs=1e-6)  # periods of a second, without time-lapse
 
 
 def test_it_is_pulled_in_and_pressed_out(played):
@@ -201,7 +203,7 @@ def test_columns_of_the_way_back_go_together(tmp_path):
 @pytest.mark.parametrize(
     ("fidelity", "message"),
     [
-        ("reference", "superelement does not simulate the way back; give one of standard, fast, study"),
+        ("reference", "superelement does not simulate the way back; give one of standard, unlapsed, fast, study"),
         ("auto", "nothing was measured on the way back"),
         ({"method": "imex32"}, "imex32 does not simulate the way back"),
     ],
@@ -215,3 +217,69 @@ def test_what_does_not_simulate_the_way_back_is_refused(fidelity, message):
 def test_both_passes_need_a_length_that_changes():
     with pytest.raises(ValidationError, match="needs growing = true"):
         TaskConfig(passes="both", growing=False)
+
+
+class TestTimeLapse:
+    """On the way in alone."""
+
+    def test_way_back_has_none(self, played):
+        env, seen, infos, _ = played
+        values = in_si_units(env.config, seen)
+        speed = np.abs(values["feed_speed"])
+        steady = np.flatnonzero((speed[1:] == speed[:-1]) & (values["way"][1:] == values["way"][:-1])) + 1
+        travelled = np.abs(np.diff(values["inserted_length"]))[steady[:-1] - 1]
+        assert travelled == pytest.approx(0.4 * env.config.period, rel=1e-5)  # a clock of the shift's own either way
+        simulator = env.episodes.batch.simulators[0]
+        turned = sum(info["way"] < 0.0 for info in infos[:-1])  # periods that began on the way back
+        settled = env.config.settle_time
+        forth = (len(infos) - 1 - turned) * env.config.period / 4.0
+        assert simulator.time == pytest.approx(settled + forth + turned * env.config.period)
+
+    def test_side_by_side_as_alone(self):
+        """Bit for bit, where some probes are on the way back and others on the way in, for other times of motion."""
+        config = TaskConfig(passes="both", scene=SHORT, time_limit=1800.0)
+        actions = config.actions(np.array([0.4, 0.15, 0.4]), np.full(3, 63.0 / 3600.0))
+        rngs = [np.random.default_rng(k) for k in range(3)]
+        options = {k: {"context": HARD.model_copy(update={"friction": 0.1 + 0.05 * k})} for k in range(3)}
+        many = Episodes(3, config, fidelity="fast")
+        many.reset([0, 1, 2], dict(enumerate(copy.deepcopy(rngs))), options)
+        alone = []
+        for k in range(3):
+            alone.append(Episodes(1, config, fidelity="fast"))
+            alone[k].reset([0], {0: copy.deepcopy(rngs[k])}, {0: options[k]})
+        ways = set()
+        while many.running.any():
+            active = many.running.copy()
+            step = many.step(actions, active)
+            ways.add(tuple(many.passes.way[active]))
+            for k in np.flatnonzero(active).tolist():
+                single = alone[k].step(actions[k : k + 1])
+                assert np.array_equal(single.observation[0], step.observation[k])
+                assert single.reward[0] == step.reward[k]
+                assert single.infos[0] == step.infos[k]
+                assert np.array_equal(alone[k].window.radial_of(0), many.window.radial_of(k))
+        assert any(len(set(way)) == 2 for way in ways)  # there were periods with probes both ways
+
+    def test_period_must_fit_both_ways(self):
+        fidelity = {"method": "imex", "time_step": 2e-4, "time_lapse": 2.5}
+        with pytest.raises(ValueError, match=r"config\.period = 0\.0125 s is not a whole number"):
+            Episodes(1, TaskConfig(passes="both", period=0.0125), fidelity=fidelity)
+
+
+def test_one_motion_is_judged_by_every_look(played):
+    """What would have been found and earned, had another way counted, is as if it had been played."""
+    env, _, infos, _ = played
+    kpis = infos[-1]["episode_kpis"]
+    for look in ("in", "back"):
+        other = gym.make("probe_env/Inspection-v0", fidelity="fast", scene=SHORT, config={"inspects": look}).unwrapped
+        other.reset(seed=3, options=HARD.model_dump())
+        over = False
+        while not over:
+            *_, terminated, truncated, info = other.step(env.config.action(0.4, 63.0 / 3600.0))
+            over = terminated or truncated
+        theirs = info["episode_kpis"]
+        own = {name: value for name, value in theirs.items() if not name.startswith(("in_", "back_", "best_"))}
+        for name, value in own.items():
+            assert kpis[name if name in OF_MOTION else f"{look}_{name}"] == value, name
+        assert {f"best_{name}" for name in own if name not in OF_MOTION} <= theirs.keys()
+        assert theirs["best_reward"] == kpis["reward"]

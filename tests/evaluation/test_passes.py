@@ -11,6 +11,7 @@ from agents.evaluation.passes import (
     BESIDE,
     DEPTH,
     FOUND,
+    PLAYED,
     POLICIES,
     PROBES,
     REWARDS,
@@ -19,6 +20,7 @@ from agents.evaluation.passes import (
     run_study,
 )
 from agents.processes.workers import HERE
+from probe_env.envs.episodes.judge import judged_beside
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian
 from probe_env.inspection.tally import POD_NAMES
 
@@ -32,22 +34,24 @@ def curve(policy: str, inspects: str, tube: int) -> np.ndarray:
 
 
 @pytest.fixture
-def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
-    """Probe, what counts and guide float's diameter of each plan; a policy earns its number and tube by what counts."""
-    seen: list[tuple[str, str, float]] = []
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float]]:
+    """Probe and guide float's diameter of each plan; a policy earns its number and tube by what counts."""
+    seen: list[tuple[str, float]] = []
 
     def run_plan(plan, output, workers):  # type: ignore[no-untyped-def]
-        probe, inspects = output.name.rsplit("-", 1)
-        assert plan.config.passes == "both"
-        assert plan.config.inspects == inspects
-        seen.append((probe, inspects, plan.config.scene.probe.guide_float_diameter))
+        assert (plan.config.passes, plan.config.inspects) == ("both", PLAYED)
+        seen.append((output.name, plan.config.scene.probe.guide_float_diameter))
         output.mkdir(parents=True, exist_ok=True)
         rows = []
         for k, name in enumerate(plan.policies):
             for tube in range(len(plan.contexts)):
                 row = {"policy": name, "context": tube, "seed": 0, "commit": "0123456789ab", "share_within_limit": 0.9}
-                row |= {"reward": COUNTS[inspects] * (k + tube), "inspection_time_s": 300.0}
-                rows.append(row | dict(zip(POD_NAMES, curve(name, inspects, tube), strict=True)))
+                row |= {"inspection_time_s": 300.0}
+                for look in COUNTS:
+                    judged = {"reward": COUNTS[look] * (k + tube)}
+                    judged |= dict(zip(POD_NAMES, curve(name, look, tube), strict=True))
+                    row |= judged if look == PLAYED else judged_beside(look, judged)
+                rows.append(row)
         return pd.DataFrame(rows)
 
     monkeypatch.setattr(passes, "run_plan", run_plan)
@@ -56,10 +60,8 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
 
 def test_every_policy_is_judged_by_every_way_with_both_probes(plans, tmp_path):
     summary = run_study(3, "fast", tmp_path, HERE)
-    assert [(probe, inspects) for probe, inspects, _ in plans] == [
-        (p, i) for p in PROBES for i in ("in", "back", "best")
-    ]
-    assert len({diameter for *_, diameter in plans}) == 2
+    assert [probe for probe, _ in plans] == list(PROBES)  # each is played once, and judged by every look
+    assert len({diameter for _, diameter in plans}) == 2
     assert len(summary) == len(PROBES) * len(POLICIES) * 3
     for row in summary.to_dict("records"):
         curves = np.array([curve(row["policy"], row["inspects"], tube) for tube in range(3)])

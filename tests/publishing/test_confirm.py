@@ -174,6 +174,16 @@ def test_results_are_kept_under_the_new_hash_where_the_sample_agrees(stage, monk
     assert "numbers: up to date" in capsys.readouterr().out
 
 
+def test_the_code_before_runs_once_however_often_the_present_one_is_mended(stage, monkeypatch, tmp_path):
+    ran = outputs(monkeypatch, 1.0, 2.0)
+    with pytest.raises(RuntimeError, match="differs"):
+        confirm_results(("numbers",))
+    again = outputs(monkeypatch, 1.0, 1.0)
+    confirm_results(("numbers",))
+    assert [tree for _, tree in ran] == ["abc", tmp_path.name]
+    assert [tree for _, tree in again] == [tmp_path.name]
+
+
 def test_results_are_kept_without_a_sample_where_only_the_measure_changed(stage, monkeypatch, tmp_path):
     """Up to date at a commit which by today's hash and list of inputs is what is here; what differs is not kept."""
     one, path, state = stage

@@ -183,7 +183,7 @@ class _Run:
         axial = felt.axial[:, k] if felt and felt.axial is not None else nothing
         radial = felt.radial[:, k] if felt and felt.radial is not None else nothing
         watch = Watch(simulator, LOOKED_AT, axial, radial)
-        feed, air = episodes.config.targets(playing.actions, may_stand=True)[k]
+        feed, air = episodes.config.targets(playing.actions, may_stand=True)[k] * episodes.passes.way[k]
         with suppress(SimulationError):  # what was seen until it diverged is shown
             watch.follow(simulator, float(feed), float(air), LOOK)
         motion: Motion = watch.motion()

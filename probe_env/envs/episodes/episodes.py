@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Unpack
+from typing import Any, Final, Unpack, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,33 +16,20 @@ import numpy.typing as npt
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.gauges import Gauges
-from probe_env.envs.episodes.kpis import SIGNALS, Tally
+from probe_env.envs.episodes.judge import Judge, Motion, Verdict, judged_beside, judges_of
 from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import (
-    MEASURES,
-    Ending,
-    Outcome,
-    TaskConfig,
-    air_used,
-    capped_square,
-    ending,
-    reward_terms,
-    slack,
-)
-from probe_env.envs.task.passes import Counted, Period, passes_of
-from probe_env.envs.task.safety import cost_terms
+from probe_env.envs.task import Inspects, TaskConfig
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
-from probe_env.physics.simulation.window import Window
+from probe_env.physics.simulation.window import Window, joined
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps
 
 START_PERTURBATION: Final = 1e-7  # [m]
-Terms = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -93,20 +80,23 @@ class Episodes:
         self.start_action = config.action(feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
-        self._dynamic_period = config.period / self.fidelity.time_lapse
-        whole_steps("config.period / fidelity.time_lapse", self._dynamic_period, self.fidelity.time_step)
+        whole_steps(
+            "config.period / fidelity.time_lapse", config.period / self.fidelity.time_lapse, self.fidelity.time_step
+        )
+        if config.returns:
+            whole_steps("config.period", config.period, self.fidelity.time_step)
         scenes = [self.starts.build(Context(), {})] * count
         self.batch = SimulatorBatch(
             scenes, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
             threads=threads, **self._options(),
         )  # fmt: skip
         self.context = [Context()] * count
-        self.tally = [Tally() for _ in range(count)]
         self.gauges = Gauges(config, self.batch)
-        self.passes = passes_of(count, config, len(SIGNALS))
+        self.judge = Judge(count, config)
+        self.beside = judges_of(count, config, get_args(Inspects))
+        self.tally, self.passes = self.judge.tally, self.judge.passes
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.actions = np.tile(self.start_action, (count, 1))
-        self.start = np.zeros(count)
         self.running = np.zeros(count, dtype=bool)
         self.window: Window | None = None
 
@@ -117,6 +107,15 @@ class Episodes:
     def observation(self) -> npt.NDArray[np.float32]:
         """(N, d) what is observed now; of episodes that diverged what was before."""
         return self.gauges.observation
+
+    @property
+    def time_lapse(self) -> FloatArray:
+        """(N,) how many times faster than the motion's clock the length changes.
+
+        What rings on the way in is nearly steady, so metres may be left out. On the way back the motion is what the
+        turn or a change of the feed has left; time-lapse would spread it over so many times as many metres.
+        """
+        return np.where(self.passes.way > 0.0, self.fidelity.time_lapse, 1.0)
 
     def reset(
         self,
@@ -148,21 +147,20 @@ class Episodes:
                 seed=seed, **self._options(),
             )  # fmt: skip
             self.batch.replace(k, simulator)
-            self.start[k] = simulator.inserted_length
-            self.passes.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.tally[k] = Tally(detection=self.passes.detection[k])
+            for judge in self._judges():
+                judge.begin(k, simulator.inserted_length, scene.tube.helix_length)
             self.gauges.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
         self._set_friction(which)
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
-        window = self._advance(None, self.config.settle_time, active)
+        window = self._advance(None, np.full(len(self), self.config.settle_time), active)
         infos = {}
         for k in which:
             self.batch.simulators[k].feed_length()
-            assert window.radial is not None
-            self.tally[k].last_radial = window.radial[-2:, k].copy()
+            for judge in self._judges():
+                judge.settled(k, window.radial_of(k)[-2:])
             self.running[k] = True  # one that diverged while settling ends in its first step
         self.gauges.begin(self._measured(window), active, self.rng)
         for k in which:
@@ -187,25 +185,23 @@ class Episodes:
         self.actions = actions
         before, air_before = self.gauges.inserted(), self.gauges.air_supply_rate()
         self._set_friction(np.flatnonzero(chosen).tolist())
-        window = self._advance(targets, self._dynamic_period, chosen)
-        good = chosen & ~window.diverged
-        period = self._period(good, window, before)
-        counted = self.passes.count(period)
-        air = np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0)
-        hanging = slack(self.config, window.statistics["tension_mean_n"], period.after) & (self.passes.way > 0.0)
-        costs = self._costs(good, window, hanging)
-        self._count(chosen, good, window, counted, air, hanging)
-        end = self._ending(chosen, window, period)
-        terms = reward_terms(self.config, self._outcome(period, counted, air, end), change)
-        reward = np.where(chosen, sum(terms.values()), 0.0)
-        self.gauges.read(self._measured(window), good, self.rng)
-        self.running &= ~end.over
+        seconds = self.config.period / self.time_lapse
+        window = self._advance(targets, seconds, chosen)
+        motion = self._motion(chosen, before, air_before, seconds, change, window)
+        verdict = self.judge.judge(motion)
+        for judge in self.beside.values():
+            judge.judge(motion)
+        for k in np.flatnonzero(chosen & (self.passes.way < 0.0)):
+            self.batch.simulators[k].follow_length()
+        self.gauges.read(self._measured(window), motion.good, self.rng)
+        self.running &= ~verdict.end.over
         self.window = window
-        for k in np.flatnonzero(chosen):
-            self.tally[k].reward += float(reward[k])
-        parts = (terms, costs)
-        infos = [self._step_info(k, window, parts, targets, end) if chosen[k] else {} for k in range(len(self))]
-        return Step(self.observation.copy(), reward, end.terminated, end.truncated, infos)
+        infos = [self._step_info(k, window, verdict, targets) if chosen[k] else {} for k in range(len(self))]
+        end = verdict.end
+        return Step(self.observation.copy(), verdict.reward, end.terminated, end.truncated, infos)
+
+    def _judges(self) -> tuple[Judge, ...]:
+        return self.judge, *self.beside.values()
 
     def _decided(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
         """Which probes are stepped, and the actions (N, 2); of those that are not, the last ones."""
@@ -221,54 +217,51 @@ class Episodes:
         if len(ended):
             raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")
 
-    def _advance(self, targets: FloatArray | None, duration: float, which: BoolArray) -> Window:
-        """Advance some probes towards targets (N, 2), or on as they are, and hear what their motion leaves."""
+    def _advance(self, targets: FloatArray | None, seconds: FloatArray, which: BoolArray) -> Window:
+        """Advance some probes by (N,) seconds towards targets (N, 2), or on as they are, and hear their motion."""
         feed, air = (None, None) if targets is None else (targets[:, 0], targets[:, 1])
-        window = self.batch.advance(feed, air, duration, SAMPLE_PERIOD, which, keep_samples=True)
-        return self.gauges.listen(window, which & ~window.diverged)
+        parts = []
+        for duration in np.unique(seconds[which]) if which.any() else seconds[:1]:
+            part = which & (seconds == duration)
+            window = self.batch.advance(feed, air, float(duration), SAMPLE_PERIOD, part, keep_samples=True)
+            parts.append((part, self.gauges.listen(window, part & ~window.diverged)))
+        return joined(parts)
 
-    def _period(self, good: BoolArray, window: Window, before: FloatArray) -> Period:
-        """What a period of the simulation is to the task."""
-        statistics = window.statistics
-        ratio = statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
-        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
-        squares = capped_square(self.config, ratio)
-        return Period(good, before, self.gauges.inserted(), window.feed_speed, squares, ratio <= 1.0, rms**2)
-
-    def _ending(self, chosen: BoolArray, window: Window, period: Period) -> Ending:
-        """How episodes end with a period."""
-        slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
-        helix = self.gauges.helix_length()
-        end = ending(self.config, period.after, helix, slack_periods, time, chosen, window.diverged)
-        return self.passes.ended(end, period)
-
-    def _outcome(self, period: Period, counted: Counted, air: FloatArray, end: Ending) -> Outcome:
-        """What a period came to."""
-        inspected = np.array([tally.inspected for tally in self.tally])
-        left = self.passes.uninspected(period, self.gauges.helix_length(), inspected)
-        left = np.where(end.over & self.config.growing, left, 0.0)
-        seconds = np.full(len(self), self.config.period)
-        return Outcome(counted.inspected, counted.squares, seconds, air, left, end.diverged)
+    def _motion(
+        self,
+        chosen: BoolArray,
+        before: FloatArray,
+        air_before: FloatArray,
+        seconds: FloatArray,
+        change: FloatArray,
+        window: Window,
+    ) -> Motion:
+        load = np.array([buckling_load(s.scene.probe) for s in self.batch.simulators])
+        return Motion(
+            chosen, chosen & ~window.diverged, before, self.gauges.inserted(), self.gauges.helix_length(), air_before,
+            seconds, change, load, window, self.gauges.meter,
+        )  # fmt: skip
 
     def _measured(self, window: Window) -> dict[str, FloatArray]:
         return self.gauges.measured(window, self.context, self.actions) | {"way": self.passes.way.copy()}
 
-    def _step_info(
-        self, k: int, window: Window, parts: tuple[Terms, Terms], targets: FloatArray, end: Ending
-    ) -> dict[str, Any]:
-        terms, costs = ({name: float(values[k]) for name, values in part.items()} for part in parts)
+    def _step_info(self, k: int, window: Window, verdict: Verdict, targets: FloatArray) -> dict[str, Any]:
+        terms, costs = (
+            {name: float(values[k]) for name, values in part.items()} for part in (verdict.rewards, verdict.costs)
+        )
         info = self._info(k, window) | {
             "reward_terms": terms,
             "cost": sum(costs.values()),
             "cost_terms": costs,
             "target_feed_speed": float(targets[k, 0]),
             "target_air_supply_rate": float(targets[k, 1]),
-            **end.failed(k),
+            **verdict.end.failed(k),
         }
         if not self.running[k]:
             tube = float(self.gauges.helix_length()[k])
-            length = tube - self.start[k] if self.config.growing else self.tally[k].inspected
-            info["episode_kpis"] = self.tally[k].kpis(float(length), tube, end.kpis(k))
+            info["episode_kpis"] = self.judge.kpis(k, tube, verdict.end)
+            for look, judge in self.beside.items():
+                info["episode_kpis"] |= judged_beside(look, judge.kpis(k, tube, verdict.end))
         return info
 
     def _check_simulable(self, k: int, scene: Scene) -> None:
@@ -278,17 +271,6 @@ class Episodes:
         except ValueError as error:
             raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
 
-    def _costs(self, good: BoolArray, window: Window, hanging: BoolArray) -> dict[str, FloatArray]:
-        """Parts (N,) of the period's cost, which are tallied as well; 0 for probes that were not advanced."""
-        assert window.tension is not None
-        load = np.array([buckling_load(s.scene.probe) for s in self.batch.simulators])
-        mean, greatest = window.statistics["tension_mean_n"], window.tension.max(axis=0)
-        costs = {n: np.where(good, c, 0.0) for n, c in cost_terms(self.config, hanging, mean, greatest, load).items()}
-        for k in np.flatnonzero(good):
-            for name, values in costs.items():
-                self.tally[k].costs[name] += float(values[k])
-        return costs
-
     def _set_friction(self, which: Sequence[int]) -> None:
         """Give some probes the mean friction of the tube that they are in, where it drifts along it."""
         if self.config.friction_drift == 0.0:
@@ -297,24 +279,6 @@ class Episodes:
         for k in which:
             mean = self.context[k].friction * (1.0 + self.config.friction_drift * (float(share[k]) - 1.0))
             self.batch.simulators[k].set_friction(min(mean, 1.0))
-
-    def _count(
-        self, chosen: BoolArray, good: BoolArray, window: Window, counted: Counted, air: FloatArray, hanging: BoolArray
-    ) -> None:
-        """Add a period to the tallies."""
-        assert window.radial is not None
-        for k in np.flatnonzero(chosen):
-            tally = self.tally[k]
-            tally.time += self.config.period
-            if not good[k]:
-                continue
-            inspected = float(counted.inspected[k])
-            tally.add_period(inspected, float(counted.within[k]), float(air[k]))
-            tally.add_drive(bool(hanging[k]), self.config.lost_drive_periods)
-            back = self.passes.way[k] < 0.0
-            rest = float(window.radial[:, k].mean()) if back else 0.0  # on the outer wall, or on its way there
-            tally.add_signals(counted.measures[k].tolist(), window.radial[:, k], SAMPLE_PERIOD, rest)
-            self.passes.hear(int(k), inspected, self._dynamic_period, self.gauges.meter.of(int(k)))
 
     def _options(self) -> dict[str, Any]:
         return {

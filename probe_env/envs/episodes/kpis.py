@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import slack_in_a_row
+from probe_env.envs.task import ENDINGS, slack_in_a_row
 from probe_env.envs.task.safety import COSTS
 from probe_env.inspection.either import EitherTally
 from probe_env.inspection.tally import DetectionTally
@@ -18,6 +19,12 @@ LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200
 BINS = round(np.log10(HIGHEST / LOWEST) * PER_DECADE)
 SIGNALS = {"radial": "m", "radial_acceleration": "m_per_s2"}
 """Signals of the figures and their units; rms is over the length inspected, p99 and max over the magnitude in time."""
+
+OF_MOTION: Final = frozenset(
+    {"inspection_time_s", "air_m3", "lost_drive_events", *ENDINGS, "cost", *(f"cost_{name}" for name in COSTS)}
+    | {f"{name}_{figure}_{unit}" for name, unit in SIGNALS.items() for figure in ("p99", "max")}
+)
+"""KPIs that do not hang on what counts: they are those of the motion."""
 
 
 class Percentiles:

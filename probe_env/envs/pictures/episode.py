@@ -68,7 +68,7 @@ class Renderer:
         figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
         helix = Helix(halves[0], simulator)
-        period = config.period / self.episodes.fidelity.time_lapse
+        period = config.period / (1.0 if config.returns else self.episodes.fidelity.time_lapse)  # the longer of both
         traces = Traces(halves[1], config, period, simulator.scene.tube.helix_length)
         return Plate(figure, (*helix.moving, *traces.moving)), helix, traces
 

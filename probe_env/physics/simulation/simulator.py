@@ -186,6 +186,10 @@ class Simulator(Saved):
         """Let the length grow with the feed, where the probe is a growing one."""
         self.drive.growth = self.time_lapse if self.growing else 0.0
 
+    def follow_length(self) -> None:
+        """Let the length go with the feed as it is, without time-lapse, where the probe is a growing one."""
+        self.drive.growth = 1.0 if self.growing else 0.0
+
     def _built(self) -> dict[str, Any]:
         return super()._built() | {"scene": self.scene.model_dump()}
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -25,7 +26,7 @@ class Window:
         feed_speed, air_supply_rate: (N,) at the end of the window [m/s], [m3/s].
         diverged: (N,) bool.
         time, axial, radial, tension: samples (k,), (k, N) if asked for: displacements of the sensor [m] and
-            root tension [N].
+            root tension [N]; NaN where a probe of a ``joined`` window was advanced for a shorter time.
     """
 
     statistics: dict[str, FloatArray]
@@ -38,9 +39,42 @@ class Window:
     radial: FloatArray | None = None
     tension: FloatArray | None = None
 
+    def radial_of(self, k: int) -> FloatArray:
+        """(k,) radial displacement of one probe's sensor [m], as long as it was advanced; samples were asked for."""
+        assert self.radial is not None
+        samples = self.radial[:, k]
+        return samples[~np.isnan(samples)]
+
     def __repr__(self) -> str:
         rms = ", ".join(f"{1e3 * value:.3g}" for value in self.statistics["radial_rms_m"][:MOST_SHOWN])
         more = ", ..." if len(self.diverged) > MOST_SHOWN else ""
         kept = "" if self.time is None else f", {len(self.time)} samples"
         counts = f"{len(self.diverged)} probes, {self.diverged.sum()} diverged{kept}"
         return f"<Window of {counts}; radial rms [mm]: {rms}{more}>"
+
+
+def joined(parts: Sequence[tuple[npt.NDArray[np.bool_], Window]]) -> Window:
+    """One window of N probes of which some were advanced by themselves, for as long as they needed.
+
+    Args:
+        parts: which (N,) probes, and their window, with samples; in the order in which they were advanced.
+    """
+    if len(parts) == 1:
+        return parts[0][1]
+    last, longest = parts[-1][1], max((window for _, window in parts), key=_count)
+    count = len(last.diverged)
+    axial, radial, tension = (np.zeros((_count(longest), count)) for _ in range(3))
+    statistics: dict[str, FloatArray] = {name: np.zeros(count) for name in last.statistics}
+    for which, window in parts:
+        for name, values in statistics.items():
+            values[which] = window.statistics[name][which]
+        for of_all, samples in ((axial, window.axial), (radial, window.radial), (tension, window.tension)):
+            assert samples is not None
+            of_all[: len(samples), which] = samples[:, which]
+            of_all[len(samples) :, which] = np.nan
+    return replace(last, statistics=statistics, time=longest.time, axial=axial, radial=radial, tension=tension)
+
+
+def _count(window: Window) -> int:
+    assert window.time is not None
+    return len(window.time)

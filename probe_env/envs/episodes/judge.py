@@ -1,0 +1,180 @@
+"""What a task makes of the motion of N probes: what counts, rewards, costs, endings and the figures of an episode.
+
+One motion may have several judges: what would have been found if only the way in had been looked at, say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.episodes.kpis import OF_MOTION, SIGNALS, Tally
+from probe_env.envs.task import (
+    MEASURES,
+    Ending,
+    Outcome,
+    TaskConfig,
+    air_used,
+    capped_square,
+    ending,
+    reward_terms,
+    slack,
+)
+from probe_env.envs.task.passes import Counted, Period, passes_of
+from probe_env.envs.task.safety import cost_terms
+from probe_env.inspection.meter import Meter
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.window import Window
+
+
+class Motion(NamedTuple):
+    """A control period of N probes as it was simulated, whatever it counts for.
+
+    Attributes:
+        chosen: (N,) that were stepped.
+        good: (N,) of them those that did not diverge.
+        before, after: (N,) inserted length around it [m].
+        helix_length: (N,) [m].
+        air_before: (N,) supply rate at its start [m3/s].
+        seconds: (N,) of motion.
+        change: (N, 2) action less the one before.
+        buckling: (N,) load [N].
+        window: of the motion.
+        meter: that has heard it.
+    """
+
+    chosen: BoolArray
+    good: BoolArray
+    before: FloatArray
+    after: FloatArray
+    helix_length: FloatArray
+    air_before: FloatArray
+    seconds: FloatArray
+    change: FloatArray
+    buckling: FloatArray
+    window: Window
+    meter: Meter
+
+
+class Verdict(NamedTuple):
+    """What a period came to: named terms (N,) of reward and cost, and which episodes end."""
+
+    rewards: dict[str, FloatArray]
+    costs: dict[str, FloatArray]
+    reward: FloatArray
+    end: Ending
+
+
+class Judge:
+    """Keeps the tallies of N episodes.
+
+    Args:
+        count: N.
+        config: the task.
+
+    Attributes:
+        passes: which way each probe goes, and what was found.
+        tally: of each, up to now.
+    """
+
+    def __init__(self, count: int, config: TaskConfig) -> None:
+        self.config: Final = config
+        self.passes: Final = passes_of(count, config, len(SIGNALS))
+        self.tally: Final = [Tally() for _ in range(count)]
+        self._start = np.zeros(count)
+
+    def begin(self, k: int, start: float, helix_length: float) -> None:
+        """An episode of probe ``k`` begins at an inserted length [m]."""
+        self._start[k] = start
+        self.passes.begin(k, start, helix_length)
+        self.tally[k] = Tally(detection=self.passes.detection[k])
+
+    def settled(self, k: int, radial: npt.NDArray[np.floating]) -> None:
+        """The last two radial displacements [m] before an episode's first period."""
+        self.tally[k].last_radial = radial.copy()
+
+    def judge(self, motion: Motion) -> Verdict:
+        """Count a period, and say what it came to."""
+        period = self._period(motion)
+        counted = self.passes.count(period)
+        air = np.where(motion.good, air_used(self.config, motion.air_before, motion.window.air_supply_rate), 0.0)
+        hanging = slack(self.config, motion.window.statistics["tension_mean_n"], motion.after) & (self.passes.way > 0.0)
+        costs = self._costs(motion, hanging)
+        self._count(motion, counted, air, hanging)
+        end = self._ending(motion, period)
+        rewards = reward_terms(self.config, self._outcome(motion, period, counted, air, end), motion.change)
+        reward = np.where(motion.chosen, sum(rewards.values()), 0.0)
+        for k in np.flatnonzero(motion.chosen):
+            self.tally[k].reward += float(reward[k])
+        return Verdict(rewards, costs, reward, end)
+
+    def kpis(self, k: int, tube_length: float, end: Ending) -> dict[str, float]:
+        """Figures of an episode that has ended, in a tube of a length [m]."""
+        tally = self.tally[k]
+        length = tube_length - self._start[k] if self.config.growing else tally.inspected
+        return tally.kpis(float(length), tube_length, end.kpis(k))
+
+    def _period(self, motion: Motion) -> Period:
+        """What a period of the simulation is to the task."""
+        statistics = motion.window.statistics
+        ratio = statistics[MEASURES[self.config.vibration_measure][0]] / self.config.limit
+        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
+        squares = capped_square(self.config, ratio)
+        feed_speed = motion.window.feed_speed
+        return Period(motion.good, motion.before, motion.after, feed_speed, squares, ratio <= 1.0, rms**2)
+
+    def _costs(self, motion: Motion, hanging: BoolArray) -> dict[str, FloatArray]:
+        """Parts (N,) of the period's cost, which are tallied as well; 0 for probes that were not advanced."""
+        assert motion.window.tension is not None
+        mean, greatest = motion.window.statistics["tension_mean_n"], np.nanmax(motion.window.tension, axis=0)
+        terms = cost_terms(self.config, hanging, mean, greatest, motion.buckling)
+        costs = {name: np.where(motion.good, cost, 0.0) for name, cost in terms.items()}
+        for k in np.flatnonzero(motion.good):
+            for name, values in costs.items():
+                self.tally[k].costs[name] += float(values[k])
+        return costs
+
+    def _count(self, motion: Motion, counted: Counted, air: FloatArray, hanging: BoolArray) -> None:
+        """Add a period to the tallies."""
+        for k in np.flatnonzero(motion.chosen).tolist():
+            tally = self.tally[k]
+            tally.time += self.config.period
+            if not motion.good[k]:
+                continue
+            inspected, radial = float(counted.inspected[k]), motion.window.radial_of(k)
+            tally.add_period(inspected, float(counted.within[k]), float(air[k]))
+            tally.add_drive(bool(hanging[k]), self.config.lost_drive_periods)
+            rest = float(radial.mean()) if self.passes.way[k] < 0.0 else 0.0  # on the outer wall, or on its way there
+            tally.add_signals(counted.measures[k].tolist(), radial, SAMPLE_PERIOD, rest)
+            self.passes.hear(k, inspected, float(motion.seconds[k]), motion.meter.of(k))
+
+    def _ending(self, motion: Motion, period: Period) -> Ending:
+        """How episodes end with a period."""
+        slack_periods, time = (np.array([getattr(t, name) for t in self.tally]) for name in ("slack_periods", "time"))
+        end = ending(
+            self.config, motion.after, motion.helix_length, slack_periods, time, motion.chosen, motion.window.diverged
+        )
+        return self.passes.ended(end, period)
+
+    def _outcome(self, motion: Motion, period: Period, counted: Counted, air: FloatArray, end: Ending) -> Outcome:
+        """What a period came to."""
+        inspected = np.array([tally.inspected for tally in self.tally])
+        left = self.passes.uninspected(period, motion.helix_length, inspected)
+        left = np.where(end.over & self.config.growing, left, 0.0)
+        seconds = np.full(len(self.tally), self.config.period)
+        return Outcome(counted.inspected, counted.squares, seconds, air, left, end.diverged)
+
+
+def judged_beside(look: str, kpis: dict[str, float]) -> dict[str, float]:
+    """Figures of an episode by another judge that differ with what counts, by name: "back_reward"."""
+    return {f"{look}_{name}": value for name, value in kpis.items() if name not in OF_MOTION}
+
+
+def judges_of(count: int, config: TaskConfig, looks: Sequence[str]) -> dict[str, Judge]:
+    """Judges of a task's other looks, by what counts; none where probes go one way."""
+    others = [look for look in looks if config.returns and look != config.inspects]
+    return {look: Judge(count, config.model_copy(update={"inspects": look})) for look in others}
