@@ -57,14 +57,16 @@ class Plc:
     """Your own plant (tube.toml), whose bore, air, probe and ranges the law takes."""
     find: bool = False
     """Find the constants anew: on the vibration map, then in simulation on training tubes."""
+    find_trim: bool = False
+    """Find the two constants of trimmed-law anew: a grid of them, in simulation on training tubes."""
     trials: int = 600
     """With --find: laws tried on the map."""
     generations: int = 6
     """With --find: generations of ten laws each that are simulated then."""
     limit: int = 12
-    """With --find: training tubes of these, the first, which are balanced."""
+    """With --find and --find-trim: training tubes that are simulated, the first, which are balanced."""
     output: Path = Path("output/plc")
-    """With --find: folder of plc-law.json, every trial and the episodes."""
+    """With --find and --find-trim: folder of plc-law.json or trimmed-law.json, every trial and the episodes."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 
     def run(self) -> None:
@@ -74,6 +76,12 @@ class Plc:
         from agents.policies.plc.law import PlantData, read_constants
         from agents.policies.plc.writing import print_law, write_law
 
+        if self.find_trim:
+            from agents.policies.plc.trim_search import run_trim_search
+
+            run_trim_search(self.limit, self.output, self.workers)
+            print(f"written: {self.output}/ (trimmed-law.json, trimmed-law-trials.csv)")
+            return
         constants = read_constants()
         if self.find:
             from agents.policies.plc.search import run_law_search

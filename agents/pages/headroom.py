@@ -6,7 +6,7 @@ import pandas as pd
 
 from agents.evaluation import headroom as study
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
-from agents.policies.catalogue import PLC
+from agents.policies.catalogue import LAWS
 from agents.policies.planning.planner import PLANNERS
 from agents.records.models import Figures
 from agents.records.reading import read_json
@@ -58,9 +58,9 @@ def with_planner(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_law(table: pd.DataFrame) -> pd.DataFrame:
-    """An evaluation's table with the episodes of the PLC's law on the same tubes."""
+    """An evaluation's table with the episodes of the PLC's laws on the same tubes."""
     played = grouped(read_episodes(RESULTS / "control" / "episodes.csv"))
-    law = played[(played["policy"] == PLC) & played["context"].isin(set(table["context"]))]
+    law = played[played["policy"].isin(LAWS) & played["context"].isin(set(table["context"]))]
     return pd.concat([table, law[[name for name in table.columns if name in law]]], ignore_index=True)
 
 

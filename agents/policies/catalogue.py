@@ -16,6 +16,7 @@ from agents.policies.maps.vibration_map import VibrationMap, check_measure, stor
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planning.planner import PLANNERS, Planner
 from agents.policies.plc.law import PlcLaw
+from agents.policies.plc.trimmed import TrimmedLaw
 from agents.policies.shield import PREFIX, Shielded, unshielded
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.rollouts.plan import Policy
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env optimise``, in ``agents/policies/data/``."""
-PLC: Final = "plc-law"
+LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-law": PlcLaw, "trimmed-law": TrimmedLaw}
 BY_DIAMETER: Final = "best-schedule-by-diameter"
-NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, PLC, *PLANNERS)
+NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
 
 
 def named_policies(
@@ -112,8 +113,8 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if spec in MAP_POLICIES:
         on_map, settings = MAP_POLICIES[spec]
         return on_map(config, vibration=vibration or stored_map(), **settings)
-    if spec == PLC:
-        return PlcLaw(config)
+    if spec in LAWS:
+        return LAWS[spec](config)
     if spec in PLANNERS:
         return Planner(config, vibration=vibration or stored_map(), **PLANNERS[spec])
     if spec in STORED:
