@@ -53,6 +53,8 @@ class Plc:
     """Write the law as IEC 61131-3 structured text here."""
     csv: Path | None = None
     """Write it as a table by helix diameter, friction and length here."""
+    trimmed: bool = False
+    """With --st: with integral action on the noise, as the policy trimmed-law acts."""
     tube: Path | None = None
     """Your own plant (tube.toml), whose bore, air, probe and ranges the law takes."""
     find: bool = False
@@ -74,8 +76,11 @@ class Plc:
         from agents.policies.maps.vibration_map import stored_map
         from agents.policies.places import place_at
         from agents.policies.plc.law import PlantData, read_constants
+        from agents.policies.plc.trimmed import read_trim
         from agents.policies.plc.writing import print_law, write_law
 
+        if self.trimmed and not self.st:
+            raise ValueError("trimmed = True needs --st: a table has no memory to trim with")
         if self.find_trim:
             from agents.policies.plc.trim_search import run_trim_search
 
@@ -91,7 +96,8 @@ class Plc:
             )
             print(f"written: {self.output}/ (plc-law.json, plc-law-trials.csv)")
         place = place_at(self.tube, "test")
-        write_law(constants, PlantData.of(place.config), place, self.st, self.csv)
+        trim = read_trim() if self.trimmed else None
+        write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
         print_law(constants)
 
 

@@ -15,6 +15,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
+        plc.trim,
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
         passes.feed_changes, passes.passes, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,

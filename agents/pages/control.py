@@ -40,6 +40,7 @@ HEADLINE: Final = {
     "adaptive": "the same, corrected by the vibration that is measured",
     "ppo": "trained agents, the mean of five training seeds",
     "plc-law": "ten constants that a PLC can hold: length, root tension and noise in, feed and air out",
+    "trimmed-law": "`plc-law` with integral action: past the onset its feed is trimmed by the noise",
     "privileged": "is told the tube, which no rig knows, and follows the best schedule for it",
     "planner": "tries things out on the simulator itself: the measure of what feedback could win",
 }
@@ -76,7 +77,7 @@ def headline() -> str:
         f"Means over {table['context'].nunique()} held-out tubes. The limit is a radial rms of"
         f" {1e3 * config.limit:g} mm at the sensor, {config.period:g} s at a time; `radial rms` is over the length."
         f" {_failed(shown, f' of {len(shown)} insertions')}."
-        " `plc-law` and `planner` are of `probe-env results control headroom`."
+        " `plc-law`, `trimmed-law` and `planner` are of `probe-env results control headroom`."
     )
     return "\n".join(lines) + f"\n\n{note} {_simulated(folder)} {source(folder / 'provenance.json')}"
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Final
+
+import pandas as pd
+
 from agents.evaluation.report import kpi_cells
 from agents.pages.headroom import SHARE, lead_of, with_planner
-from agents.pages.sources import RESULTS, command, markdown, source, ways_to_fail
+from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.places import place_of
+from agents.policies.plc import trim_search
 from agents.policies.plc.export import structured_text
 from agents.policies.plc.law import STORED, PlantData, read_constants
+from agents.policies.plc.trimmed import STORED as TRIM
+from agents.policies.plc.trimmed import read_trim
 from agents.policies.plc.writing import HEADER, rows_of
 from agents.records.columns import shown_of
 from agents.records.models import Figures
@@ -18,6 +26,8 @@ from agents.rollouts.statistics import failures, grouped, paired_difference
 
 FOLDER = RESULTS / "control"
 RIVALS = ("best-schedule-by-diameter", "tension-scheduled", "adaptive")
+BESIDE: Final[dict[str, tuple[str, ...]]] = {"plc-law": RIVALS, "trimmed-law": (*RIVALS, "plc-law")}
+"""Laws, and what each is compared with."""
 SHOWN = ("reward", "inspection_time_s", "share_within_limit")
 
 
@@ -46,16 +56,38 @@ def plc_reached() -> str:
     for policy, cells in kpi_cells(table):
         by_kpi = dict(zip(known, cells, strict=True))
         lines.append(f"| `{policy}` | {' | '.join(by_kpi[kpi] for kpi in SHOWN)} | {lead_of(beside, policy)} |")
-    against = "; ".join(
-        f"`{rival}` is {paired_difference(table, 'plc-law', rival, 'reward').text()}, and it earns more than that in"
-        f" {probability_of_improvement(table, 'plc-law', rival).text(100.0)} % of the tubes"
-        for rival in RIVALS
-    )
-    lost = int(failures(table[table["policy"] == "plc-law"]).sum())
+    against = ". ".join(f"{_against(table, law, rivals)}" for law, rivals in BESIDE.items())
+    laws = table[table["policy"].isin(BESIDE)]
+    lost = int(failures(laws).sum())
     return (
-        "\n".join(lines) + f"\n\nThe law's reward less that of {against}. {lost} of its insertions"
+        "\n".join(lines) + f"\n\n{against}. {lost} of their {len(laws)} insertions"
         f" {ways_to_fail()}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
         f" intervals; `ppo` is its training seed 0. {source(FOLDER / 'provenance.json')}"
+    )
+
+
+def _against(table: pd.DataFrame, law: str, rivals: Sequence[str]) -> str:
+    """What a law earns more than others, tube by tube."""
+    parts = "; ".join(
+        f"`{rival}` is {paired_difference(table, law, rival, 'reward').text()}, and it earns more than that in"
+        f" {probability_of_improvement(table, law, rival).text(100.0)} % of the tubes"
+        for rival in rivals
+    )
+    return f"The reward of `{law}` less that of {parts}"
+
+
+def trim() -> str:
+    """The grid of the trim's two constants."""
+    stored = read_json(TRIM, Figures)
+    searched, chosen = stored.model_extra or {}, read_trim()
+    record = stored.provenance.model_dump()
+    trials = stored_table(TRIM.with_name("trimmed-law-trials.csv"), "aim", "time", "gain", "gain_low", "gain_high")
+    return (
+        f"{markdown(trim_search.HEADER, trim_search.cells(trials))}\n\n"
+        f"Reward less that of `{trim_search.UNTRIMMED}`, by the noise that is aimed at and the trim's time, paired,"
+        f" with 95 % intervals, on {searched['tubes']} training tubes. `trimmed-law` aims at"
+        f" {1e6 * chosen.aim:.3g} µm in {chosen.time:g} s. Made by `{command(record)}` at commit"
+        f" {record['commit']}; all of it is in `agents/policies/data/trimmed-law-trials.csv`."
     )
 
 

@@ -20,6 +20,7 @@ from agents.policies.plc.law import (
     PlantData,
     law_at,
 )
+from agents.policies.plc.trimmed import LOWERED, MOST_TRIM, NOISE_AVERAGE, RAISED, UNKNOWN_NOISE, Trim
 
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5
@@ -27,7 +28,7 @@ TABLE_STEP: Final = 2.5
 
 _TEXT: Final = """\
 (* Feed and air of an eddy-current probe in a helical tube, by inserted length, root tension and noise.
-   Ten constants; the rest are data of the plant. SI units. IEC 61131-3 structured text.
+   {count} constants; the rest are data of the plant. SI units. IEC 61131-3 structured text.
    Call it once every Period, with Start = TRUE in the first cycle of an insertion. *)
 FUNCTION_BLOCK ProbeFeedLaw
 VAR_INPUT
@@ -47,7 +48,7 @@ END_VAR
 VAR
     Friction : REAL;           (* average *)
     LogNoise : REAL;           (* average of LN(Noise) *)
-    Length : REAL;
+{trim_variables}    Length : REAL;
     Wind : REAL;
     Share : REAL;
     X : REAL;
@@ -59,7 +60,7 @@ VAR
     K : INT;
 END_VAR
 VAR CONSTANT
-    (* the ten constants *)
+    (* the constants *)
 {constants}
     (* data of the plant *)
 {plant}
@@ -68,7 +69,7 @@ END_VAR
 IF Start THEN
     Friction := {friction};
     LogNoise := LN(QUIET);
-END_IF;
+{trim_start}END_IF;
 
 (* friction of steady sliding: Share = (1 - EXP(-X)) / X by Newton, X = friction * length / radius *)
 Length := MAX(InsertedLength, {shortest});
@@ -85,7 +86,7 @@ X := LIMIT({least}, X, {most});
 Gain := 1.0 - EXP(-Period / AVERAGE);
 Friction := Friction + Gain * (X - Friction);
 LogNoise := LogNoise + Gain * (LN(MAX(Noise, 0.0000001)) - LogNoise);
-
+{trim_noise}
 (* noise makes the probe act as if more or less of it were in the tube *)
 Louder := LIMIT(-{shift}, SHIFT * (LogNoise - LN(QUIET)), {shift});
 Length := InsertedLength * EXP(Louder);
@@ -100,13 +101,34 @@ IF Length < Onset THEN
 ELSE
     Feed := LIMIT(LEAST_FEED, Slow, MOST_FEED);
     Air := MOST_AIR;
-END_IF;
+{trim_feed}END_IF;
 END_FUNCTION_BLOCK
 """
 
+_TRIM: Final = {
+    "trim_variables": """\
+    NoiseNow : REAL;           (* shorter average of LN(Noise) *)
+    Trim : REAL;               (* LN of a factor on the feed *)
+""",
+    "trim_start": """\
+    NoiseNow := LN({unknown});
+    Trim := 0.0;
+""",
+    "trim_noise": """\
+NoiseNow := NoiseNow + (1.0 - EXP(-Period / {average})) * (LN(MAX(Noise, 0.0000001)) - NoiseNow);
+""",
+    "trim_feed": """\
+    (* past the onset the feed is trimmed until the noise is what is aimed at *)
+    Trim := Trim + Period / TRIM_TIME * LIMIT(-{lowered}, LN(AIM) - NoiseNow, {raised});
+    Trim := LIMIT(-{most}, Trim, {most});
+    Feed := LIMIT(LEAST_FEED, Feed * EXP(Trim), MOST_FEED);
+""",
+}
+"""What integral action adds."""
 
-def structured_text(constants: Constants, plant: PlantData) -> str:
-    """The law as a function block."""
+
+def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = None) -> str:
+    """The law as a function block, with its feed trimmed where there is a trim."""
     (slow, fast), (least, most) = plant.feed_speeds, plant.air_supply_rates
     data = {
         "AIR_SPEED": (plant.air_speed_per_supply, "m/s of wind a m3/s of supply"),
@@ -117,10 +139,16 @@ def structured_text(constants: Constants, plant: PlantData) -> str:
     }  # fmt: skip
     units = {"average": "s", "onset_length": "m", "slow_feed": "m/s", "quiet": "m"}
     own = {name.upper(): (value, units.get(name, "-")) for name, value in constants.model_dump().items()}
+    if trim:
+        own |= {"AIM": (trim.aim, "m"), "TRIM_TIME": (trim.time, "s")}
+    numbers = {"unknown": UNKNOWN_NOISE, "average": NOISE_AVERAGE, "lowered": LOWERED, "raised": RAISED}
+    numbers |= {"most": MOST_TRIM}
+    written = {name: _real(value) for name, value in numbers.items()}
+    trimming = {name: text.format(**written) if trim else "" for name, text in _TRIM.items()}
     return _TEXT.format(
-        constants=_declared(own), plant=_declared(data), friction=_real(FRICTION), diameter=_real(DIAMETER),
-        length=_real(LENGTH), shortest=_real(SHORTEST), shift=_real(MOST_SHIFT), iterations=ITERATIONS,
-        least=_real(CREDIBLE[0]), most=_real(CREDIBLE[1]),
+        count="Twelve" if trim else "Ten", constants=_declared(own), plant=_declared(data), friction=_real(FRICTION),
+        diameter=_real(DIAMETER), length=_real(LENGTH), shortest=_real(SHORTEST), shift=_real(MOST_SHIFT),
+        iterations=ITERATIONS, least=_real(CREDIBLE[0]), most=_real(CREDIBLE[1]), **trimming,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from agents.policies.places import Place
 from agents.policies.plc.export import structured_text, table
 from agents.policies.plc.law import Constants, PlantData
+from agents.policies.plc.trimmed import Trim
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
@@ -39,8 +40,10 @@ def print_law(constants: Constants) -> None:
     print_table("The law's constants", HEADER, rows_of(constants), left=4)
 
 
-def write_law(constants: Constants, plant: PlantData, place: Place, st: Path | None, csv: Path | None) -> None:
-    """Write it as structured text and as a table, where asked for.
+def write_law(
+    constants: Constants, plant: PlantData, place: Place, st: Path | None, csv: Path | None, trim: Trim | None = None
+) -> None:
+    """Write it as structured text, with its feed trimmed where there is a trim, and as a table, where asked for.
 
     Its least air is a fixed one: a plant that asks for more tension than the task does is told so.
     """
@@ -53,7 +56,7 @@ def write_law(constants: Constants, plant: PlantData, place: Place, st: Path | N
             stacklevel=2,
         )
     if st:
-        write_atomically(st, structured_text(constants, plant))
+        write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")
     if csv:
         diameters = sorted({context.helix_diameter for context in place.contexts})
