@@ -14,8 +14,8 @@ MAKERS: dict[str, Callable[[], str]] = {
     for maker in (
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
         control.map_quality, control.tradeoff,
-        headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_reached, plc.plc_text,
-        plc.trim,
+        headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_finely, plc.plc_fresh,
+        plc.plc_reached, plc.plc_text, plc.trim,
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
         passes.feed_changes, passes.passes, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,

@@ -186,6 +186,10 @@ def tradeoff() -> str:
 
 def fidelity() -> str:
     """What moves at half the step and with a finer fidelity."""
-    folder = RESULTS / "fidelity"
+    return checked(RESULTS / "fidelity")
+
+
+def checked(folder: Path) -> str:
+    """What moved in the checks of a stored evaluation."""
     lines = [f"* {line}" for line in words(read_csv(folder / "fidelity.csv"))]
     return "\n".join(lines) + f"\n\n{_simulated(folder)} {source(folder / 'provenance.json')}"

@@ -50,10 +50,10 @@ def planner_settings() -> str:
     )
 
 
-def with_planner(table: pd.DataFrame) -> pd.DataFrame:
-    """An evaluation's table with the planner's episodes on the same tubes."""
+def with_planner(table: pd.DataFrame, planner_name: str = BEST) -> pd.DataFrame:
+    """An evaluation's table with a planner's episodes on the same tubes."""
     played = grouped(read_episodes(FOLDER / "episodes.csv"))
-    planner = played[(played["policy"] == BEST) & played["context"].isin(set(table["context"]))]
+    planner = played[(played["policy"] == planner_name) & played["context"].isin(set(table["context"]))]
     return pd.concat([table, planner[[name for name in table.columns if name in planner]]], ignore_index=True)
 
 

@@ -8,6 +8,7 @@ from typing import Final
 import pandas as pd
 
 from agents.evaluation.report import kpi_cells
+from agents.pages import control
 from agents.pages.headroom import SHARE, lead_of, with_planner
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.places import place_of
@@ -22,9 +23,12 @@ from agents.records.models import Figures
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement
-from agents.rollouts.statistics import failures, grouped, paired_difference
+from agents.rollouts.statistics import failures, grouped, paired_difference, share_of_lead
 
 FOLDER = RESULTS / "control"
+FRESH = RESULTS / "fresh"
+BAR, BLURRED = "tension-scheduled", "planner-blurred"
+"""What the gap that a student is to close half of lies between."""
 RIVALS = ("best-schedule-by-diameter", "tension-scheduled", "adaptive")
 BESIDE: Final[dict[str, tuple[str, ...]]] = {"plc-law": RIVALS, "trimmed-law": (*RIVALS, "plc-law")}
 """Laws, and what each is compared with."""
@@ -48,22 +52,46 @@ def plc_constants() -> str:
 
 
 def plc_reached() -> str:
-    """The law beside other policies on the held-out tubes."""
+    """The laws beside other policies on the held-out tubes."""
     table = grouped(read_episodes(FOLDER / "episodes.csv"))
-    known, beside = shown_of(table.columns), with_planner(table)
-    names = [f"{known[kpi][0]} [{known[kpi][2]}]" if known[kpi][2] else known[kpi][0] for kpi in SHOWN]
-    lines = [f"| policy | {' | '.join(names)} | {SHARE} |", "|---" * (len(SHOWN) + 2) + "|"]
-    for policy, cells in kpi_cells(table):
-        by_kpi = dict(zip(known, cells, strict=True))
-        lines.append(f"| `{policy}` | {' | '.join(by_kpi[kpi] for kpi in SHOWN)} | {lead_of(beside, policy)} |")
-    against = ". ".join(f"{_against(table, law, rivals)}" for law, rivals in BESIDE.items())
-    laws = table[table["policy"].isin(BESIDE)]
-    lost = int(failures(laws).sum())
+    played, tried_out = with_planner(table), with_planner(table, BLURRED)
+    header, rows = _shown(table)
+    led = [(*row, lead_of(played, row[0].strip("`"))) for row in rows]
+    closed = " and ".join(f"`{law}` {share_of_lead(tried_out, law, BLURRED, BAR).text(100.0)} %" for law in BESIDE)
     return (
-        "\n".join(lines) + f"\n\n{against}. {lost} of their {len(laws)} insertions"
-        f" {ways_to_fail()}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
+        f"{markdown((*header, SHARE), led)}\n\n{_beside(table)} Of the gap between `{BAR}` and `{BLURRED}`"
+        f" {closed} is closed. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
         f" intervals; `ppo` is its training seed 0. {source(FOLDER / 'provenance.json')}"
     )
+
+
+def plc_fresh() -> str:
+    """The laws beside other policies on tubes of which nothing was known when they were made."""
+    table = grouped(read_episodes(FRESH / "episodes.csv"))
+    return (
+        f"{markdown(*_shown(table))}\n\n{_beside(table)} {table['context'].nunique()} fresh tubes at `fast`,"
+        f" paired, 95 % intervals; `ppo` is its training seed 0. {source(FRESH / 'provenance.json')}"
+    )
+
+
+def plc_finely() -> str:
+    """Whether the laws' rewards and ranking stay at half the step and at `reference`."""
+    return control.checked(RESULTS / "laws-finely")
+
+
+def _shown(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header, and a row a policy."""
+    known = shown_of(table.columns)
+    names = (f"{known[kpi][0]} [{known[kpi][2]}]" if known[kpi][2] else known[kpi][0] for kpi in SHOWN)
+    cells = ((policy, dict(zip(known, values, strict=True))) for policy, values in kpi_cells(table))
+    return ("policy", *names), [(f"`{policy}`", *(by_kpi[kpi] for kpi in SHOWN)) for policy, by_kpi in cells]
+
+
+def _beside(table: pd.DataFrame) -> str:
+    """What the laws earn more than others, and how many of their insertions failed."""
+    against = ". ".join(_against(table, law, rivals) for law, rivals in BESIDE.items())
+    laws = table[table["policy"].isin(BESIDE)]
+    return f"{against}. {int(failures(laws).sum())} of their {len(laws)} insertions {ways_to_fail()}."
 
 
 def _against(table: pd.DataFrame, law: str, rivals: Sequence[str]) -> str:

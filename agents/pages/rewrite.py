@@ -99,7 +99,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "simulation" / "root.md": ("root",),
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
-        DOCS / "inspection" / "plc.md": ("plc_reached", "plc_constants", "trim", "plc_text"),
+        DOCS / "inspection" / "plc.md": ("plc_reached", "plc_fresh", "plc_finely", "plc_constants", "trim", "plc_text"),
         DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent", "hearing"),
         DOCS / "inspection" / "passes.md": ("passes", "turning"),
         DOCS / "learning" / "headroom.md": ("headroom", "planner_settings"),
