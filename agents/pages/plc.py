@@ -57,10 +57,12 @@ def plc_reached() -> str:
     played, tried_out = with_planner(table), with_planner(table, BLURRED)
     header, rows = _shown(table)
     led = [(*row, lead_of(played, row[0].strip("`"))) for row in rows]
-    closed = " and ".join(f"`{law}` {share_of_lead(tried_out, law, BLURRED, BAR).text(100.0)} %" for law in BESIDE)
+    closed = " and ".join(
+        f"`{law}` closes {share_of_lead(tried_out, law, BLURRED, BAR).text(100.0)} %" for law in BESIDE
+    )
     return (
         f"{markdown((*header, SHARE), led)}\n\n{_beside(table)} Of the gap between `{BAR}` and `{BLURRED}`"
-        f" {closed} is closed. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
+        f" {closed}. {table['context'].nunique()} held-out tubes at `fast`, paired, 95 %"
         f" intervals; `ppo` is its training seed 0. {source(FOLDER / 'provenance.json')}"
     )
 
