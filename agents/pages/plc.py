@@ -27,6 +27,9 @@ from agents.rollouts.statistics import failures, grouped, paired_difference, sha
 
 FOLDER = RESULTS / "control"
 FRESH = RESULTS / "fresh"
+FINELY = RESULTS / "laws-finely"
+LAW = "trimmed-law"
+FINELY_BESIDE = ("plc-law", "adaptive", "tension-scheduled")
 BAR, BLURRED = "tension-scheduled", "planner-blurred"
 """What the gap that a student is to close half of lies between."""
 RIVALS = ("best-schedule-by-diameter", "tension-scheduled", "adaptive")
@@ -77,8 +80,13 @@ def plc_fresh() -> str:
 
 
 def plc_finely() -> str:
-    """Whether the laws' rewards and ranking stay at half the step and at `reference`."""
-    return control.checked(RESULTS / "laws-finely")
+    """What the laws earn at `reference`, and what moves there and at half the step."""
+    table = grouped(read_episodes(FINELY / "finer-acting" / "episodes.csv"))
+    leads = (f"`{rival}` {paired_difference(table, LAW, rival, 'reward').text()}" for rival in FINELY_BESIDE)
+    return (
+        f"**At `reference` the reward of `{LAW}` less that of others is: {', '.join(leads)}** (paired, 95 % intervals,"
+        f" {table['context'].nunique()} tubes).\n\n{control.checked(FINELY)}"
+    )
 
 
 def _shown(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
