@@ -243,10 +243,10 @@ class InspectionEnv(ProbeEnv):
 
     ## Arguments
     As `Insertion-v1`. `fidelity`: "standard", "unlapsed" and "fast" simulate the way back, with nodes between the
-    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in alone:
-    on the way back the motion is what the turn or a change of the feed has left, and time-lapse would spread it over as
-    many times as many metres. The cable touches the walls in every scene. A change of the feed shakes a probe on the
-    way back, a constant feed does not.
+    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in
+    alone: on the way back the motion is what the turn or a change of the feed has left, and time-lapse would spread it
+    over as many times as many metres. The cable touches the walls in every scene. A change of the feed shakes a probe
+    on the way back, a constant feed does not.
 
     `info["episode_kpis"]` also says what the same motion would have come to had something else counted: `in_reward`,
     `back_a90_percent_wall` and so on.
