@@ -35,7 +35,6 @@ HEADLINE: Final = {
     "pi": "PI control of the measured vibration",
     "best-constant": "the best constant for all training tubes",
     "best-schedule": "the best schedule over length for all training tubes",
-    "best-schedule-by-diameter": "the best schedule for each helix diameter",
     "tension-scheduled": "reads friction from the root tension, follows the best schedule for it",
     "adaptive": "the same, corrected by the vibration that is measured",
     "ppo": "trained agents, the mean of five training seeds",

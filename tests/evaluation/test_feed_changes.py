@@ -59,7 +59,7 @@ def test_what_arrives_grows_with_the_exponent(small: None, tmp_path: Path):
 @pytest.mark.filterwarnings("ignore:time_step = 0.001 s is beyond the known stable limit")
 def test_a_diverged_probe_is_told(small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(feed_changes, "SETTLING", 0.1)
-    monkeypatch.setattr(feed_changes, "fidelity_of", lambda name: Coarse())
+    monkeypatch.setattr(feed_changes, "BOTH_WAYS", {"fast": Coarse()})
     with pytest.raises(RuntimeError, match=r"\d of 4 simulations diverged at ramp = 0.5 m/s2"):
         run_changes(tmp_path)
     assert not list(tmp_path.iterdir())

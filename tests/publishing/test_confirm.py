@@ -178,10 +178,10 @@ def test_the_code_before_runs_once_however_often_the_present_one_is_mended(stage
     ran = outputs(monkeypatch, 1.0, 2.0)
     with pytest.raises(RuntimeError, match="differs"):
         confirm_results(("numbers",))
-    again = outputs(monkeypatch, 1.0, 1.0)
+    later = outputs(monkeypatch, 1.0, 1.0)
     confirm_results(("numbers",))
     assert [tree for _, tree in ran] == ["abc", tmp_path.name]
-    assert [tree for _, tree in again] == [tmp_path.name]
+    assert [tree for _, tree in later] == [tmp_path.name]
 
 
 def test_results_are_kept_without_a_sample_where_only_the_measure_changed(stage, monkeypatch, tmp_path):
