@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import pandas as pd
@@ -27,6 +26,7 @@ from agents.rollouts.statistics import failures, grouped, paired_difference, sha
 
 FOLDER = RESULTS / "control"
 FRESH = RESULTS / "fresh"
+LEADS = ("law", "beside", "reward less that of the other", "earns more in [% of the tubes]")
 FINELY = RESULTS / "laws-finely"
 LAW = "trimmed-law"
 FINELY_BESIDE = ("plc-law", "adaptive", "tension-scheduled")
@@ -98,20 +98,14 @@ def _shown(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def _beside(table: pd.DataFrame) -> str:
-    """What the laws earn more than others, and how many of their insertions failed."""
-    against = ". ".join(_against(table, law, rivals) for law, rivals in BESIDE.items())
+    """What the laws earn more than others, tube by tube, and how many of their insertions failed."""
+    rows = []
+    for law, rivals in BESIDE.items():
+        for rival in rivals:
+            gain = paired_difference(table, law, rival, "reward").text()
+            rows.append((f"`{law}`", f"`{rival}`", gain, probability_of_improvement(table, law, rival).text(100.0)))
     laws = table[table["policy"].isin(BESIDE)]
-    return f"{against}. {int(failures(laws).sum())} of their {len(laws)} insertions {ways_to_fail()}."
-
-
-def _against(table: pd.DataFrame, law: str, rivals: Sequence[str]) -> str:
-    """What a law earns more than others, tube by tube."""
-    parts = "; ".join(
-        f"`{rival}` is {paired_difference(table, law, rival, 'reward').text()}, and it earns more than that in"
-        f" {probability_of_improvement(table, law, rival).text(100.0)} % of the tubes"
-        for rival in rivals
-    )
-    return f"The reward of `{law}` less that of {parts}"
+    return f"{markdown(LEADS, rows)}\n\n{int(failures(laws).sum())} of their {len(laws)} insertions {ways_to_fail()}."
 
 
 def trim() -> str:
