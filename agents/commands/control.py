@@ -98,7 +98,7 @@ class Plc:
         place = place_at(self.tube, "test")
         trim = read_trim() if self.trimmed else None
         write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
-        print_law(constants)
+        print_law(constants, trim)
 
 
 @dataclass(frozen=True)

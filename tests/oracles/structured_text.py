@@ -179,3 +179,12 @@ def _tokens(text: str) -> list[str]:
         tokens.append(next(filter(None, match.groups())))
         place = match.end()
     return tokens
+
+
+def block_inputs(row: dict[str, np.ndarray], period: float, start: bool) -> dict[str, float]:
+    """What a function block of the law is called with, of one probe's measurements (1,) each."""
+    measured = {
+        "InsertedLength": "inserted_length", "RootTension": "root_tension", "Noise": "rf_noise",
+        "FeedNow": "feed_speed", "AirNow": "air_supply_rate", "HelixDiameter": "helix_diameter",
+    }  # fmt: skip
+    return {"Start": start, "Period": period} | {name: float(row[field][0]) for name, field in measured.items()}

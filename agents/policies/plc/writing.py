@@ -26,6 +26,11 @@ DESCRIPTIONS = {
     "shift": ("", "... else with (noise / quiet) to this"),
 }
 """Constant -> unit and what it is."""
+OF_TRIM = {
+    "aim": ("m", "past the onset the feed is trimmed until this is the noise,"),
+    "time": ("s", "... by a factor of e in this time where noise is off by e"),
+}
+"""Alike, of the trim."""
 HEADER = ("constant", "value", "unit", "")
 
 
@@ -35,9 +40,13 @@ def rows_of(constants: Constants) -> list[tuple[str, ...]]:
     return [(name, f"{values[name]:.4g}", unit, what) for name, (unit, what) in DESCRIPTIONS.items()]
 
 
-def print_law(constants: Constants) -> None:
-    """Its constants."""
-    print_table("The law's constants", HEADER, rows_of(constants), left=4)
+def print_law(constants: Constants, trim: Trim | None = None) -> None:
+    """Its constants, with those of a trim."""
+    rows = rows_of(constants)
+    if trim:
+        values = trim.model_dump()
+        rows += [(name, f"{values[name]:.4g}", unit, what) for name, (unit, what) in OF_TRIM.items()]
+    print_table("The law's constants", HEADER, rows, left=4)
 
 
 def write_law(

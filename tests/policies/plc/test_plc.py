@@ -34,7 +34,7 @@ from probe_env.envs.task.observations import in_si_units, observe
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.schedule import Schedule
-from tests.oracles.structured_text import FunctionBlock
+from tests.oracles.structured_text import FunctionBlock, block_inputs
 
 CONFIG = TaskConfig().all_shown
 PLANT = PlantData.of(CONFIG)
@@ -108,11 +108,7 @@ def test_structured_text_does_what_the_policy_does() -> None:
     for k in range(count):
         row = {name: values[k : k + 1] for name, values in measured.items()}
         feed, air = law.targets(row, memory)
-        outputs = block(
-            Start=k == 0, Period=CONFIG.period, InsertedLength=row["inserted_length"][0],
-            RootTension=row["root_tension"][0], Noise=row["rf_noise"][0], FeedNow=row["feed_speed"][0],
-            AirNow=row["air_supply_rate"][0], HelixDiameter=row["helix_diameter"][0],
-        )  # fmt: skip
+        outputs = block(**block_inputs(row, CONFIG.period, start=k == 0))
         # some fifty roundings of 6e-8 each, with exponents up to 2 and Newton's division by differences of 0.05
         np.testing.assert_allclose([outputs["Friction"], outputs["LogNoise"]], memory[0], rtol=1e-4)
         if abs(float(outputs["Length"]) / float(outputs["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides

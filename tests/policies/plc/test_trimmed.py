@@ -17,7 +17,7 @@ from agents.processes.workers import HERE
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
-from tests.oracles.structured_text import FunctionBlock
+from tests.oracles.structured_text import FunctionBlock, block_inputs
 
 CONFIG = TaskConfig().all_shown
 PLANT = PlantData.of(CONFIG)
@@ -94,11 +94,7 @@ def test_structured_text_does_what_the_policy_does() -> None:
     for k in range(count):
         row = {name: values[k : k + 1] for name, values in seen.items()}
         feed, air = law.targets(row, memory)
-        outputs = block(
-            Start=k == 0, Period=CONFIG.period, InsertedLength=row["inserted_length"][0],
-            RootTension=row["root_tension"][0], Noise=row["rf_noise"][0], FeedNow=row["feed_speed"][0],
-            AirNow=row["air_supply_rate"][0], HelixDiameter=row["helix_diameter"][0],
-        )  # fmt: skip
+        outputs = block(**block_inputs(row, CONFIG.period, start=k == 0))
         # 400 additions of at most 1/60, each rounded to 6e-8 of a trim of at most 0.5, and the noise's few roundings
         np.testing.assert_allclose(outputs["NoiseNow"], memory[0, -2], rtol=1e-4)
         np.testing.assert_allclose(outputs["Trim"], memory[0, -1], atol=1e-4)
@@ -151,5 +147,6 @@ def test_it_ships_by_name_and_a_damaged_file_is_refused(tmp_path) -> None:  # ty
 def test_its_text_is_written_and_a_table_of_it_is_refused(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
     assert main(["plc", "--trimmed", "--st", str(tmp_path / "law.st")]) == 0
     assert "TRIM_TIME : REAL" in (tmp_path / "law.st").read_text()
+    assert "aim " in capsys.readouterr().out
     assert main(["plc", "--trimmed", "--csv", str(tmp_path / "law.csv")]) == 2
     assert "trimmed = True needs --st" in capsys.readouterr().err
