@@ -17,7 +17,7 @@ from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
 
-POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled")
+POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled", "trimmed-law")
 BESIDE: Final = "best-schedule"
 """Looking on the way in by this is what rewards are paired with."""
 PROBES: Final = ("original", "improved")
