@@ -16,7 +16,8 @@ class Train:
     """Train agents with Stable-Baselines3: checkpoints, validation, the best agent of each seed as a bundle."""
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, ppo-no-tension, ppo-any-probe, ppo-scratch, ppo-snr."""
+    """Training file (TOML), or the name of one that ships: ppo, student, ppo-no-tension, ppo-any-probe, ppo-scratch,
+    ppo-snr."""
     output: Path | None = None
     """Folder of the runs, seed-K in it; default: output/train/NAME-OF-THE-FILE."""
     seeds: tuple[int, ...] = ()
@@ -50,7 +51,7 @@ class Tune:
     """Search for the hyperparameters of an agent: short trainings, judged by their reward on the validation tubes."""
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, ppo-no-tension, ppo-any-probe, ppo-scratch, ppo-snr.
+    """Training file (TOML), or the name of one that ships: ppo, student, ppo-no-tension, ppo-any-probe, ppo-scratch, ppo-snr.
     Its table [search] says what is tried, else the usual ranges of its algorithm; its first seed is trained."""
     trials: int = 40
     """Trainings, those included that are ended early."""
