@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from agents.policies.both_ways import fidelity_of
@@ -16,6 +17,7 @@ from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
+from probe_env.envs.task import Outcome, TaskConfig, reward_terms
 
 POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled", "trimmed-law")
 BESIDE: Final = "best-schedule"
@@ -68,6 +70,14 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
     print_table(f"{title}: found with 90 % [% wall], and within the limit [%]", FOUND, found_cells(summary), left=2)
     print_table(f"{title}: reward", REWARDS, reward_cells(summary), left=2)
     return summary
+
+
+def most_reward(config: TaskConfig, metres: float) -> float:
+    """What no policy earns more than: so many metres [m] both ways, nothing shaken, all feed and the least air."""
+    seconds = 2.0 * metres / config.feed_speeds[1]
+    silent = (metres, 0.0, seconds, seconds * config.air_supply_rates[0], 0.0, False)
+    terms = reward_terms(config, Outcome(*(np.array([value]) for value in silent)))
+    return float(sum(terms.values())[0])
 
 
 def judged_by(table: pd.DataFrame, look: str) -> pd.DataFrame:

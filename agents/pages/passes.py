@@ -9,6 +9,7 @@ from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
 from agents.evaluation import turning as turning_study
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
+from agents.policies.places import both_ways, place_of
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -56,7 +57,7 @@ def passes() -> str:
         f" With the improved probe {_depth(improved)} takes {improved['inspection_time_s']:.0f} s, at full speed and"
         " looking both ways. Shares are of the wall, times of both ways. The most reward in millimetres has"
         f" {_best(best['original'])} with table 2's probe, and {_best(best['improved'])} with the study's improved"
-        f" one.\n\n{_paired()}\n\n"
+        f" one. {_bound(best)}\n\n{_paired()}\n\n"
         f"{markdown(passes_study.FOUND, passes_study.found_cells(summary))}\n\n"
         "Reward, and in brackets what it is more than that of looking on the way in by"
         f" `{passes_study.BESIDE}`, paired, with 95 % intervals:\n\n"
@@ -66,6 +67,19 @@ def passes() -> str:
         f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
         " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
         f" calls. Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def _bound(best: dict[str, dict[str, Any]]) -> str:
+    """What is left for any policy to earn above the best that was played with each probe."""
+    table, parts = read_episodes(RESULTS / "passes" / "episodes.csv"), []
+    for probe, entry in best.items():
+        metres = float(table.loc[table["probe"] == probe, "inspected_m"].max())
+        most = passes_study.most_reward(both_ways(place_of(None, "test", 0), passes_study.PLAYED).config, metres)
+        parts.append(f"{most:.1f} ({most - entry['reward']:.1f} more, {probe})")
+    return (
+        "No policy, planner or agent can earn more than a probe that nothing shakes, fed and drawn as fast as the"
+        f" device can with the least air: {' and '.join(parts)}."
     )
 
 

@@ -1,6 +1,7 @@
 """Both passes: what is played, and the table that is made of it."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,10 +17,13 @@ from agents.evaluation.passes import (
     PROBES,
     REWARDS,
     found_cells,
+    most_reward,
     reward_cells,
     run_study,
 )
+from agents.policies.places import both_ways, place_of
 from agents.processes.workers import HERE
+from agents.records.tables import read_episodes
 from probe_env.envs.episodes.judge import judged_beside
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian
 from probe_env.inspection.tally import POD_NAMES
@@ -90,3 +94,13 @@ def test_every_policy_is_judged_by_every_way_with_both_probes(plans, tmp_path):
     assert beside[:2] == (PROBES[0], BESIDE)
     assert beside[2].endswith("(+0.0 [0.0, 0.0])")
     assert beside[4].startswith(f"{COUNTS['best'] * (POLICIES.index(BESIDE) + 1.0):.1f} (")
+
+
+def test_nothing_that_was_played_earns_more_than_the_most():
+    """55 m for 27 = 55 - 0.1 * 275 s - 0.2 * 2.3 m3, by hand; and above every stored episode."""
+    config = both_ways(place_of(None, "test", 1), PLAYED).config
+    assert most_reward(config, 55.0) == pytest.approx(55.0 - 0.1 * 275.0 - 0.2 * 275.0 / 120.0)
+    for metres, earned in (
+        read_episodes(Path("results/passes/episodes.csv")).groupby("inspected_m")["reward"].max().items()
+    ):
+        assert earned < most_reward(config, float(metres))
