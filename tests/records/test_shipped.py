@@ -35,7 +35,7 @@ def test_a_checkout_ships_what_it_holds():
         "ppo-no-tension": (0, 1, 2, 3, 4),
         "ppo-scratch": (0, 1, 2, 3, 4),
         "ppo-snr": (0,),
-        "student": (0, 1),
+        "student": (0, 1, 2, 3, 4),
     }
     assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
     assert {"original", "improved"} <= set(shipped_names("design"))
