@@ -252,8 +252,8 @@ class InspectionEnv(ProbeEnv):
     `back_a90_percent_wall` and so on.
 
     ## Version History
-    * v0: first version. Until commit 8dd1a4e (November 2026) `fast` had time-lapse on the way back as well, which made the
-      turn hide four times as many metres: results of it do not compare with later ones.
+    * v0: first version. Until commit 8dd1a4e (November 2026) `fast` had time-lapse on the way back as well, which made
+      the turn hide four times as many metres: results of it do not compare with later ones.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}
