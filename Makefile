@@ -92,6 +92,7 @@ train: setup
 	$(BIN)/probe-env train configs/train/ppo.toml --output results/agents/ppo --jobs 2 --resume
 	$(BIN)/probe-env train configs/train/ppo-no-tension.toml --output results/agents/ppo-no-tension --jobs 2 --resume
 	$(BIN)/probe-env train configs/train/ppo-any-probe.toml --output results/agents/ppo-any-probe --jobs 2 --resume
+	$(BIN)/probe-env train configs/train/student.toml --output results/agents/student --jobs 2 --resume
 
 train-smoke: setup
 	$(BIN)/pytest tests/learning/test_train.py -k smoke

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, detection, headroom, passes, plant, plc, scratch, simulator
+from agents.pages import control, designs, detection, headroom, passes, plant, plc, simulator, trained
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -14,12 +14,13 @@ MAKERS: dict[str, Callable[[], str]] = {
     for maker in (
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
         control.map_quality, control.tradeoff,
-        headroom.headroom, headroom.planner_settings, headroom.world, plc.plc_constants, plc.plc_finely, plc.plc_fresh,
-        plc.plc_reached, plc.plc_text, plc.trim,
+        headroom.headroom, headroom.headroom_finely, headroom.planner_settings, headroom.world,
+        plc.plc_constants, plc.plc_finely, plc.plc_fresh, plc.plc_reached, plc.plc_text, plc.trim,
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
         passes.feed_changes, passes.passes, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,
-        designs.codesign, designs.designs, designs.search, plant.robustness, scratch.scratch,
+        designs.codesign, designs.designs, designs.search, plant.robustness,
+        trained.scratch, trained.student, trained.student_finely, trained.student_fresh,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
         simulator.root, simulator.scaling, simulator.smooth, simulator.stability,

@@ -11,7 +11,7 @@ import pandas as pd
 from agents.evaluation.fidelity_check import words
 from agents.evaluation.report import compared_with, kpi_cells
 from agents.learning import results as agent_results
-from agents.pages.headroom import SHARE, lead_of, with_law, with_planner
+from agents.pages.headroom import SHARE, lead_of, with_law, with_planner, with_student
 from agents.pages.sources import RESULTS, command, source
 from agents.policies.catalogue import DATA
 from agents.records.columns import KPIS, sentence_of, shown_of
@@ -33,13 +33,13 @@ HEADLINE: Final = {
     "constant": "0.2 m/s and 63 m³/h, as in the study",
     "example": "a schedule file, `configs/schedules/example.csv`",
     "pi": "PI control of the measured vibration",
-    "best-constant": "the best constant for all training tubes",
     "best-schedule": "the best schedule over length for all training tubes",
     "tension-scheduled": "reads friction from the root tension, follows the best schedule for it",
     "adaptive": "the same, corrected by the vibration that is measured",
     "ppo": "trained agents, the mean of five training seeds",
     "plc-law": "ten constants that a PLC can hold: length, root tension and noise in, feed and air out",
     "trimmed-law": "`plc-law` with integral action: past the onset its feed is trimmed by the noise",
+    "student": "networks that learnt from `trimmed-law`, with what a rig sees: the mean of five training seeds",
     "privileged": "is told the tube, which no rig knows, and follows the best schedule for it",
     "planner": "tries things out on the simulator itself: the measure of what feedback could win",
 }
@@ -64,7 +64,8 @@ def _simulated(folder: Path) -> str:
 def headline() -> str:
     """The policies that a newcomer should know by five means each."""
     folder = RESULTS / "evaluation"
-    table, config = with_law(with_planner(grouped(read_episodes(folder / "episodes.csv")))), TaskConfig()
+    table, config = with_planner(grouped(read_episodes(folder / "episodes.csv"))), TaskConfig()
+    table = with_student(with_law(table))
     means = summarise(table).set_index(["policy", "kpi"])["mean"].to_dict()
     lines = [f"| policy | what it does | {' | '.join(name for name, _ in SHORT.values())} |"]
     lines += ["|---" * 2 + "|---:" * len(SHORT) + "|"]
@@ -76,7 +77,7 @@ def headline() -> str:
         f"Means over {table['context'].nunique()} held-out tubes. The limit is a radial rms of"
         f" {1e3 * config.limit:g} mm at the sensor, {config.period:g} s at a time; `radial rms` is over the length."
         f" {_failed(shown, f' of {len(shown)} insertions')}."
-        " `plc-law`, `trimmed-law` and `planner` are of `probe-env results control headroom`."
+        " `plc-law`, `trimmed-law`, `student` and `planner` are of `probe-env results control student headroom`."
     )
     return "\n".join(lines) + f"\n\n{note} {_simulated(folder)} {source(folder / 'provenance.json')}"
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Final
+
 import pandas as pd
 
 from agents.evaluation import headroom as study
@@ -11,12 +14,18 @@ from agents.policies.planning.planner import PLANNERS
 from agents.records.models import Figures
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
-from agents.rollouts.statistics import BEST, failures, grouped, share_of_lead
+from agents.rollouts.statistics import BEST, failures, grouped, paired_difference, share_of_lead
 from agents.worlds import measure as worlds
 from agents.worlds.noise import STORED as NOISE
 
 FOLDER = RESULTS / "headroom"
 GAIN = ("gain", "gain_low", "gain_high")
+STUDENT: Final = "student"
+"""The agents that learnt from a law, and the stage that plays them."""
+BAR, BLURRED = "tension-scheduled", "planner-blurred"
+"""What the gap that a student is to close half of lies between."""
+FINELY: Final = RESULTS / "headroom-finely"
+GAP = ("policy", "reward", "at `fast`", f"less `{BAR}`", "of the gap [%]", "of that at `fast` [%]")
 SHARE = "of the planner's lead [%]"
 """Heading of the column that other tables have of it."""
 
@@ -37,6 +46,24 @@ def headroom() -> str:
     )
 
 
+def headroom_finely() -> str:
+    """The gap between what a rig can run and a planner, without time-lapse, and in the same tubes with it."""
+    table, rows = grouped(read_episodes(FINELY / "episodes.csv")), []
+    lapsed = grouped(read_episodes(RESULTS / "control" / "episodes.csv"))
+    lapsed = with_student(with_planner(lapsed[lapsed["context"].isin(set(table["context"]))], BLURRED))
+    for policy in dict.fromkeys(table["policy"]):
+        rewards = (f"{part.loc[part['policy'] == policy, 'reward'].mean():.1f}" for part in (table, lapsed))
+        shares = (share_of_lead(part, policy, BLURRED, BAR).text(100.0) for part in (table, lapsed))
+        gain = paired_difference(table, policy, BAR, "reward").text()
+        rows.append((f"`{policy}`", *rewards, gain, *shares))
+    return (
+        f"{markdown(GAP, rows)}\n\nMeans over {table['context'].nunique()} held-out tubes, which are balanced over the"
+        f" diameters; the gap is from `{BAR}` to `{BLURRED}`; differences paired, 95 % intervals;"
+        f" {int(failures(table).sum())} of {len(table)} insertions at `standard` {ways_to_fail()}. What is of `fast` is"
+        f" of `probe-env results control student headroom`. {source(FINELY / 'provenance.json')}"
+    )
+
+
 def planner_settings() -> str:
     """What horizon, candidates and terminal value are worth."""
     summary = stored_table(
@@ -52,16 +79,23 @@ def planner_settings() -> str:
 
 def with_planner(table: pd.DataFrame, planner_name: str = BEST) -> pd.DataFrame:
     """An evaluation's table with a planner's episodes on the same tubes."""
-    played = grouped(read_episodes(FOLDER / "episodes.csv"))
-    planner = played[(played["policy"] == planner_name) & played["context"].isin(set(table["context"]))]
-    return pd.concat([table, planner[[name for name in table.columns if name in planner]]], ignore_index=True)
+    return _with(table, FOLDER.name, (planner_name,))
 
 
 def with_law(table: pd.DataFrame) -> pd.DataFrame:
     """An evaluation's table with the episodes of the PLC's laws on the same tubes."""
-    played = grouped(read_episodes(RESULTS / "control" / "episodes.csv"))
-    law = played[played["policy"].isin(LAWS) & played["context"].isin(set(table["context"]))]
-    return pd.concat([table, law[[name for name in table.columns if name in law]]], ignore_index=True)
+    return _with(table, "control", LAWS)
+
+
+def with_student(table: pd.DataFrame) -> pd.DataFrame:
+    """An evaluation's table with the episodes of the student's seeds on the same tubes."""
+    return _with(table, STUDENT, (STUDENT,))
+
+
+def _with(table: pd.DataFrame, stage: str, policies: Iterable[str]) -> pd.DataFrame:
+    played = grouped(read_episodes(RESULTS / stage / "episodes.csv"))
+    chosen = played[played["policy"].isin(list(policies)) & played["context"].isin(set(table["context"]))]
+    return pd.concat([table, chosen[[name for name in table.columns if name in chosen]]], ignore_index=True)
 
 
 def lead_of(table: pd.DataFrame, policy: str) -> str:

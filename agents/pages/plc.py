@@ -8,7 +8,7 @@ import pandas as pd
 
 from agents.evaluation.report import kpi_cells
 from agents.pages import control
-from agents.pages.headroom import SHARE, lead_of, with_planner
+from agents.pages.headroom import BAR, BLURRED, SHARE, lead_of, with_planner
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.places import place_of
 from agents.policies.plc import trim_search
@@ -30,8 +30,6 @@ LEADS = ("law", "beside", "reward less that of the other", "earns more in [% of 
 FINELY = RESULTS / "laws-finely"
 LAW = "trimmed-law"
 FINELY_BESIDE = ("plc-law", "adaptive", "tension-scheduled")
-BAR, BLURRED = "tension-scheduled", "planner-blurred"
-"""What the gap that a student is to close half of lies between."""
 RIVALS = ("best-schedule-by-diameter", "tension-scheduled", "adaptive")
 BESIDE: Final[dict[str, tuple[str, ...]]] = {"plc-law": RIVALS, "trimmed-law": (*RIVALS, "plc-law")}
 """Laws, and what each is compared with."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from agents.learning import results as agent_results
 from agents.pages.blocks import MAKERS, RESULTS
 from agents.pages.control import reward_profiles
-from agents.pages.scratch import AGENT as SCRATCH
+from agents.pages.trained import ALONE
 from agents.records.provenance import write_atomically
 from agents.study.back import load_rows as load_trips
 from agents.study.cases import load_rows
@@ -66,14 +66,14 @@ def _growth_figure(path: Path) -> None:
 def _learning_figure(path: Path) -> None:
     from agents.learning.figures import learning_curves
 
-    runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension")}
+    runs = {name: agent_results.load_curves(RESULTS / "agents" / name) for name in ("ppo", "ppo-no-tension", "student")}
     learning_curves(runs, path, "environment steps after the warm start")
 
 
 def _scratch_figure(path: Path) -> None:
     from agents.learning.figures import learning_curves
 
-    learning_curves({SCRATCH: agent_results.load_curves(RESULTS / "agents" / SCRATCH)}, path, "environment steps")
+    learning_curves({ALONE: agent_results.load_curves(RESULTS / "agents" / ALONE)}, path, "environment steps")
 
 
 def _profile_figure(path: Path) -> None:
@@ -88,7 +88,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
     return {
         README: ("headline",),
         results / "evaluation.md": ("map_quality", "evaluation", "any_probe"),
-        results / "agents.md": ("agents", "scratch"),
+        results / "agents.md": ("agents", "student", "student_fresh", "student_finely", "scratch"),
         results / "designs.md": ("search", "designs", "codesign"),
         results / "fronts.md": ("tradeoff", "fidelity"),
         results / "study.md": ("study", "back"),
@@ -102,7 +102,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_fresh", "plc_finely", "plc_constants", "trim", "plc_text"),
         DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent", "hearing"),
         DOCS / "inspection" / "passes.md": ("passes", "turning"),
-        DOCS / "learning" / "headroom.md": ("headroom", "planner_settings"),
+        DOCS / "learning" / "headroom.md": ("headroom", "headroom_finely", "planner_settings"),
         DOCS / "learning" / "world.md": ("world",),
         DOCS / "inspection" / "robustness.md": ("robustness",),
         DOCS / "inspection" / "tube.md": ("plants",),

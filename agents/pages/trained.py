@@ -1,0 +1,130 @@
+"""Agents that were trained after the evaluation's, in words: what PPO reaches alone, and the student of a law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from agents.learning import results as agent_results
+from agents.pages.control import checked
+from agents.pages.headroom import BAR, BLURRED, STUDENT, with_planner
+from agents.pages.plc import FINELY as LAWS_FINELY
+from agents.pages.sources import RESULTS, source, ways_to_fail
+from agents.records.models import Record
+from agents.records.reading import read_json
+from agents.records.tables import read_episodes
+from agents.rollouts.comparison import probability_of_improvement
+from agents.rollouts.statistics import failures, grouped
+
+ALONE: Final = "ppo-scratch"
+METHODS: Final = ("constant", "best-constant", "best-schedule", ALONE)
+BESIDE: Final = ("best-schedule-by-diameter", "tension-scheduled", "adaptive", "plc-law", "trimmed-law")
+"""What the student is compared with; the last is its teacher."""
+FINELY_BESIDE: Final = BESIDE[1:]
+
+
+def scratch() -> str:
+    """The agents that learnt alone beside schedules, and what their training took."""
+    folder = RESULTS / "scratch"
+    table, curves = _episodes(folder), agent_results.load_curves(RESULTS / "agents" / ALONE)
+    best = _kept(curves)
+    lines = "\n".join(f"* {line}" for line in _differences(table, ALONE, METHODS[:-1]))
+    training = (
+        f"Training: {curves['steps'].max():,} steps and {_minutes(curves):.0f} minutes a seed (median),"
+        f" validation by simulation included; kept is what was best there, after {best['steps'].min():,} to"
+        f" {best['steps'].max():,} steps."
+    )
+    return f"{agent_results.markdown(table, METHODS)}\n\n{lines}\n\n{_note(table, ALONE, training)} {_made(folder)}"
+
+
+def student() -> str:
+    """The student on the held-out tubes, and what its training took."""
+    folder = RESULTS / "student"
+    table, curves = _episodes(folder), agent_results.load_curves(RESULTS / "agents" / STUDENT)
+    closed = agent_results.gain_fraction(with_planner(table, BLURRED), STUDENT, BAR, BLURRED)
+    best, imitation = _kept(curves), _run(STUDENT)["config"]["imitation"]
+    improved, means = int((best["phase"] > 0).sum()), curves.groupby("phase")["reward"].mean()
+    after = ", ".join(f"{mean:.1f}" for mean in means.iloc[1:])
+    training = (
+        f"Training: {imitation['rounds'] * imitation['steps']:,} steps of imitation, {curves['steps'].max():,} of PPO"
+        f" and {_minutes(curves):.0f} minutes a seed (median), validation by simulation included; kept is what"
+        f" was best on the validation tubes, a phase of PPO in {improved} of {len(best)} seeds, else the imitation."
+        f" There the mean over seeds is {means.iloc[0]:.1f} after the imitation and {after} after the phases of PPO."
+    )
+    return (
+        f"**`{STUDENT}` closes {closed.text(100.0)} % of the gap between `{BAR}` and `{BLURRED}`.**\n\n"
+        f"{_beside(table)}\n\n{_note(table, STUDENT, training)} {_made(folder)}"
+    )
+
+
+def student_fresh() -> str:
+    """The student on tubes on which nothing was trained, searched or chosen."""
+    folder = RESULTS / "student-fresh"
+    table = _episodes(folder)
+    return f"{_beside(table)}\n\n{_over(table, 'fresh')} {_made(folder)}"
+
+
+def student_finely() -> str:
+    """The student acting at `reference`, and what moves there and at half the step."""
+    folder = RESULTS / "student-finely"
+    own, laws = (grouped(read_episodes(one / "finer-acting" / "episodes.csv")) for one in (folder, LAWS_FINELY))
+    table = pd.concat([own[own["policy"] == STUDENT], laws], ignore_index=True)
+    leads = (f"`{one}` {agent_results.difference(table, STUDENT, one, 'reward').text()}" for one in FINELY_BESIDE)
+    return (
+        f"**At `reference` the reward of `{STUDENT}` less that of others is: {', '.join(leads)}**"
+        f" ({table['context'].nunique()} tubes, 95 % intervals over seeds and tubes; the others are of"
+        f" `probe-env results laws-finely`).\n\n{checked(folder)}"
+    )
+
+
+def _beside(table: pd.DataFrame) -> str:
+    """The student's table, and its differences from others in words."""
+    lines = [f"* {line}" for line in _differences(table, STUDENT, BESIDE)]
+    parts = (f"`{one}` {probability_of_improvement(table, STUDENT, one).text(100.0)} %" for one in BESIDE)
+    lines.append(f"* A run earns more in the same tube than {', than '.join(parts)} (probability of improvement).")
+    own = table[table["policy"] == STUDENT]
+    lines.append(f"* {int(failures(own).sum())} of its {len(own)} insertions {ways_to_fail()}.")
+    return f"{agent_results.markdown(table, (*BESIDE, STUDENT))}\n\n" + "\n".join(lines)
+
+
+def _differences(table: pd.DataFrame, agent: str, others: Sequence[str]) -> list[str]:
+    rewards = ((other, agent_results.difference(table, agent, other, "reward").text()) for other in others)
+    return [f"`{agent}` against `{other}`: reward {reward}." for other, reward in rewards]
+
+
+def _note(table: pd.DataFrame, agent: str, training: str) -> str:
+    run = _run(agent)
+    return f"{_over(table, 'held-out')} {training} Trained by `{run['command']}` at commit {run['commit']}."
+
+
+def _over(table: pd.DataFrame, tubes: str) -> str:
+    return (
+        f"Interquartile means over training seeds, 95 % intervals over seeds and {table['context'].nunique()} {tubes}"
+        " tubes."
+    )
+
+
+def _episodes(folder: Path) -> pd.DataFrame:
+    return grouped(read_episodes(folder / "episodes.csv"))
+
+
+def _run(agent: str) -> dict[str, Any]:
+    """How the last of its seeds was trained."""
+    last = sorted((RESULTS / "agents" / agent).glob("seed-*/run.json"))[-1]
+    return read_json(last, Record).model_dump()
+
+
+def _kept(curves: pd.DataFrame) -> pd.DataFrame:
+    """The phase of each seed that is kept: the best by the validation tubes."""
+    return curves.loc[curves.groupby("seed")["reward"].idxmax()]
+
+
+def _minutes(curves: pd.DataFrame) -> float:
+    return agent_results.throughput(curves, 0)["minutes_a_seed"]
+
+
+def _made(folder: Path) -> str:
+    return source(folder / "provenance.json")
