@@ -73,11 +73,16 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
 
 
 def most_reward(config: TaskConfig, metres: float) -> float:
-    """What no policy earns more than: so many metres [m] both ways, nothing shaken, all feed and the least air."""
+    """What no policy earns more than that brings its probe back.
+
+    Args:
+        config: the task of both passes.
+        metres: that are inspected [m], both ways at the greatest feed with the least air, and nothing is shaken.
+    """
     seconds = 2.0 * metres / config.feed_speeds[1]
     silent = (metres, 0.0, seconds, seconds * config.air_supply_rates[0], 0.0, False)
     terms = reward_terms(config, Outcome(*(np.array([value]) for value in silent)))
-    return float(sum(terms.values())[0])
+    return float(np.concatenate(list(terms.values())).sum())
 
 
 def judged_by(table: pd.DataFrame, look: str) -> pd.DataFrame:

@@ -82,8 +82,8 @@ def _bound(best: dict[str, dict[str, Any]]) -> str:
         most = passes_study.most_reward(both_ways(place_of(None, "test", 0), passes_study.PLAYED).config, metres)
         parts.append(f"{most:.1f} ({most - entry['reward']:.1f} more, {probe})")
     return (
-        "No policy, planner or agent can earn more than a probe that nothing shakes, fed and drawn as fast as the"
-        f" device can with the least air: {' and '.join(parts)}."
+        "No policy, planner or agent that brings its probe back can earn more than one that nothing shakes, fed and"
+        f" drawn as fast as the device can with the least air: {' and '.join(parts)}."
     )
 
 
