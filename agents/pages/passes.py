@@ -77,9 +77,10 @@ def passes() -> str:
 def _bound(best: dict[str, dict[str, Any]]) -> str:
     """What is left for any policy to earn above the best that was played with each probe."""
     table, parts = read_episodes(RESULTS / "passes" / "episodes.csv"), []
+    config = both_ways(place_of(None, "test"), passes_study.PLAYED).config
     for probe, entry in best.items():
         metres = float(table.loc[table["probe"] == probe, "inspected_m"].max())
-        most = passes_study.most_reward(both_ways(place_of(None, "test", 0), passes_study.PLAYED).config, metres)
+        most = passes_study.most_reward(config, metres)
         parts.append(f"{most:.1f} ({most - entry['reward']:.1f} more, {probe})")
     return (
         "No policy, planner or agent that brings its probe back can earn more than one that nothing shakes, fed and"

@@ -2,6 +2,7 @@
 
 import json
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,6 +13,7 @@ from agents.policies.places import place_of
 from agents.processes.workers import Workers
 from agents.records.columns import COST_KPIS
 from agents.records.reading import FileError, read_csv
+from agents.robustness import figures
 from agents.robustness.axes import AXES, NOMINAL, disturbed
 from agents.robustness.study import COLUMNS, cells, cost_cells, folder_of, run_study, summary_of, worst_of
 from agents.rollouts import plan
@@ -153,3 +155,19 @@ def test_the_command_refuses_what_is_not_valid_before_any_work(tmp_path, capsys)
         assert main(["robustness", *arguments, "--output", str(tmp_path / "out")]) != 0
         assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("policies", [1, 2, 3, 4, 7, 9])
+def test_every_column_of_the_picture_has_numbers_below_it(policies, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.append(figure) or path)
+    one = summary_of(episodes()).query("policy == 'first'")
+    figures.draw_profiles(pd.concat([one.assign(policy=f"p{k}") for k in range(policies)]), tmp_path / "p.png")
+    (figure,) = drawn
+    panels = [axis for axis in figure.axes if axis.get_visible()]
+    assert len(panels) == policies
+    lowest = {axis.get_subplotspec().colspan.start: axis for axis in panels}  # from the top down
+    for axis in panels:
+        shown = axis.xaxis.get_tick_params()["labelbottom"]
+        assert shown == (axis is lowest[axis.get_subplotspec().colspan.start])
+    plt.close(figure)
