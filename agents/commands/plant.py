@@ -215,6 +215,34 @@ class Passes:
 
 
 @dataclass(frozen=True)
+class OptimisePasses:
+    """Find the best feed and air in and the best feed and air back, by a Gaussian process over simulated inspections.
+
+    No map knows the way back, so every trial is played: five seconds of a core a tube, and more where it is slow.
+    """
+
+    trials: int = 40
+    """Schedules played."""
+    limit: int = 12
+    """Training tubes that each is played in, the first of the list, which are balanced."""
+    inspects: Literal["in", "back", "best"] = "best"
+    """What a metre counts for: the way in, the way back, or the better of both."""
+    output: Path = Path("output/optimise-passes")
+    """Folder of the schedule, its trials and how it was made; episodes that are there already are not played again."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): its task, and tubes drawn from what is known of it instead of the lists."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Search, simulate on the validation tubes, store, print."""
+        from agents.policies.places import plant_at
+        from agents.recommendation.both_ways import NAME, run_search
+
+        run_search(self.trials, self.limit, self.inspects, self.output, self.workers, plant_at(self.tube))
+        print(f"written: {self.output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
+
+
+@dataclass(frozen=True)
 class Turning:
     """Draw the probe back with feed devices that turn round faster and slower: how gently has it to be done?"""
 

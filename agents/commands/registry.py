@@ -91,6 +91,10 @@ MAKERS: Final = {
     "optimise": Entry(
         "feed:Optimise", "the best schedules by that map", "probe-env optimise best-schedule --trials 200"
     ),
+    "optimise-passes": Entry(
+        "plant:OptimisePasses", "the best feed and air in and back, by simulation",
+        "probe-env optimise-passes --tube mine.toml --trials 20 --limit 6",
+    ),
     "response": Entry(
         "plant:Learn", "what calibrations and recommendations go by", "probe-env response --groups 2"
     ),

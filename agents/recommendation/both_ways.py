@@ -1,0 +1,182 @@
+"""The best feed and air in and back: four numbers, by a Gaussian process over simulated inspections of both passes.
+
+No map knows the way back, so every trial is played, in tubes of the training list; an inspection takes seconds of a
+core, so a search has tens of trials where one on a map has a thousand. What was played is kept: a search that was
+interrupted asks for the same again and goes on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+import optuna
+import pandas as pd
+from tqdm import tqdm
+
+from agents.policies.both_ways import BothWays, fidelity_of, way_in
+from agents.policies.fixed import STUDY_AIR, Scheduled
+from agents.policies.maps.lookup import FIRST, least_air
+from agents.policies.maps.vibration_map import feeds
+from agents.policies.places import Place, both_ways, place_of
+from agents.processes.workers import Workers
+from agents.records.provenance import provenance, write_atomically, write_json
+from agents.rollouts.depths import a90_95
+from agents.rollouts.plan import Plan, Policy, run_plan
+from agents.rollouts.statistics import paired_difference
+from agents.terminal.tables import print_table
+from probe_env import Plant
+from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.task import TaskConfig
+from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
+
+FIDELITY: Final = "fast"
+NAME: Final = "best-both-ways"
+COLUMNS: Final = (*FORTH.values(), *BACK.values())
+"""What is searched: the columns of a schedule file."""
+DRAWN: Final = 10
+"""Trials that are drawn over the ranges before the process leads, those of ``starts`` among them."""
+KPIS: Final = ("reward", "inspection_time_s", "a90_percent_wall")
+BESIDE: Final = "fastest"
+HEADER: Final = (
+    "", "feed in [m/s]", "air in [m3/h]", "feed back [m/s]", "air back [m3/h]", "reward", "time [s]", "a90 [% wall]",
+)  # fmt: skip
+
+Numbers = Mapping[str, float]
+"""Column of ``COLUMNS`` -> value [m/s], [m3/h]."""
+
+
+def ranges(config: TaskConfig) -> dict[str, tuple[float, float]]:
+    """Where each number is looked for [m/s], [m3/h]; on the way in the air has to pull the probe."""
+    air_in, most = 3600.0 * least_air(config), 3600.0 * config.air_supply_rates[1]
+    back = 3600.0 * config.air_supply_rates[0]
+    return dict(zip(COLUMNS, (feeds(config), (air_in, most), feeds(config), (back, most)), strict=True))
+
+
+def starts(config: TaskConfig) -> tuple[Numbers, Numbers]:
+    """What is tried first: as fast as the device goes both ways, and back at half of that, with the study's air."""
+    fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
+    return _near(config, (fast, air, fast, air)), _near(config, (fast, air, 0.5 * fast, air))
+
+
+def _near(config: TaskConfig, values: tuple[float, ...]) -> Numbers:
+    """The nearest to some values, in the order of ``COLUMNS``, that is searched."""
+    clipped = (min(max(value, low), high) for value, (low, high) in zip(values, ranges(config).values(), strict=True))
+    return as_given(config, dict(zip(COLUMNS, clipped, strict=True)))
+
+
+def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
+    """To three digits of the feed and whole cubic metres an hour, as near as the device comes to that."""
+    given: dict[str, float] = {}
+    for columns in (FORTH, BACK):
+        wanted = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
+        feed, air = (float(value) for value in config.given(*wanted)[0])
+        given |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
+    return given
+
+
+def policy_of(config: TaskConfig, numbers: Numbers) -> BothWays:
+    """A schedule of one feed and air each way."""
+    ways = [
+        Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
+        for columns in (FORTH, BACK)
+    ]
+    return BothWays(config, Scheduled(way_in(config), ways[0]), ways[1])
+
+
+def csv_of(config: TaskConfig, numbers: Numbers) -> str:
+    """The file of such a schedule, which ``Schedule.read`` and ``read_back`` take."""
+    values = ",".join(f"{numbers[name]:.6g}" for name in COLUMNS)
+    ends = (FIRST, config.scene.tube.helix_length)
+    lines = (f"{CSV_COMMENT} linear", ",".join(("inserted_length_m", *COLUMNS)), *(f"{end:g},{values}" for end in ends))
+    return "\n".join(lines) + "\n"
+
+
+def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Workers, plant: Plant | None) -> Numbers:
+    """Search, play what was found in the validation tubes; stores NAME.csv, NAME-trials.csv and NAME.json.
+
+    Args:
+        trials: schedules played, ``starts`` among them.
+        limit: training tubes, the first, which are balanced.
+        inspects: what a metre counts for, as in ``TaskConfig``.
+        output: folder; ``output/simulated`` keeps the episodes.
+        workers: that simulate.
+        plant: for whose tubes and task; default: the shipped lists.
+
+    Raises:
+        ValueError: a budget is out of range.
+        FileError: a stored episode is damaged, or of another task.
+    """
+    if trials < 1:
+        raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
+    if not 0 < limit <= SPLIT_SIZES["train"]:
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
+    train = both_ways(place_of(plant, "train", limit), inspects)
+    unseen = both_ways(place_of(plant, "validation"), inspects)
+    config, played = train.config.all_shown, output / "simulated"
+    print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
+    tried, commits = _tried(trials, train, played, workers)
+    row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
+    best = {name: row[name] for name in COLUMNS}
+    compared = {NAME: best, BESIDE: starts(config)[0]}
+    policies = {name: policy_of(config, numbers) for name, numbers in compared.items()}
+    table = run_plan(_plan(policies, unseen), played / "validation", workers=workers)
+    means = {name: table[table["policy"] == name][list(KPIS)].mean().to_dict() for name in compared}
+    gain = paired_difference(table, NAME, BESIDE, "reward")
+    record = {
+        "schedule": best,
+        "inspects": inspects,
+        "training_tubes": limit,
+        "trials": trials,
+        "reward": row["reward"],
+    }
+    record |= {"validation_tubes": len(unseen.contexts), "validated": means, "gain": asdict(gain)}
+    write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / f"{NAME}.csv", csv_of(config, best))
+    write_json(output / f"{NAME}.json", record | {"provenance": provenance(commits=[*commits, *table["commit"]])})
+    rows = [
+        (name, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[name][kpi]:.3g}" for kpi in KPIS))
+        for name, numbers in compared.items()
+    ]
+    print_table(f"In {len(unseen.contexts)} validation tubes", HEADER, rows)
+    print(f"{NAME}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
+    return best
+
+
+def _tried(trials: int, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
+    """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
+    config, rows, commits = place.config.all_shown, [], []
+    study, space = _study(config), {name: _distribution(name, range_) for name, range_ in ranges(config).items()}
+    for number in tqdm(range(trials), desc=NAME, unit="trial"):
+        trial = study.ask(space)
+        numbers = as_given(config, trial.params)
+        plan = _plan({"trial": policy_of(config, numbers)}, place)
+        table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
+        means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
+        study.tell(trial, means["reward"])
+        rows.append(numbers | means | {"a90_95_percent_wall": a90_95(table, "trial")})
+        commits += list(table["commit"])
+    return pd.DataFrame(rows), commits
+
+
+def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
+    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
+
+
+def _study(config: TaskConfig) -> optuna.Study:
+    """A search in memory that asks for the same trials wherever it gets the same rewards."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=DRAWN)
+    study = optuna.create_study(direction="maximize", sampler=sampler)
+    for numbers in starts(config):
+        study.enqueue_trial(dict(numbers))
+    return study
+
+
+def _distribution(name: str, range_: tuple[float, float]) -> optuna.distributions.BaseDistribution:
+    return optuna.distributions.FloatDistribution(*range_, log=name in (FORTH[FEED], BACK[FEED]))
