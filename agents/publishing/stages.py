@@ -44,6 +44,8 @@ RECORDS: Final = CHECKOUT / "results" / "records"
 WORK: Final = CHECKOUT / "output" / "results"
 OF_PLANTS_ALONE: Final = ("probe_env.envs.plants.plant:Plant.contexts",)
 """How tubes of a plant are drawn: every stage reaches it by its name, those of the shipped tubes never run it."""
+OF_RETURN_ALONE: Final = ("probe_env.envs.task.passes:BothWays",)
+"""How both passes are judged: every stage with episodes reaches it, those whose probes go one way never run it."""
 APART: Final = ("commit", "code")
 """Columns that say where a row comes from, not what it says."""
 
@@ -58,6 +60,7 @@ class Stage(Model):
         code: where the code that the results depend on begins, see ``code_hash``.
         method: of the simulation; "all": all methods count.
         plants: whether tubes are drawn of a plant; else how that is done does not count.
+        returns: whether probes are drawn back; else how both passes are judged does not count.
         reads: patterns of files that the results depend on.
         script: makes a sample where no option of the command does; called with a folder, by both codes.
         sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``.
@@ -70,6 +73,7 @@ class Stage(Model):
     code: tuple[str, ...]
     method: str = ALL
     plants: bool = False
+    returns: bool = False
     reads: tuple[str, ...] = ()
     script: str = ""
     sample: dict[str, str] = Field(default_factory=dict)
@@ -80,7 +84,8 @@ class Stage(Model):
         files = {path for pattern in self.reads for path in CHECKOUT.glob(pattern)}
         contents = sorted(f"{path.name} {hashlib.sha256(content(path)).hexdigest()}\n" for path in files)
         inputs = hashlib.sha256("".join(contents).encode())  # blind to the folders that they are in
-        code = code_hash(self.code, self.method, () if self.plants else OF_PLANTS_ALONE)
+        never_run = (() if self.plants else OF_PLANTS_ALONE) + (() if self.returns else OF_RETURN_ALONE)
+        code = code_hash(self.code, self.method, never_run)
         return {"command": self.command, "code": code, "inputs": inputs.hexdigest()[:16]}
 
     @property

@@ -50,7 +50,7 @@ def code_hash(roots: tuple[str, ...], method: str | None = None, without: tuple[
     Args:
         roots: where the work starts, "module:function" or "module:Class.method".
         method: of the simulation, or another solver of its linear system; ``ALL``: all of them count.
-        without: methods, "module:Class.method", that are reached by name and never run.
+        without: classes, "module:Class", and methods, "module:Class.method", that are reached by name and never run.
 
     Call it from one thread only: CPython 3.11 cannot parse in two.
     """
@@ -99,6 +99,8 @@ def _texts(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> Iterator[st
     while todo:
         reached = todo.pop()
         if reached is None or _is_aside(reached.module) or (reached.module, reached.name) in seen:
+            continue
+        if f"{reached.module}:{reached.name}" in without:
             continue
         seen.add((reached.module, reached.name))
         parts: list[ast.AST] = [reached.node]

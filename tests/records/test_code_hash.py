@@ -115,6 +115,21 @@ def test_a_method_that_a_result_never_runs_can_be_left_out(hash_of):
     assert (without("step") == one, without("unused") == unused) == (True, False)
 
 
+def test_a_class_that_never_runs_can_be_left_out(hash_of):
+    """As how both passes are judged, of results of one."""
+    changed = PROGRAM | {"parts": PROGRAM["parts"].replace("self.size * times", "self.size + times")}
+
+    def without(*names):
+        module._module.cache_clear()
+        return code_hash(("probe_env.work:run",), without=names)
+
+    whole = hash_of(PROGRAM)
+    left_out = without("probe_env.parts:Machine")
+    assert left_out != whole
+    assert hash_of(changed) != whole
+    assert without("probe_env.parts:Machine") == left_out
+
+
 def test_a_definition_may_move_to_another_file(hash_of):
     moved = PROGRAM | {
         "work": PROGRAM["work"].replace("import probe_env.tools as tools", "from probe_env import shed as tools"),
