@@ -39,7 +39,13 @@ here = sys.argv[1]
 load("agents.records.code_hash", f"{here}/agents/records/code_hash.py")
 today = load("agents.publishing.stages", f"{here}/agents/publishing/stages.py")
 stages = today.Stages.from_toml(f"{here}/configs/results.toml").stage
-print(json.dumps({stage.name: stage.state() for stage in stages}))
+states = {}
+for stage in stages:
+    try:
+        states[stage.name] = stage.state()
+    except (KeyError, ValueError):  # its code, or its method, was not there yet
+        continue
+print(json.dumps(states))
 """
 
 
@@ -81,7 +87,7 @@ def states_in(tree: Path) -> dict[str, dict[str, str]]:
 def states_by_today(tree: Path) -> dict[str, dict[str, str]]:
     """Stage -> what its results depend on by today's list of stages and today's hash, of the files of a tree.
 
-    Empty where a tree is too old to be looked at so.
+    Without stages whose code was not there yet; empty where a tree is too old to be looked at so.
     """
     return _printed_json(tree, BY_TODAY, str(CHECKOUT))
 

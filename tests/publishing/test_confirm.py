@@ -211,7 +211,7 @@ def trees_at(folder):
 
 
 def test_a_tree_is_measured_by_todays_list_and_hash(stage, tmp_path, monkeypatch):
-    """Its code and files, by a list of stages and a hash that are not its own."""
+    """Its code and files, by a list of stages and a hash that are not its own; stages of later code are left out."""
     one, *_ = stage
     today, tree = tmp_path / "today", tmp_path / "tree"
     for place in (today / "configs", tree / "agents", tree / "probe_env"):
@@ -219,7 +219,9 @@ def test_a_tree_is_measured_by_todays_list_and_hash(stage, tmp_path, monkeypatch
     root = Path(stages.__file__).parents[2]
     (today / "agents").symlink_to(root / "agents")
     one = one.model_copy(update={"reads": ("notes.txt",)})
-    (today / "configs" / "results.toml").write_text(tomli_w.dumps({"stage": [one.model_dump()]}))
+    later = one.model_copy(update={"name": "later", "code": ("agents.study.later:run",)})
+    listed = [each.model_dump() for each in (later, one)]
+    (today / "configs" / "results.toml").write_text(tomli_w.dumps({"stage": listed}))
     monkeypatch.setattr(trees, "CHECKOUT", today)
     trees.states_by_today.cache_clear()
     for package in ("agents", "probe_env"):
