@@ -37,7 +37,7 @@ FIDELITY: Final = "fast"
 NAME: Final = "best-both-ways"
 COLUMNS: Final = (*FORTH.values(), *BACK.values())
 """What is searched: the columns of a schedule file."""
-DRAWN: Final = 10
+DRAWN: Final = 5
 """Trials that are drawn over the ranges before the process leads, those of ``starts`` among them."""
 KPIS: Final = ("reward", "inspection_time_s", "a90_percent_wall")
 BESIDE: Final = "fastest"
@@ -136,7 +136,7 @@ def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Wo
     record |= {"validation_tubes": len(unseen.contexts), "validated": means, "gain": asdict(gain)}
     write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / f"{NAME}.csv", csv_of(config, best))
-    write_json(output / f"{NAME}.json", record | {"provenance": provenance(commits=[*commits, *table["commit"]])})
+    write_json(output / f"{NAME}.json", provenance(commits=[*commits, *table["commit"]]) | record)
     rows = [
         (name, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[name][kpi]:.3g}" for kpi in KPIS))
         for name, numbers in compared.items()
