@@ -19,7 +19,9 @@ from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
 from probe_env.envs.task import Outcome, TaskConfig, reward_terms
 
-POLICIES: Final = ("fast-in", "steady-back", "slow-back", "best-schedule", "tension-scheduled", "trimmed-law")
+POLICIES: Final = (
+    "fast-in", "best-both-ways", "steady-back", "slow-back", "best-schedule", "tension-scheduled", "trimmed-law",
+)  # fmt: skip
 BESIDE: Final = "best-schedule"
 """Looking on the way in by this is what rewards are paired with."""
 PROBES: Final = ("original", "improved")
@@ -73,7 +75,7 @@ def run_study(limit: int, fidelity: str, output: Path, workers: Workers) -> pd.D
 
 
 def most_reward(config: TaskConfig, metres: float) -> float:
-    """What no policy earns more than that brings its probe back.
+    """What no policy earns more than, nor one that leaves its probe in the tube: it owes more than it saves.
 
     Args:
         config: the task of both passes.
