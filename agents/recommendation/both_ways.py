@@ -3,12 +3,15 @@
 No map knows the way back, so every trial is played, in tubes of the training list; an inspection takes seconds of a
 core, so a search has tens of trials where one on a map has a thousand. What was played is kept: a search that was
 interrupted asks for the same again and goes on.
+
+Too little air in loses the drive, too much air back buckles the cable between its floats, both in few tubes of many and
+then at once. So air is tried only where steady sliding keeps a margin of both in every tube that there is to draw.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Final
@@ -19,16 +22,16 @@ from tqdm import tqdm
 
 from agents.policies.both_ways import BothWays, fidelity_of, way_in
 from agents.policies.fixed import STUDY_AIR, Scheduled
-from agents.policies.maps.lookup import FIRST, least_air
-from agents.policies.maps.vibration_map import feeds
+from agents.policies.maps.lookup import FIRST
 from agents.policies.places import Place, both_ways, place_of
 from agents.processes.workers import Workers
+from agents.recommendation.safe_air import safe_air
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, Policy, run_plan
 from agents.rollouts.statistics import paired_difference
 from agents.terminal.tables import print_table
-from probe_env import Plant
+from probe_env import Context, Plant
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
@@ -45,26 +48,32 @@ HEADER: Final = (
     "", "feed in [m/s]", "air in [m3/h]", "feed back [m/s]", "air back [m3/h]", "reward", "time [s]", "a90 [% wall]",
 )  # fmt: skip
 
+SLOWEST: Final = 0.25
+"""Share of the greatest feed: both ways slower than that take most of a shift's time limit."""
+
 Numbers = Mapping[str, float]
 """Column of ``COLUMNS`` -> value [m/s], [m3/h]."""
+Space = Mapping[str, tuple[float, float]]
+"""Column of ``COLUMNS`` -> range in which it is looked for."""
 
 
-def ranges(config: TaskConfig) -> dict[str, tuple[float, float]]:
-    """Where each number is looked for [m/s], [m3/h]; on the way in the air has to pull the probe."""
-    air_in, most = 3600.0 * least_air(config), 3600.0 * config.air_supply_rates[1]
-    back = 3600.0 * config.air_supply_rates[0]
-    return dict(zip(COLUMNS, (feeds(config), (air_in, most), feeds(config), (back, most)), strict=True))
+def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
+    """Where each number is looked for, with air that is safe in all of the tubes, see ``safe_air``."""
+    least, most = (3600.0 * air for air in config.air_supply_rates)
+    feeds = max(SLOWEST * config.feed_speeds[1], config.feed_speeds[0]), config.feed_speeds[1]
+    air_in, air_back = safe_air(config, tubes, feeds)
+    return dict(zip(COLUMNS, (feeds, (air_in, most), feeds, (least, air_back)), strict=True))
 
 
-def starts(config: TaskConfig) -> tuple[Numbers, Numbers]:
+def starts(config: TaskConfig, space: Space) -> tuple[Numbers, Numbers]:
     """What is tried first: as fast as the device goes both ways, and back at half of that, with the study's air."""
     fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
-    return _near(config, (fast, air, fast, air)), _near(config, (fast, air, 0.5 * fast, air))
+    return _near(config, space, (fast, air, fast, air)), _near(config, space, (fast, air, 0.5 * fast, air))
 
 
-def _near(config: TaskConfig, values: tuple[float, ...]) -> Numbers:
+def _near(config: TaskConfig, space: Space, values: tuple[float, ...]) -> Numbers:
     """The nearest to some values, in the order of ``COLUMNS``, that is searched."""
-    clipped = (min(max(value, low), high) for value, (low, high) in zip(values, ranges(config).values(), strict=True))
+    clipped = (min(max(value, low), high) for value, (low, high) in zip(values, space.values(), strict=True))
     return as_given(config, dict(zip(COLUMNS, clipped, strict=True)))
 
 
@@ -117,11 +126,12 @@ def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Wo
     train = both_ways(place_of(plant, "train", limit), inspects)
     unseen = both_ways(place_of(plant, "validation"), inspects)
     config, played = train.config.all_shown, output / "simulated"
+    space = ranges(config, place_of(plant, "train").contexts)
     print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
-    tried, commits = _tried(trials, train, played, workers)
+    tried, commits = _tried(trials, space, train, played, workers)
     row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
     best = {name: row[name] for name in COLUMNS}
-    compared = {NAME: best, BESIDE: starts(config)[0]}
+    compared = {NAME: best, BESIDE: starts(config, space)[0]}
     policies = {name: policy_of(config, numbers) for name, numbers in compared.items()}
     table = run_plan(_plan(policies, unseen), played / "validation", workers=workers)
     means = {name: table[table["policy"] == name][list(KPIS)].mean().to_dict() for name in compared}
@@ -133,7 +143,7 @@ def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Wo
         "trials": trials,
         "reward": row["reward"],
     }
-    record |= {"validation_tubes": len(unseen.contexts), "validated": means, "gain": asdict(gain)}
+    record |= {"ranges": space, "validation_tubes": len(unseen.contexts), "validated": means, "gain": asdict(gain)}
     write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / f"{NAME}.csv", csv_of(config, best))
     write_json(output / f"{NAME}.json", provenance(commits=[*commits, *table["commit"]]) | record)
@@ -146,12 +156,12 @@ def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Wo
     return best
 
 
-def _tried(trials: int, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
+def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
     config, rows, commits = place.config.all_shown, [], []
-    study, space = _study(config), {name: _distribution(name, range_) for name, range_ in ranges(config).items()}
+    study, drawn = _study(starts(config, space)), {name: _distribution(name, space[name]) for name in COLUMNS}
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
-        trial = study.ask(space)
+        trial = study.ask(drawn)
         numbers = as_given(config, trial.params)
         plan = _plan({"trial": policy_of(config, numbers)}, place)
         table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
@@ -166,14 +176,14 @@ def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
     return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
 
 
-def _study(config: TaskConfig) -> optuna.Study:
+def _study(first: Sequence[Numbers]) -> optuna.Study:
     """A search in memory that asks for the same trials wherever it gets the same rewards."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=DRAWN)
     study = optuna.create_study(direction="maximize", sampler=sampler)
-    for numbers in starts(config):
+    for numbers in first:
         study.enqueue_trial(dict(numbers))
     return study
 

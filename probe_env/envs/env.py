@@ -232,7 +232,8 @@ class InspectionEnv(ProbeEnv):
     As `Insertion-v1`, for time and air of both ways. `config={"inspects": "best"}` (default): a metre that is quieter
     on the way back than on the way in gives the difference back; `"in"`: the way back shows nothing; `"back"`: nothing
     but the way back counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
-    either way calls it, each with half of the false calls.
+    either way calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both ways
+    when the episode ends: a probe that stays in the tube owes the metres that it was not drawn back.
 
     ## Starting State
     As `Insertion-v1`.
@@ -253,7 +254,8 @@ class InspectionEnv(ProbeEnv):
 
     ## Version History
     * v0: first version. Until commit 8dd1a4e (November 2026) `fast` had time-lapse on the way back as well, which made
-      the turn hide four times as many metres: results of it do not compare with later ones.
+      the turn hide four times as many metres: results of it do not compare with later ones. Until November 27, 2026
+      a probe that stayed in the tube was charged for what it had not inspected alone; others earn what they earned.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}

@@ -80,6 +80,40 @@ def test_a_metre_may_be_cut_anywhere():
     assert totals == pytest.approx([2.0, 2.0])
 
 
+@pytest.mark.parametrize("inspects", ["in", "back", "best"])
+def test_a_probe_owes_both_ways_until_it_is_back(inspects):
+    """In 9 m from 5 m on: what is left to feed in and to draw back, whatever counts."""
+    passes = passes_of(1, TaskConfig(passes="both", inspects=inspects), 0)
+    passes.begin(0, 5.0, 9.0)
+    owed = []
+    for end in (7.0, 8.9, 9.0, 8.0, 8.5, 6.0, 4.9):  # drawn back, some of the way in again, and a little too far
+        inspected = passes.count(at(end)).inspected
+        passes.ended(DONE._replace(complete=ONE & (end == 9.0)), at(end))
+        owed.append(float(passes.uninspected(at(end), np.array([9.0]), inspected)[0]))
+    assert owed == pytest.approx([2.0 + 4.0, 0.1 + 4.0, 4.0, 3.0, 3.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("inspects", ["in", "back", "best"])
+@pytest.mark.parametrize("seconds", [7.0, 12.0])
+def test_a_probe_that_is_left_in_the_tube_earns_less_than_one_that_comes_back(played, inspects, seconds):
+    """Time is up just before the turn, and after it: what it saves is less than what it owes."""
+    _, _, infos, _ = played
+    config = {"inspects": inspects, "time_limit": seconds}
+    env = gym.make("probe_env/Inspection-v0", fidelity="fast", scene=SHORT, config=config).unwrapped
+    env.reset(seed=3, options=HARD.model_dump())
+    over = False
+    while not over:
+        _, _, terminated, over, info = env.step(env.config.action(0.4, 63.0 / 3600.0))
+        assert not terminated
+    assert info["way"] == (1.0 if seconds < 7.5 else -1.0)
+    length = info["inserted_length"]
+    owed = (8.0 - length) + 3.0 if seconds < 7.5 else length - 5.0
+    assert info["reward_terms"]["uninspected"] == pytest.approx(-env.config.uninspected_weight * owed, rel=1e-5)
+    kpis = infos[-1]["episode_kpis"]
+    whole = kpis["reward" if inspects == "best" else f"{inspects}_reward"]
+    assert info["episode_kpis"]["reward"] < whole - 5.0
+
+
 @pytest.fixture(scope="module")
 def played():
     """An inspection of 8 m of helix at full feed, with everything observed."""

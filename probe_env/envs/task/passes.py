@@ -157,10 +157,12 @@ class BothWays:
         return end._replace(complete=is_back & period.good)
 
     def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
-        """(N,) what is left to inspect [m]; ``inspected`` so far."""
-        if self.config.inspects == "back":
-            return np.asarray(helix_length - self.begun - inspected)
-        return np.asarray(helix_length - self.reached)
+        """(N,) what is left of both ways [m], whatever counts: a probe that stays in the tube is not done either.
+
+        Without the way back one that loses its drive just before the turn would save the time of it.
+        """
+        to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), helix_length) - self.begun
+        return np.asarray(helix_length - self.reached + to_draw_back)
 
     def _back(self, known: FloatArray, length: float, shown: FloatArray) -> FloatArray:
         """What a piece of a bin adds on the way back."""
