@@ -12,7 +12,7 @@ from agents.learning import results as agent_results
 from agents.pages.control import checked
 from agents.pages.headroom import BAR, BLURRED, STUDENT, with_planner
 from agents.pages.plc import FINELY as LAWS_FINELY
-from agents.pages.sources import RESULTS, source, ways_to_fail
+from agents.pages.sources import RESULTS, markdown, source, ways_to_fail
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
@@ -78,6 +78,41 @@ def student_finely() -> str:
         f" ({table['context'].nunique()} tubes, 95 % intervals over seeds and tubes; the others are of"
         f" `probe-env results laws-finely`).\n\n{checked(folder)}"
     )
+
+
+def student_scheme() -> str:
+    """The student, its bar and `adaptive` acting with the study's scheme, beside finer and coarser fidelities."""
+    folder = RESULTS / "study-scheme"
+    acting = read_episodes(folder / "finer-acting" / "episodes.csv")
+    finely = [
+        read_episodes(RESULTS / name / "finer-acting" / "episodes.csv") for name in ("student-finely", "laws-finely")
+    ]
+    policies, tubes = list(dict.fromkeys(acting["policy"])), sorted(acting["context"].unique())
+    at = {
+        "`fast`": read_episodes(folder / "episodes.csv"),
+        "`reference`": _once(pd.concat(finely).replace({"policy": {f"{STUDENT}@0": STUDENT}})),
+        "the study's scheme": acting,
+    }  # fmt: skip
+    rewards = {
+        name: table[table["context"].isin(tubes)].pivot_table("reward", "context", "policy")[policies]
+        for name, table in at.items()
+    }
+    rows = [(f"`{one}`", *(f"{of[one].mean():.1f}" for of in rewards.values())) for one in policies]
+    leads = rewards["the study's scheme"].rsub(rewards["the study's scheme"][STUDENT], axis=0)
+    less = ", ".join(
+        f"{', '.join(f'{lead:.1f}' for lead in leads[one])} than `{one}`" for one in policies if one != STUDENT
+    )
+    diameters = ", ".join(f"{acting.loc[acting['context'] == tube, 'helix_diameter'].iloc[0]:g}" for tube in tubes)
+    return (
+        f"{markdown(('reward', *at), rows)}\n\n"
+        f"Means over the first {len(tubes)} test tubes, of helices of {diameters} m. There `{STUDENT}` (seed 0) earns"
+        f" with the study's scheme, tube by tube, {less} more. {source(folder / 'provenance.json')}"
+    )
+
+
+def _once(table: pd.DataFrame) -> pd.DataFrame:
+    """Without what was played in two evaluations."""
+    return table.drop_duplicates(["policy", "context", "seed"])
 
 
 def _beside(table: pd.DataFrame) -> str:

@@ -80,7 +80,7 @@ def test_the_agents_are_told_with_what_they_know(capsys):
     assert "not the root tension" in printed
     assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in printed
     assert "tension-scheduled first" in printed
-    assert "schedules example, fast-in, shift, slow-back, steady-back" in printed
+    assert "schedules best-both-ways, example, fast-in, shift, slow-back, steady-back" in printed
 
 
 @pytest.mark.parametrize(
