@@ -21,6 +21,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, plant.robustness,
         trained.scratch, trained.student, trained.student_finely, trained.student_fresh,
+        trained.student_scheme,
         simulator.back, simulator.bench, simulator.choices, simulator.energy, simulator.environments,
         simulator.other_probes, simulator.outputs, simulator.peers, simulator.presets,
         simulator.root, simulator.scaling, simulator.smooth, simulator.stability,

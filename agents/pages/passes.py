@@ -148,10 +148,10 @@ def passes_search() -> str:
     """The searched schedule, what else is as good, and what it earns in tubes that the search did not see."""
     place = RESULTS / "optimise-passes" / f"{search.NAME}.json"
     trials = stored_table(place.with_name(f"{search.NAME}-trials.csv"), *search.COLUMNS, *search.KPIS)
-    found = read_json(place, Record).model_extra or {}
+    searched = read_json(place, Record).model_extra or {}
     alike = trials[trials["reward"] > trials["reward"].max() - LIKE]
     rows = [
-        (name, f"{trials[column].min():.3g} to {trials[column].max():.3g}", f"{found['schedule'][column]:.3g}",
+        (name, f"{trials[column].min():.3g} to {trials[column].max():.3g}", f"{searched['schedule'][column]:.3g}",
          f"{alike[column].min():.3g} to {alike[column].max():.3g}")
         for name, column in zip(search.HEADER[1:], search.COLUMNS, strict=False)
     ]  # fmt: skip
@@ -163,8 +163,9 @@ def passes_search() -> str:
     return (
         f"{markdown(header, rows)}\n\n"
         f"`{search.NAME}` has the most reward of {len(trials)} trials by a Gaussian process, each played in"
-        f" {found['training_tubes']} training tubes: {trials['reward'].max():.1f}; {len(alike)} came within {LIKE:g}."
-        f" More than `fast-in` earns, paired: {Interval(**found['gain']).text()} in {found['validation_tubes']}"
+        f" {searched['training_tubes']} training tubes: {trials['reward'].max():.1f}. {len(alike)} came within"
+        f" {LIKE:g}."
+        f" More than `fast-in` earns, paired: {Interval(**searched['gain']).text()} in {searched['validation_tubes']}"
         f" validation tubes and {paired_difference(own, search.NAME, BACK[0], 'reward').text()} in"
         f" {own['context'].nunique()} test tubes, of which {lost[0]} lose the drive; with the improved probe, for which"
         f" it was not searched, {lost[1]} do. {source(place)}"

@@ -88,7 +88,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
     return {
         README: ("headline",),
         results / "evaluation.md": ("map_quality", "evaluation", "any_probe"),
-        results / "agents.md": ("agents", "student", "student_fresh", "student_finely", "scratch"),
+        results / "agents.md": ("agents", "student", "student_fresh", "student_finely", "student_scheme", "scratch"),
         results / "designs.md": ("search", "designs", "codesign"),
         results / "fronts.md": ("tradeoff", "fidelity"),
         results / "study.md": ("study", "back"),
@@ -101,7 +101,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_fresh", "plc_finely", "plc_constants", "trim", "plc_text"),
         DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent", "hearing"),
-        DOCS / "inspection" / "passes.md": ("passes", "passes_search", "turning"),
+        DOCS / "inspection" / "passes.md": ("passes", "turning", "passes_search"),
         DOCS / "learning" / "headroom.md": ("headroom", "headroom_finely", "planner_settings"),
         DOCS / "learning" / "world.md": ("world",),
         DOCS / "inspection" / "robustness.md": ("robustness",),

@@ -24,6 +24,8 @@ METHODS: Final = ("constant", "best-constant", "best-schedule", ALONE)
 BESIDE: Final = ("best-schedule-by-diameter", "tension-scheduled", "adaptive", "plc-law", "trimmed-law")
 """What the student is compared with; the last is its teacher."""
 FINELY_BESIDE: Final = BESIDE[1:]
+PAIR: Final = (BAR, STUDENT)
+"""Who acts with the study's scheme."""
 
 
 def scratch() -> str:
@@ -81,38 +83,28 @@ def student_finely() -> str:
 
 
 def student_scheme() -> str:
-    """The student, its bar and `adaptive` acting with the study's scheme, beside finer and coarser fidelities."""
+    """The student and its bar acting with the study's scheme, beside the fidelities of the same tubes."""
     folder = RESULTS / "study-scheme"
-    acting = read_episodes(folder / "finer-acting" / "episodes.csv")
-    finely = [
-        read_episodes(RESULTS / name / "finer-acting" / "episodes.csv") for name in ("student-finely", "laws-finely")
-    ]
-    policies, tubes = list(dict.fromkeys(acting["policy"])), sorted(acting["context"].unique())
+    acting, finely = (
+        read_episodes(one / "finer-acting" / "episodes.csv") for one in (folder, RESULTS / "student-finely")
+    )
     at = {
         "`fast`": read_episodes(folder / "episodes.csv"),
-        "`reference`": _once(pd.concat(finely).replace({"policy": {f"{STUDENT}@0": STUDENT}})),
+        "`reference`": finely.replace({"policy": {f"{STUDENT}@0": STUDENT}}),
         "the study's scheme": acting,
-    }  # fmt: skip
-    rewards = {
-        name: table[table["context"].isin(tubes)].pivot_table("reward", "context", "policy")[policies]
+    }
+    tubes = acting.drop_duplicates("context").sort_values("context")
+    of = {
+        name: table[table["context"].isin(tubes["context"])].pivot(index="context", columns="policy", values="reward")
         for name, table in at.items()
     }
-    rows = [(f"`{one}`", *(f"{of[one].mean():.1f}" for of in rewards.values())) for one in policies]
-    leads = rewards["the study's scheme"].rsub(rewards["the study's scheme"][STUDENT], axis=0)
-    less = ", ".join(
-        f"{', '.join(f'{lead:.1f}' for lead in leads[one])} than `{one}`" for one in policies if one != STUDENT
-    )
-    diameters = ", ".join(f"{acting.loc[acting['context'] == tube, 'helix_diameter'].iloc[0]:g}" for tube in tubes)
-    return (
-        f"{markdown(('reward', *at), rows)}\n\n"
-        f"Means over the first {len(tubes)} test tubes, of helices of {diameters} m. There `{STUDENT}` (seed 0) earns"
-        f" with the study's scheme, tube by tube, {less} more. {source(folder / 'provenance.json')}"
-    )
-
-
-def _once(table: pd.DataFrame) -> pd.DataFrame:
-    """Without what was played in two evaluations."""
-    return table.drop_duplicates(["policy", "context", "seed"])
+    rows = [
+        (f"{tube['helix_diameter']:g}", *(f"{of[name].loc[tube['context'], one]:.1f}" for one in PAIR for name in at))
+        for tube in tubes.to_dict("records")
+    ]
+    header = ("helix [m]", *(f"`{one}`, {name}" for one in PAIR for name in at))
+    note = f"Reward tube by tube; `{STUDENT}` is its seed 0. {source(folder / 'provenance.json')}"
+    return f"{markdown(header, rows)}\n\n{note}"
 
 
 def _beside(table: pd.DataFrame) -> str:

@@ -8,11 +8,12 @@ import pytest
 from pydantic import ValidationError
 
 from agents.policies.catalogue import make_policy
+from agents.publishing.stages import OF_RETURN_ALONE
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.kpis import OF_MOTION
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.passes import Period, passes_of
+from probe_env.envs.task.passes import BothWays, Period, passes_of
 from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
@@ -112,6 +113,13 @@ def test_a_probe_that_is_left_in_the_tube_earns_less_than_one_that_comes_back(pl
     kpis = infos[-1]["episode_kpis"]
     whole = kpis["reward" if inspects == "best" else f"{inspects}_reward"]
     assert info["episode_kpis"]["reward"] < whole - 5.0
+
+
+def test_probes_that_go_one_way_never_run_the_passes_of_both():
+    """Which is why results of one way do not depend on them: ``OF_RETURN_ALONE``."""
+    assert not isinstance(passes_of(1, TaskConfig(), 0), BothWays)
+    assert isinstance(passes_of(1, BOTH, 0), BothWays)
+    assert (f"{BothWays.__module__}:{BothWays.__qualname__}",) == OF_RETURN_ALONE
 
 
 @pytest.fixture(scope="module")
