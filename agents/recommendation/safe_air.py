@@ -27,7 +27,7 @@ PLACES: Final = 23
 
 
 def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
-    """The least air for the way in and the most for the way back [m3/h], in whole ones but for the device's limits.
+    """The least air for the way in and the most for the way back [m3/h]: whole ones, or the device's own steps.
 
     Args:
         config: the task: range of the air, required tension, probe and bore.
@@ -39,7 +39,9 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
     """
     slowest, fastest = feeds
     least, most = (3600.0 * air for air in config.air_supply_rates)
-    airs = np.unique(np.append(np.arange(math.ceil(least), most), (least, most)))
+    whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
+    # bounds are what the device gives, so that no air between them is rounded beyond them
+    airs = np.unique(np.round(3600.0 * config.given(np.full_like(whole, fastest), whole)[:, 1], 9))
     pulls, enough = pulled(config, tubes, airs, fastest), MARGIN * config.required_tension
     if not (pulls >= enough).any():
         raise ValueError(
