@@ -231,15 +231,18 @@ class OptimisePasses:
     """Folder of the schedule, its trials and how it was made; episodes that are there already are not played again."""
     tube: Path | None = None
     """Your own plant (tube.toml): its task, and tubes drawn from what is known of it instead of the lists."""
+    probe: str | None = None
+    """A design's file, or the name of one that ships; default: table 2's probe, or that of the plant."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 
     def run(self) -> None:
         """Search, simulate on the validation tubes, store, print."""
         from agents.policies.places import plant_at
-        from agents.recommendation.both_ways import NAME, run_search
+        from agents.recommendation.both_ways import called, run_search
 
-        run_search(self.trials, self.limit, self.inspects, self.output, self.workers, plant_at(self.tube))
-        print(f"written: {self.output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
+        plant, name = plant_at(self.tube), called(self.probe)
+        run_search(self.trials, self.limit, self.inspects, self.output, self.workers, plant, self.probe)
+        print(f"written: {self.output}/ ({name}.csv: a schedule to evaluate, {name}-trials.csv, {name}.json)")
 
 
 @dataclass(frozen=True)

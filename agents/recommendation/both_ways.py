@@ -23,16 +23,17 @@ from tqdm import tqdm
 from agents.policies.both_ways import BothWays, fidelity_of, way_in
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.maps.lookup import FIRST
-from agents.policies.places import Place, both_ways, place_of
+from agents.policies.places import Place, both_ways, place_of, with_probe
 from agents.processes.workers import Workers
 from agents.recommendation.safe_air import safe_air
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan, Policy, run_plan
 from agents.rollouts.statistics import paired_difference
+from agents.terminal.names import name_of
 from agents.terminal.tables import print_table
 from probe_env import Context, Plant
-from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.contexts import SPLIT_SIZES, Split
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
 
@@ -104,8 +105,23 @@ def csv_of(config: TaskConfig, numbers: Numbers) -> str:
     return "\n".join(lines) + "\n"
 
 
-def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Workers, plant: Plant | None) -> Numbers:
+def called(probe: str | None) -> str:
+    """The name of what is found: of a probe's own where one is given."""
+    return NAME if probe is None else f"{NAME}-{name_of(Path(probe))}"
+
+
+def run_search(
+    trials: int,
+    limit: int,
+    inspects: str,
+    output: Path,
+    workers: Workers,
+    plant: Plant | None = None,
+    probe: str | None = None,
+) -> Numbers:
     """Search, play what was found in the validation tubes; stores NAME.csv, NAME-trials.csv and NAME.json.
+
+    NAME is as ``called``.
 
     Args:
         trials: schedules played, ``starts`` among them.
@@ -114,46 +130,55 @@ def run_search(trials: int, limit: int, inspects: str, output: Path, workers: Wo
         output: folder; ``output/simulated`` keeps the episodes.
         workers: that simulate.
         plant: for whose tubes and task; default: the shipped lists.
+        probe: a design's file, or the name of one that ships; default: the scene's own.
 
     Raises:
-        ValueError: a budget is out of range.
+        ValueError: a budget is out of range, or the design does not fit the bore.
+        FileNotFoundError: no such design.
         FileError: a stored episode is damaged, or of another task.
     """
     if trials < 1:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
     if not 0 < limit <= SPLIT_SIZES["train"]:
         raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
-    train = both_ways(place_of(plant, "train", limit), inspects)
-    unseen = both_ways(place_of(plant, "validation"), inspects)
-    config, played = train.config.all_shown, output / "simulated"
+    train = _place(plant, probe, "train", limit, inspects)
+    unseen = _place(plant, probe, "validation", 0, inspects)
+    config, played, name = train.config.all_shown, output / "simulated", called(probe)
     space = ranges(config, place_of(plant, "train").contexts)
     print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
     tried, commits = _tried(trials, space, train, played, workers)
     row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
-    best = {name: row[name] for name in COLUMNS}
-    compared = {NAME: best, BESIDE: starts(config, space)[0]}
-    policies = {name: policy_of(config, numbers) for name, numbers in compared.items()}
+    best = {column: row[column] for column in COLUMNS}
+    compared = {name: best, BESIDE: starts(config, space)[0]}
+    policies = {one: policy_of(config, numbers) for one, numbers in compared.items()}
     table = run_plan(_plan(policies, unseen), played / "validation", workers=workers)
-    means = {name: table[table["policy"] == name][list(KPIS)].mean().to_dict() for name in compared}
-    gain = paired_difference(table, NAME, BESIDE, "reward")
+    means = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
+    gain = paired_difference(table, name, BESIDE, "reward")
     record = {
         "schedule": best,
+        "probe": None if probe is None else name_of(Path(probe)),
         "inspects": inspects,
         "training_tubes": limit,
         "trials": trials,
         "reward": row["reward"],
     }
     record |= {"ranges": space, "validation_tubes": len(unseen.contexts), "validated": means, "gain": asdict(gain)}
-    write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
-    write_atomically(output / f"{NAME}.csv", csv_of(config, best))
-    write_json(output / f"{NAME}.json", provenance(commits=[*commits, *table["commit"]]) | record)
+    write_atomically(output / f"{name}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / f"{name}.csv", csv_of(config, best))
+    write_json(output / f"{name}.json", provenance(commits=[*commits, *table["commit"]]) | record)
     rows = [
-        (name, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[name][kpi]:.3g}" for kpi in KPIS))
-        for name, numbers in compared.items()
+        (one, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[one][kpi]:.3g}" for kpi in KPIS))
+        for one, numbers in compared.items()
     ]
     print_table(f"In {len(unseen.contexts)} validation tubes", HEADER, rows)
-    print(f"{NAME}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
+    print(f"{name}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
     return best
+
+
+def _place(plant: Plant | None, probe: str | None, split: Split, tubes: int, inspects: str) -> Place:
+    """Tubes and task of both passes, with the probe of a design where one is given."""
+    place = both_ways(place_of(plant, split, tubes), inspects)
+    return place if probe is None else place._replace(config=with_probe(place.config, probe))
 
 
 def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:

@@ -12,7 +12,7 @@ import pytest
 
 from agents.cli import main
 from agents.policies.catalogue import make_policy
-from agents.policies.places import both_ways, place_of
+from agents.policies.places import both_ways, place_of, with_probe
 from agents.processes.workers import HERE
 from agents.recommendation import both_ways as searched
 from agents.recommendation.both_ways import (
@@ -103,6 +103,28 @@ def test_the_search_finds_what_is_best(folders: list[str], tmp_path: Path) -> No
     assert policy.describe()["back"]["feed_speed"][0] == best[COLUMNS[2]]
 
 
+def test_a_probe_has_a_search_of_its_own(folders: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Played with it, in air that is safe for it, and stored under its name."""
+    played, run_plan = [], searched.run_plan
+
+    def run_plan_seen(plan: Any, output: Path, **settings: Any) -> pd.DataFrame:
+        played.append(plan.config.scene.probe)
+        return run_plan(plan, output, **settings)
+
+    monkeypatch.setattr(searched, "run_plan", run_plan_seen)
+    best = run_search(3, 1, "back", tmp_path, HERE, probe="improved")
+    config = with_probe(CONFIG, "improved")
+    assert set(played) == {config.scene.probe} != {CONFIG.scene.probe}
+    record = json.loads((tmp_path / f"{NAME}-improved.json").read_text())
+    assert (record["probe"], record["schedule"]) == ("improved", dict(best))
+    own = ranges(config, TUBES)
+    assert {name: tuple(range_) for name, range_ in record["ranges"].items()} == own
+    assert own[COLUMNS[1]][0] > SPACE[COLUMNS[1]][0]  # smaller floats: the air pulls less
+    assert own[COLUMNS[3]][1] > SPACE[COLUMNS[3]][1]
+    assert (tmp_path / f"{NAME}-improved.csv").exists()
+    assert set(record["validated"]) == {f"{NAME}-improved", BESIDE}
+
+
 def test_a_search_goes_on_where_it_was(folders: list[str], tmp_path: Path) -> None:
     """A longer one begins as a shorter one did, so what was played is asked for again."""
     tables = []
@@ -191,6 +213,7 @@ def test_a_device_without_safe_air_is_refused(update: dict[str, Any], message: s
         (["--trials", "0"], "trials = 0 is outside the accepted range 1 and more"),
         (["--limit", "97"], "limit = 97 is outside the accepted range 1 to 96"),
         (["--limit", "0"], "limit = 0 is outside the accepted range 1 to 96"),
+        (["--probe", "none-such"], "none-such"),
     ],
 )
 def test_a_budget_out_of_range_is_refused(
