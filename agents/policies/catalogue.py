@@ -14,6 +14,7 @@ from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
 from agents.policies.maps.vibration_map import VibrationMap, check_measure, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
+from agents.policies.planning.inspection import INSPECTION_PLANNERS, InspectionPlanner
 from agents.policies.planning.planner import PLANNERS, Planner
 from agents.policies.plc.law import PlcLaw
 from agents.policies.plc.trimmed import TrimmedLaw
@@ -138,6 +139,11 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
 
 def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) -> Policy:
     """Of a task of both passes: an agent that was trained in one acts both ways, others are given a way back."""
+    if spec in INSPECTION_PLANNERS:
+        return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
+    if spec in PLANNERS:
+        names = ", ".join(INSPECTION_PLANNERS)
+        raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
     file = Path(policy_file(unshielded(spec)))
     if file.suffix == ".npz" and _agent(file).config.returns:
         if spec.startswith(PREFIX):

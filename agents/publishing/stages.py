@@ -44,8 +44,11 @@ RECORDS: Final = CHECKOUT / "results" / "records"
 WORK: Final = CHECKOUT / "output" / "results"
 OF_PLANTS_ALONE: Final = ("probe_env.envs.plants.plant:Plant.contexts",)
 """How tubes of a plant are drawn: every stage reaches it by its name, those of the shipped tubes never run it."""
-OF_RETURN_ALONE: Final = ("probe_env.envs.task.passes:BothWays",)
-"""How both passes are judged: every stage with episodes reaches it, those whose probes go one way never run it."""
+OF_RETURN_ALONE: Final = (
+    "probe_env.envs.task.passes:BothWays",
+    "agents.policies.catalogue:_both_ways",
+)
+"""How both passes are judged, and who plays them: stages whose probes go one way reach it by name and never run it."""
 APART: Final = ("commit", "code")
 """Columns that say where a row comes from, not what it says."""
 

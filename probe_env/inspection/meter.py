@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +33,13 @@ class Meter:
         self.spectrum = np.zeros((count, len(FREQUENCY)))
         self._inverse = 1.0
         self._last: dict[int, tuple[float, float, float, FloatArray]] = {}
+
+    def fork(self, which: Sequence[int]) -> Meter:
+        """A meter of copies of some of the probes, which has heard what this one has."""
+        new, index = Meter(self.sensor, len(which), self.sample_period), list(which)
+        new._kept, new._known, new.spectrum = self._kept[index], self._known[index], self.spectrum[index]
+        new._inverse, new._last = self._inverse, {n: self._last[k] for n, k in enumerate(which) if k in self._last}
+        return new
 
     def forget(self, k: int) -> None:
         """Another episode of probe k begins."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from agents.policies import catalogue
 from agents.policies.catalogue import make_policy
 from agents.publishing.stages import OF_RETURN_ALONE
 from probe_env import Context, TaskConfig
@@ -115,11 +116,17 @@ def test_a_probe_that_is_left_in_the_tube_earns_less_than_one_that_comes_back(pl
     assert info["episode_kpis"]["reward"] < whole - 5.0
 
 
-def test_probes_that_go_one_way_never_run_the_passes_of_both():
-    """Which is why results of one way do not depend on them: ``OF_RETURN_ALONE``."""
+def test_probes_that_go_one_way_never_run_the_passes_of_both(monkeypatch):
+    """Nor what makes a policy of both: which is why results of one way do not depend on them (``OF_RETURN_ALONE``)."""
     assert not isinstance(passes_of(1, TaskConfig(), 0), BothWays)
     assert isinstance(passes_of(1, BOTH, 0), BothWays)
-    assert (f"{BothWays.__module__}:{BothWays.__qualname__}",) == OF_RETURN_ALONE
+    own = (BothWays, catalogue._both_ways)
+    assert tuple(f"{one.__module__}:{one.__qualname__}" for one in own) == OF_RETURN_ALONE
+    monkeypatch.setattr(catalogue, "_both_ways", None)
+    for name in ("fast-in", "trimmed-law", "shielded:adaptive", "ppo", "planner"):
+        assert make_policy(name, TaskConfig().all_shown)
+    with pytest.raises(TypeError):
+        make_policy("fast-in", BOTH)
 
 
 @pytest.fixture(scope="module")

@@ -194,7 +194,9 @@ def test_the_shipped_stages_are_valid_and_their_code_and_inputs_exist():
         for pattern in each.reads:
             assert list(results.CHECKOUT.glob(pattern)), f"{each.name}: {pattern}"
         assert each.plants == ("--tube" in each.command or each.name == "plants")
-        assert each.returns == (each.name.startswith(("optimise-passes", "passes", "turning")) or "--passes" in each.command)
+        assert each.returns == (
+            each.name.startswith(("optimise-passes", "passes", "turning")) or "--passes" in each.command
+        )
     known = {each.name: each for each in load_stages()}
     assert results.sources(known["headroom"], load_stages()) == ["map", "optimise"]
     assert results.sources(known["snr"], load_stages()) == ["optimise", "plc", "snr-map", "snr-schedules"]

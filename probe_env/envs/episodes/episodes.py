@@ -117,6 +117,22 @@ class Episodes:
         """
         return np.where(self.passes.way > 0.0, self.fidelity.time_lapse, 1.0)
 
+    def fork(self, which: Sequence[int]) -> Episodes:
+        """Copies of some episodes in their present state, each as often as it is named: what a controller tries out.
+
+        They are rewarded and end as the episodes themselves would; their figures count from here on.
+
+        Raises:
+            ValueError: ``which`` is empty or names no episode of these.
+        """
+        new = copy.copy(self)
+        new.batch = self.batch.branch(which)
+        new.gauges, new.judge, new.beside = self.gauges.fork(which, new.batch), self.judge.fork(which), {}
+        new.tally, new.passes = new.judge.tally, new.judge.passes
+        new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
+        new.actions, new.running, new.window = self.actions[list(which)], self.running[list(which)], None
+        return new
+
     def reset(
         self,
         which: Sequence[int],

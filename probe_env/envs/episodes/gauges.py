@@ -44,6 +44,12 @@ class Gauges:
         self.meter = Meter(config.sensor, len(batch), SAMPLE_PERIOD)
         self.observed = np.zeros((len(batch), config.delay_periods + 1, len(config.observations)), dtype=np.float32)
 
+    def fork(self, which: Sequence[int], batch: SimulatorBatch) -> Gauges:
+        """Instruments of a ``batch`` of copies of some of the probes, with what they have heard and shown."""
+        new = Gauges(self.config, batch)
+        new.meter, new.observed = self.meter.fork(which), self.observed[list(which)]
+        return new
+
     @property
     def observation(self) -> npt.NDArray[np.float32]:
         """(N, d) what is shown."""

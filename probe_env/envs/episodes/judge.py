@@ -5,6 +5,7 @@ One motion may have several judges: what would have been found if only the way i
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -86,6 +87,15 @@ class Judge:
         self.passes: Final = passes_of(count, config, len(SIGNALS))
         self.tally: Final = [Tally() for _ in range(count)]
         self._start = np.zeros(count)
+
+    def fork(self, which: Sequence[int]) -> Judge:
+        """A judge of copies of some episodes, who rewards and ends them as this one; figures count from here on."""
+        new, passes = copy.copy(self), self.passes.fork(which)
+        tallies = [Tally(detection=detection) for detection in passes.detection]
+        for tally, of in zip(tallies, (self.tally[k] for k in which), strict=True):
+            tally.time, tally.slack_periods, tally.last_radial = of.time, of.slack_periods, of.last_radial
+        vars(new).update(passes=passes, tally=tallies, _start=self._start[list(which)])
+        return new
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length [m]."""

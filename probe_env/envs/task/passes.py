@@ -7,6 +7,7 @@ or where it is better than what the way in showed, so that at the end every metr
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -67,6 +68,10 @@ class WayIn:
         self.way = np.ones(count)
         self.detection = [DetectionTally(config.sensor) for _ in range(count)]
 
+    def fork(self, which: Sequence[int]) -> WayIn:
+        """Passes of copies of some probes; what is found counts from here on."""
+        return WayIn(len(which), self.config)
+
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length."""
         self.detection[k] = DetectionTally(self.config.sensor)
@@ -110,6 +115,14 @@ class BothWays:
         self.left = np.full(count, np.inf)
         self._shown: list[FloatArray] = [np.zeros((0, self._columns)) for _ in range(count)]
         self._new, self._since_turn = [(0.0, 0.0, True)] * count, np.zeros(count)  # low, high [m], on the way in
+
+    def fork(self, which: Sequence[int]) -> BothWays:
+        """Passes of copies of some probes, which are where these are; what is found counts from here on."""
+        new, index = BothWays(len(which), self.config, self._columns - 3), list(which)
+        for name in ("way", "begun", "reached", "left", "_since_turn"):
+            setattr(new, name, getattr(self, name)[index])
+        new._shown, new._new = [self._shown[k].copy() for k in which], [self._new[k] for k in which]
+        return new
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length, on the way in."""
@@ -163,6 +176,19 @@ class BothWays:
         """
         to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), helix_length) - self.begun
         return np.asarray(helix_length - self.reached + to_draw_back)
+
+    def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
+        """(N,) what the way back is still to pass of what was reached [m], and the squares that the way in had there.
+
+        The squares are sums over length, as in ``Counted``.
+        """
+        metres = np.maximum(np.minimum(self.left, self.reached) - self.begun, 0.0)
+        squares = np.zeros(len(metres))
+        for k, (low, length) in enumerate(zip(self.begun.tolist(), metres.tolist(), strict=True)):
+            for bin_, piece in _bins(low, low + length):
+                known, sum_of_squares = self._shown[k][bin_, :2]
+                squares[k] += piece * sum_of_squares / known if known > 0.0 else 0.0
+        return metres, squares
 
     def _back(self, known: FloatArray, length: float, shown: FloatArray) -> FloatArray:
         """What a piece of a bin adds on the way back."""
