@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from agents.policies.domain import Domain
 from agents.policies.fixed import STUDY_AIR
 from agents.rollouts.plan import Policy
 from probe_env.envs.task import TaskConfig
@@ -15,6 +16,9 @@ from probe_env.envs.task.observations import in_si_units
 from probe_env.fidelity import BOTH_WAYS, PRESETS, Fidelity, resolve_fidelity
 from probe_env.physics.methods import METHODS
 from probe_env.schedule import Schedule
+
+if TYPE_CHECKING:
+    from agents.policies.bundle import Agent
 
 SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
 """What turns round with the probe."""
@@ -72,6 +76,45 @@ class BothWays:
         way_back = {"position": self.back.position, "feed_speed": self.back.feed_speed}
         way_back["air_supply_rate"] = self.back.air_supply_rate
         return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
+
+
+@dataclass
+class InSteps:
+    """An agent of both ways whose feed is in whole steps, as of the device that it was trained with.
+
+    Every change of the feed shakes a probe that is drawn back, and what a network says is never twice the same.
+
+    Attributes:
+        config: the task that it acts in.
+        agent: made for this task.
+        step: of the feed [m/s].
+    """
+
+    config: TaskConfig
+    agent: Agent
+    step: float
+
+    @property
+    def domain(self) -> Domain:
+        """That of the agent."""
+        return self.agent.domain
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.floating],
+        state: Any = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Actions for observations (d,) or (N, d), and the state to give back next time."""
+        actions, state = self.agent.predict(observation, state, episode_start, deterministic)
+        feed, air = self.config.targets(np.atleast_2d(actions)).T
+        stepped = self.config.actions(self.step * np.round(feed / self.step), air).astype(np.float32)
+        return (stepped[0] if np.ndim(observation) == 1 else stepped), state
+
+    def describe(self) -> dict[str, Any]:
+        """What it is, as JSON-ready data; equal for equal policies."""
+        return {"policy": type(self).__name__, "step": self.step, "of": self.agent.describe()}
 
 
 def way_in(config: TaskConfig) -> TaskConfig:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from agents.policies.both_ways import BothWays, fastest_back, way_in
+from agents.policies.both_ways import BothWays, InSteps, fastest_back, way_in
 from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
@@ -148,7 +148,8 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
     if file.suffix == ".npz" and _agent(file).config.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
-        return _agent(file, config)
+        agent, step = _agent(file, config), _agent(file).config.feed_speed_step
+        return InSteps(config, agent, step) if step > 0.0 else agent
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     return BothWays(config, make_policy(spec, way_in(config), vibration), back or fastest_back(config))
 

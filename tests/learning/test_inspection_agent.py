@@ -6,11 +6,12 @@ import pytest
 
 from agents.learning.config import Training
 from agents.learning.train import BEST, train_all
-from agents.policies.both_ways import BothWays
+from agents.policies.both_ways import BothWays, InSteps
 from agents.policies.bundle import Agent
 from agents.policies.catalogue import make_policy
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import load_contexts
+from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import BOTH_WAYS, Fidelity
 from probe_env.files import FileError
@@ -54,6 +55,29 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
         make_policy(path, TaskConfig().all_shown)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.npz': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
+
+
+def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
+    """On a device without steps: every change of the feed shakes a probe that is drawn back."""
+    environment = TINY["environment"] | {"task": TINY["environment"]["task"] | {"feed_speed_step": 0.05}}
+    train_all(Training(**TINY | {"environment": environment}), tmp_path, resume=False)
+    config = TaskConfig(passes="both").all_shown
+    policy = make_policy(str(tmp_path / "seed-0" / BEST), config)
+    assert isinstance(policy, InSteps)
+    assert policy.domain.helix_length == 60.0
+    assert policy.describe()["step"] == 0.05
+    episodes = Episodes(3, config, threads=1, fidelity="fast")
+    rows, _ = episodes.reset(range(3), {k: np.random.default_rng(k) for k in range(3)})
+    actions, state = policy.predict(rows, deterministic=True)
+    own, _ = policy.agent.predict(rows, deterministic=True)
+    feed, air = config.targets(actions).T
+    wanted, blown = config.targets(own).T
+    np.testing.assert_allclose(feed / 0.05, np.round(wanted / 0.05), atol=1e-6)
+    np.testing.assert_allclose(air, blown, rtol=1e-6)
+    one, _ = policy.predict(rows[0], deterministic=True)
+    np.testing.assert_array_equal(one, actions[0])
+    again, _ = policy.predict(rows, state, np.zeros(3, dtype=bool), deterministic=True)
+    assert again.shape == (3, 2)
 
 
 def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):

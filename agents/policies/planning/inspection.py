@@ -1,8 +1,9 @@
 """A planner of a whole inspection: what looking ahead could win at best where the probe is drawn back, too.
 
 As ``Planner`` it holds candidates of feed and air on copies of the running episodes; what they earn decides, with what
-the rest would earn at best: fed and drawn as fast as the device can, and silent on the way back. No map knows the way
-back, and it needs none, for a pressed probe hardly rings.
+the rest would earn: on the way that the probe is on with the candidate's feed and air, on the other as fast as the
+device can, and silent on the way back. No map knows the way back, and it needs none, for a pressed probe hardly rings;
+but a change of its feed shakes it, so one that counts on being faster later would never be.
 """
 
 from __future__ import annotations
@@ -104,7 +105,8 @@ class InspectionPlanner:
         tried = drawn(kept, fastest, self.candidates, self.config, entropy)
         copies = episodes.fork(np.repeat(which, self.candidates).tolist())
         blur_states(copies.batch, self.blur, entropy)
-        worth = earned(copies, tried.reshape(-1, 2), self.periods) + worth_of_rest(copies)
+        each = tried.reshape(-1, 2)
+        worth = earned(copies, each, self.periods) + worth_of_rest(copies, each)
         best = worth.reshape(tried.shape[:2]).argmax(axis=1)
         return np.take_along_axis(tried, best[:, None, None], axis=1)[:, 0]
 
@@ -126,27 +128,28 @@ def earned(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
     return reward
 
 
-def worth_of_rest(episodes: Episodes) -> FloatArray:
-    """(N,) what is left to earn at best, by probes that go both ways; 0 where an episode has ended.
+def worth_of_rest(episodes: Episodes, held: FloatArray) -> FloatArray:
+    """(N,) what is left to earn by probes that go both ways; 0 where an episode has ended.
 
-    Of those that hang slack it is what losing the drive costs, for that is what follows.
+    On the way that each is on (N, 2) feed [m/s] and air [m3/s] are held, from the turn on the feed is the fastest and
+    the air the least. Of those that hang slack it is what losing the drive costs, for that is what follows.
     """
     config, passes = episodes.config, episodes.passes
     assert isinstance(passes, BothWays)
     inserted, length = episodes.gauges.inserted(), episodes.gauges.helix_length()
     to_pass, shaken = passes.still_to_pass()
-    unseen = length - passes.reached
-    there = np.where(passes.way > 0.0, length - inserted, 0.0)
-    back = np.where(passes.way > 0.0, length - passes.begun, to_pass)
-    seconds = (there + back) / config.feed_speeds[1]
-    spent = costs(config, shaken, seconds, config.air_supply_rates[0] * seconds)
+    forth, unseen = passes.way > 0.0, length - passes.reached
+    here = np.where(forth, length - inserted, to_pass) / held[:, 0]
+    back = np.where(forth, length - passes.begun, 0.0) / config.feed_speeds[1]
+    spent = costs(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
     # what the way in shook was charged already, and a silent way back gives it again
     again = spent["vibration"] if config.inspects == "best" else 0.0
-    metres = unseen if config.inspects == "best" else back
-    best = config.progress_weight * metres + again - spent["time"] - spent["air"]
+    left = np.where(forth, length - passes.begun, to_pass)
+    metres = unseen if config.inspects == "best" else left
+    worth = config.progress_weight * metres + again - spent["time"] - spent["air"]
     hanging = np.array([tally.slack_periods > 0 for tally in episodes.tally])
-    lost = -config.uninspected_weight * (unseen + back)
-    return np.where(episodes.running, np.where(hanging, lost, best), 0.0)
+    lost = -config.uninspected_weight * (unseen + left)
+    return np.where(episodes.running, np.where(hanging, lost, worth), 0.0)
 
 
 INSPECTION_PLANNERS: Final[dict[str, dict[str, Any]]] = {"planner": {}, "planner-blurred": {"blur": BLUR}}

@@ -40,6 +40,11 @@ def held(config: TaskConfig, feed: float, air: float) -> FloatArray:
     return np.tile(config.action(feed, air), (2, 1))
 
 
+def rest(episodes: Episodes, feed: float = 0.4, air: float = 30.0 / 3600.0) -> FloatArray:
+    """Worth with the same feed and air held in all episodes: by default the fastest and the least."""
+    return worth_of_rest(episodes, np.tile([feed, air], (len(episodes), 1)))
+
+
 @pytest.mark.parametrize(("inspects", "measure"), [("best", "displacement"), ("back", "snr")])
 def test_copies_of_an_episode_do_as_it_does(inspects: Inspects, measure: str) -> None:
     """From the way in over the turn to the end: every observation, reward and ending, to the last bit."""
@@ -72,11 +77,11 @@ def test_no_episode_earns_more_than_the_rest_is_worth(inspects: Inspects) -> Non
     rng = np.random.default_rng(5)
     for feed in (0.4, 0.15, None):
         episodes = begun(config)
-        worth, rewards = [worth_of_rest(episodes)], []
+        worth, rewards = [rest(episodes)], []
         while episodes.running.any():
             drawn = float(rng.uniform(0.1, 0.4)) if feed is None else feed
             rewards.append(episodes.step(held(config, drawn, 0.02), episodes.running.copy()).reward)
-            worth.append(worth_of_rest(episodes))
+            worth.append(rest(episodes))
         to_come = np.cumsum(rewards[::-1], axis=0)[::-1]
         assert (to_come <= np.array(worth[:-1]) + 1e-9).all()
         np.testing.assert_array_equal(worth[-1], 0.0)
@@ -88,18 +93,20 @@ def test_the_rest_is_what_is_left_of_both_ways() -> None:
     config = task()
     episodes = begun(config)
     per_metre = config.time_weight / 0.4 + config.air_weight * config.air_supply_rates[0] / 0.4
-    np.testing.assert_allclose(worth_of_rest(episodes), 3.0 * config.progress_weight - 6.0 * per_metre)
+    np.testing.assert_allclose(rest(episodes), 3.0 * config.progress_weight - 6.0 * per_metre)
+    slower = (config.time_weight + config.air_weight * 0.02) / 0.1  # a metre of the way in
+    np.testing.assert_allclose(rest(episodes, 0.1, 0.02), 3.0 * (config.progress_weight - per_metre - slower))
     while episodes.gauges.inserted().min() < 6.9:
         episodes.step(held(config, 0.4, 0.02))
     passes = episodes.passes
     known = [passes._shown[k][:, 1].sum() for k in range(2)]
     left = LENGTH - episodes.gauges.inserted()
     expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * np.array(known)
-    np.testing.assert_allclose(worth_of_rest(episodes), expected)
+    np.testing.assert_allclose(rest(episodes), expected)
     assert min(known) > 0.0
     hanging = episodes.fork([0])
     hanging.tally[0].slack_periods = 1
-    assert worth_of_rest(hanging)[0] == pytest.approx(-config.uninspected_weight * (left[0] + 3.0))
+    assert rest(hanging)[0] == pytest.approx(-config.uninspected_weight * (left[0] + 3.0))
 
 
 def test_what_is_earned_ends_with_the_episode() -> None:
@@ -140,7 +147,7 @@ def test_a_planned_inspection_is_fast_and_comes_back() -> None:
     plan = Plan({"planner": make_policy("planner", config)}, TUBES, config=config, fidelity=BOTH_WAYS["fast"])
     table = run_plan(plan, None, threads=1)
     assert table["complete"].all()
-    most = worth_of_rest(begun(config))[0]
+    most = rest(begun(config))[0]
     slow = 3.0 - 6.0 * (config.time_weight + config.air_weight * config.air_supply_rates[0]) / 0.2
     assert (table["reward"] > slow + 2.0 / 3.0 * (most - slow)).all()
     assert (table["reward"] <= most).all()
