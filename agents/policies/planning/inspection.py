@@ -35,7 +35,7 @@ class InspectionPlanner:
     Attributes:
         config: the task of both passes.
         periods: that a candidate is held on the copies.
-        candidates: tried each time: what is held, the fastest feed with the same air, and draws around both.
+        candidates: tried each time, see ``tried_both_ways``.
         every: periods from one plan to the next.
         blur: standard deviation of what is known of the nodes' radial places [m].
         seed: of the draws.
@@ -46,7 +46,7 @@ class InspectionPlanner:
 
     config: TaskConfig
     periods: int = 6
-    candidates: int = 8
+    candidates: int = 10
     every: int = 3
     blur: float = 0.0
     seed: int = 0
@@ -100,15 +100,28 @@ class InspectionPlanner:
     def _planned(self, episodes: Episodes, which: Sequence[int], memories: Sequence[Memory]) -> FloatArray:
         """(n, 2) feed [m/s] and air [m3/s] of the best candidates."""
         kept = np.array([memory[1:] for memory in memories])
-        fastest = np.column_stack([np.full(len(kept), self.config.feed_speeds[1]), kept[:, 1]])
         entropy = [self.seed, memories[0][0]]
-        tried = drawn(kept, fastest, self.candidates, self.config, entropy)
+        tried = tried_both_ways(kept, self.candidates, self.config, entropy)
         copies = episodes.fork(np.repeat(which, self.candidates).tolist())
         blur_states(copies.batch, self.blur, entropy)
         each = tried.reshape(-1, 2)
         worth = earned(copies, each, self.periods) + worth_of_rest(copies, each)
         best = worth.reshape(tried.shape[:2]).argmax(axis=1)
         return np.take_along_axis(tried, best[:, None, None], axis=1)[:, 0]
+
+
+def tried_both_ways(kept: FloatArray, count: int, config: TaskConfig, entropy: list[int]) -> FloatArray:
+    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s] to try, as the plant's devices give them.
+
+    What is held (n, 2), the fastest feed with the air that is held, and then in turn draws near what is held and the
+    fastest feed with any air: what is good on one way is not on the other, and the turn leaves no time for small steps.
+    """
+    fastest, (least, most) = config.feed_speeds[1], config.air_supply_rates
+    tried = drawn(kept, np.column_stack([np.full(len(kept), fastest), kept[:, 1]]), count, config, entropy)
+    airs = np.random.default_rng([*entropy, count]).uniform(least, most, size=count)
+    actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
+    tried[:, 3::2] = config.targets(actions)[3::2]
+    return tried
 
 
 def _settled(episodes: Episodes, k: int) -> Memory:

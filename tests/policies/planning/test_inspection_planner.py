@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from agents.policies.catalogue import make_policy
-from agents.policies.planning.inspection import InspectionPlanner, earned, worth_of_rest
+from agents.policies.planning.inspection import (
+    InspectionPlanner,
+    earned,
+    tried_both_ways,
+    worth_of_rest,
+)
 from agents.policies.planning.planner import BLUR
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context
@@ -121,6 +126,22 @@ def test_what_is_earned_ends_with_the_episode() -> None:
         given = config.actions(*actions.T).astype(np.float32)
         rewards += episodes.step(given, episodes.running.copy()).reward
     np.testing.assert_array_equal(whole, rewards)
+
+
+def test_what_is_held_and_any_air_at_the_fastest_feed_are_tried() -> None:
+    config = task(feed_speed_step=0.01, air_supply_step=5.0 / 3600.0)
+    kept = np.array([[0.2, 0.02], [0.1, 0.03]])
+    tried = tried_both_ways(kept, 41, config, [0, 3])
+    np.testing.assert_allclose(tried[:, 0], config.given(*kept.T), rtol=1e-6)
+    np.testing.assert_allclose(tried[:, 1], config.given(np.full(2, 0.4), kept[:, 1]), rtol=1e-6)
+    np.testing.assert_allclose(tried[:, 3::2, 0], 0.4)
+    least, most = config.air_supply_rates
+    for lowest in np.linspace(least, most, 5)[:-1]:  # 19 draws: each quarter is missed once in 240 sets
+        assert ((tried[0, 3::2, 1] >= lowest) & (tried[0, 3::2, 1] <= lowest + 0.25 * (most - least))).any()
+    assert (np.abs(tried[0, 2::2, 0] / 0.2 - 1.0) < 0.5).all()
+    np.testing.assert_array_equal(tried_both_ways(kept[1:], 41, config, [0, 3])[0], tried[1])
+    assert not np.array_equal(tried_both_ways(kept, 41, config, [0, 4]), tried)
+    assert tried_both_ways(kept, 1, config, [0, 3]).shape == (2, 1, 2)
 
 
 def test_planning_leaves_the_episodes_alone_and_needs_no_company() -> None:
