@@ -30,6 +30,7 @@ def installed(tmp_path):
 
 def test_a_checkout_ships_what_it_holds():
     assert shipped_agents() == {
+        "both-ways": (0, 1, 2),
         "ppo": (0, 1, 2, 3, 4),
         "ppo-any-probe": (0, 1, 2),
         "ppo-no-tension": (0, 1, 2, 3, 4),
