@@ -17,7 +17,7 @@ from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.comparison import probability_of_improvement
-from agents.rollouts.statistics import failures, grouped
+from agents.rollouts.statistics import failures, grouped, paired_difference
 
 ALONE: Final = "ppo-scratch"
 METHODS: Final = ("constant", "best-constant", "best-schedule", ALONE)
@@ -94,16 +94,20 @@ def student_scheme() -> str:
         "the study's scheme": acting,
     }
     tubes = acting.drop_duplicates("context").sort_values("context")
-    of = {
-        name: table[table["context"].isin(tubes["context"])].pivot(index="context", columns="policy", values="reward")
-        for name, table in at.items()
-    }
+    at = {name: table[table["context"].isin(tubes["context"])] for name, table in at.items()}
+    of = {name: table.pivot(index="context", columns="policy", values="reward") for name, table in at.items()}
     rows = [
         (f"{tube['helix_diameter']:g}", *(f"{of[name].loc[tube['context'], one]:.1f}" for one in PAIR for name in at))
         for tube in tubes.to_dict("records")
     ]
     header = ("helix [m]", *(f"`{one}`, {name}" for one in PAIR for name in at))
-    note = f"Reward tube by tube; `{STUDENT}` is its seed 0. {source(folder / 'provenance.json')}"
+    leads = ", ".join(
+        f"{paired_difference(part, STUDENT, BAR, 'reward').text()} at {name}" for name, part in at.items()
+    )
+    note = (
+        f"Reward tube by tube; `{STUDENT}` is its seed 0. Less that of `{BAR}`, paired, 95 % intervals over these"
+        f" {len(tubes)} tubes: {leads}. {source(folder / 'provenance.json')}"
+    )
     return f"{markdown(header, rows)}\n\n{note}"
 
 
