@@ -17,7 +17,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         headroom.headroom, headroom.headroom_finely, headroom.planner_settings, headroom.world,
         plc.plc_constants, plc.plc_finely, plc.plc_fresh, plc.plc_reached, plc.plc_text, plc.trim,
         detection.anchors, detection.hearing, detection.snr, detection.snr_agent,
-        passes.feed_changes, passes.passes, passes.passes_search, passes.turning,
+        passes.feed_changes, passes.passes, passes.passes_acting, passes.passes_search, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, plant.robustness,
         trained.scratch, trained.student, trained.student_finely, trained.student_fresh,

@@ -8,6 +8,7 @@ from typing import Any
 from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
 from agents.evaluation import turning as turning_study
+from agents.learning import results as agent_results
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
 from agents.policies.places import both_ways, place_of
 from agents.recommendation import both_ways as search
@@ -15,7 +16,7 @@ from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.bootstrap import Interval
-from agents.rollouts.statistics import paired_difference
+from agents.rollouts.statistics import failures, grouped, paired_difference
 from probe_env.schedule import Schedule
 
 PASSES = (
@@ -31,6 +32,9 @@ SEARCHED = search.NAME
 """The schedule that was searched for most reward."""
 FED = {"feed_speed": 1.0, "air_supply_rate": 3600.0}
 """Column of a schedule -> factor of the unit for people."""
+ACTING = RESULTS / "passes-acting"
+"""Planners and agents of both ways beside schedules."""
+AGENT = "both-ways"
 LIKE = 1.0
 """Reward that a trial may be behind the best and be called as good."""
 PAIRED = (
@@ -168,7 +172,42 @@ def passes_search() -> str:
         f" More than `fast-in` earns, paired: {Interval(**searched['gain']).text()} in {searched['validation_tubes']}"
         f" validation tubes and {paired_difference(own, search.NAME, BACK[0], 'reward').text()} in"
         f" {own['context'].nunique()} test tubes, of which {lost[0]} lose the drive; with the improved probe, for which"
-        f" it was not searched, {lost[1]} do. {source(place)}"
+        f" it was not searched, {lost[1]} do. {source(place)}\n\n{_improved(place)}"
+    )
+
+
+def _improved(place: Path) -> str:
+    """What the same search comes to with the improved probe."""
+    place = place.with_name(f"{search.called('improved')}.json")
+    searched = read_json(place, Record).model_extra or {}
+    feed_in, air_in, feed_back, air_back = (f"{searched['schedule'][column]:.3g}" for column in search.COLUMNS)
+    safe = (searched["ranges"][search.COLUMNS[k]] for k in (1, 3))
+    (least, _), (_, most) = safe
+    return (
+        f"With the improved probe, of which {least:.0f} m³/h in and {most:.0f} back are safe, {searched['trials']}"
+        f" trials come to {feed_in} m/s with {air_in} m³/h in, {feed_back} m/s with {air_back} back, reward"
+        f" {searched['reward']:.1f}; more than the first of them, `fast-in`'s numbers, earns:"
+        f" {Interval(**searched['gain']).text()} in {searched['validation_tubes']} validation tubes. {source(place)}"
+    )
+
+
+def passes_acting() -> str:
+    """What looking ahead wins on both ways, and what an agent does, beside the best of four numbers."""
+    table = grouped(read_episodes(ACTING / "episodes.csv"))
+    names = list(dict.fromkeys(table["policy"]))
+    gains = {name: agent_results.difference(table, name, SEARCHED, "reward").text() for name in names}
+    lines = "\n".join(f"* `{name}` less `{SEARCHED}`: reward {gains[name]}." for name in names if name != SEARCHED)
+    curves = agent_results.load_curves(RESULTS / "agents" / AGENT)
+    run = read_json(RESULTS / "agents" / AGENT / "seed-0" / "run.json", Record).model_dump()
+    config = both_ways(place_of(None, "test"), passes_study.PLAYED).config
+    most = passes_study.most_reward(config, float(table["inspected_m"].max()))
+    return (
+        f"{agent_results.markdown(table, names)}\n\n{lines}\n\n"
+        f"Looking at {passes_study.LOOKS[passes_study.PLAYED]}, {table['context'].nunique()} test tubes, which are"
+        " balanced over the diameters; interquartile means over training seeds, 95 % intervals over seeds and tubes;"
+        f" {int(failures(table).sum())} of {len(table)} inspections failed. No policy can earn more than {most:.1f}."
+        f" `{AGENT}` was trained by `{run['command']}` at commit {run['commit']}: {curves['steps'].max():,} steps of"
+        f" PPO a seed after its imitation of `{SEARCHED}`. {source(ACTING / 'provenance.json')}"
     )
 
 

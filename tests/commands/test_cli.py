@@ -195,7 +195,7 @@ def test_a_reader_that_has_enough_is_no_error():
     done = subprocess.run(
         f"{sys.executable} -m agents.cli agents | head -1", shell=True, cwd=ROOT, capture_output=True, text=True
     )
-    assert done.stdout == "ppo\n"
+    assert done.stdout == "both-ways\n"
     assert done.stderr == ""
 
 

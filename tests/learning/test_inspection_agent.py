@@ -76,8 +76,8 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     np.testing.assert_allclose(air, blown, rtol=1e-6)
     one, _ = policy.predict(rows[0], deterministic=True)
     np.testing.assert_array_equal(one, actions[0])
-    again, _ = policy.predict(rows, state, np.zeros(3, dtype=bool), deterministic=True)
-    assert again.shape == (3, 2)
+    later, _ = policy.predict(rows, state, np.zeros(3, dtype=bool), deterministic=True)
+    assert later.shape == (3, 2)
 
 
 def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):

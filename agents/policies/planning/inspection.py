@@ -156,10 +156,10 @@ def worth_of_rest(episodes: Episodes, held: FloatArray) -> FloatArray:
     back = np.where(forth, length - passes.begun, 0.0) / config.feed_speeds[1]
     spent = costs(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
     # what the way in shook was charged already, and a silent way back gives it again
-    again = spent["vibration"] if config.inspects == "best" else 0.0
+    refund = spent["vibration"] if config.inspects == "best" else 0.0
     left = np.where(forth, length - passes.begun, to_pass)
     metres = unseen if config.inspects == "best" else left
-    worth = config.progress_weight * metres + again - spent["time"] - spent["air"]
+    worth = config.progress_weight * metres + refund - spent["time"] - spent["air"]
     hanging = np.array([tally.slack_periods > 0 for tally in episodes.tally])
     lost = -config.uninspected_weight * (unseen + left)
     return np.where(episodes.running, np.where(hanging, lost, worth), 0.0)
