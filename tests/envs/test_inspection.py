@@ -123,7 +123,7 @@ def test_probes_that_go_one_way_never_run_the_passes_of_both(monkeypatch):
     own = (BothWays, catalogue._both_ways)
     assert tuple(f"{one.__module__}:{one.__qualname__}" for one in own) == OF_RETURN_ALONE
     monkeypatch.setattr(catalogue, "_both_ways", None)
-    for name in ("fast-in", "trimmed-law", "shielded:adaptive", "ppo", "planner"):
+    for name in ("fast-in", "trimmed-law", "shielded:trimmed-law", "planner"):
         assert make_policy(name, TaskConfig().all_shown)
     with pytest.raises(TypeError):
         make_policy("fast-in", BOTH)
