@@ -85,7 +85,10 @@ class View(Model):
         names = list(config.observations)
         missing = [name for name in self.observations if name not in names]
         if missing:
-            raise ValueError(f"observations = {', '.join(missing)} are not shown by this task: {', '.join(names)}")
+            raise ValueError(
+                f"observations = {', '.join(missing)} are not shown by this task: {', '.join(names)}"
+                + ('; an agent that sees the way is for passes = "both"' if "way" in missing else "")
+            )
         if self.least_air_supply_rate >= config.air_supply_rates[1]:
             raise ValueError(
                 f"least_air_supply_rate = {self.least_air_supply_rate!r} m3/s must be below the task's "

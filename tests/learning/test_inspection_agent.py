@@ -51,7 +51,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, COARSE), None)
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())
-    with pytest.raises(FileError, match="way"):
+    with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
         make_policy(path, TaskConfig().all_shown)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.npz': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
