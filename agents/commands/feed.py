@@ -41,8 +41,8 @@ class Evaluate:
     with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
-    """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed, the policies themselves
-    acting, or both."""
+    """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed (on the way in alone),
+    the policies themselves acting, or both."""
     finer: str = "reference"
     """The finer fidelity of the check. reference costs some sixteen times fast; study hours and more."""
     tube: Path | None = None

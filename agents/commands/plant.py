@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from agents.processes.workers import Workers
+from agents.terminal.names import name_of
 
 
 @dataclass(frozen=True)
@@ -227,8 +228,9 @@ class OptimisePasses:
     """Training tubes that each is played in, the first of the list, which are balanced."""
     inspects: Literal["in", "back", "best"] = "best"
     """What a metre counts for: the way in, the way back, or the better of both."""
-    output: Path = Path("output/optimise-passes")
-    """Folder of the schedule, its trials and how it was made; episodes that are there already are not played again."""
+    output: Path | None = None
+    """Folder of the schedule, its trials and how it was made; episodes that are there already are not played again.
+    Default: output/optimise-passes, with --tube NAME.toml, --probe NAME and --inspects followed by their names."""
     tube: Path | None = None
     """Your own plant (tube.toml): its task, and tubes drawn from what is known of it instead of the lists."""
     probe: str | None = None
@@ -240,9 +242,15 @@ class OptimisePasses:
         from agents.policies.places import plant_at
         from agents.recommendation.both_ways import called, run_search
 
-        plant, name = plant_at(self.tube), called(self.probe)
-        run_search(self.trials, self.limit, self.inspects, self.output, self.workers, plant, self.probe)
-        print(f"written: {self.output}/ ({name}.csv: a schedule to evaluate, {name}-trials.csv, {name}.json)")
+        plant, name, output = plant_at(self.tube), called(self.probe), self.output or self._usual_output()
+        run_search(self.trials, self.limit, self.inspects, output, self.workers, plant, self.probe)
+        print(f"written: {output}/ ({name}.csv: a schedule to evaluate, {name}-trials.csv, {name}.json)")
+
+    def _usual_output(self) -> Path:
+        """A folder of its own for every task, since episodes of another one are refused."""
+        inspects = None if self.inspects == "best" else self.inspects
+        parts = (self.tube and self.tube.stem, self.probe and name_of(Path(self.probe)), inspects)
+        return Path("-".join(("output/optimise-passes", *(part for part in parts if part))))
 
 
 @dataclass(frozen=True)

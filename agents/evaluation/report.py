@@ -69,6 +69,11 @@ def evaluate(
             f"check_fidelity = {checks.level!r} replays tube by tube, for which other probes are drawn:"
             " with probes = 'random' it must be no, half-step or acting"
         )
+    if plan.config.returns and checks.level in ("replayed", "all"):
+        raise ValueError(
+            f"check_fidelity = {checks.level!r} replays what was fed over the inserted length, which is kept for the"
+            " way in alone: with --passes both it must be no, half-step or acting"
+        )
     reference = claim_folder(plan, output, against, own)
     table = run_plan(plan, output, workers=workers)
     write_report(output)

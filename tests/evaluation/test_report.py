@@ -3,6 +3,7 @@
 import json
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from urllib.parse import unquote
 
 import numpy as np
@@ -10,10 +11,15 @@ import pandas as pd
 import pytest
 from kills import killed_at
 
+from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.page import traces as page_traces
+from agents.evaluation.page.described import informed
+from agents.evaluation.page.schedules import downloads
 from agents.evaluation.page.stored import comparable, read_evaluation, spans
 from agents.evaluation.page.verdict import limit_of, ranking, verdict
 from agents.evaluation.report import evaluate, write_report
+from agents.policies.both_ways import BothWays, fastest_back, way_in
+from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
 from agents.records.columns import CORE, KPIS
 from agents.rollouts.folder import UNFINISHED
@@ -268,3 +274,60 @@ def test_traces_are_what_was_fed(tmp_path, monkeypatch):
     coarse = page_traces.traces(table, grouped(metres), [], None)
     assert coarse["metres"] == [1.0, 3.0, 5.0]  # pairs from 0 on
     assert coarse["policies"][0]["tubes"][0][2] == [100, 255, 400]  # root mean square of 200 and 300
+
+
+# ---- both ways ----
+
+
+def test_schedules_of_both_ways_have_their_way_back(tmp_path):
+    """As given, with more points on the way back than on the way in; of a law what it fed, of an agent nothing."""
+    config = TaskConfig(passes="both")
+    forth = Schedule("inserted_length", "steps", (10.0, 40.0), (0.4, 0.2), (0.02, 0.03))
+    back = Schedule("inserted_length", "steps", (10.0, 20.0, 40.0), (0.1, 0.3, 0.2), (0.01, 0.02, 0.03))
+    played = {
+        "mine": BothWays(config, Scheduled(way_in(config), forth), back),
+        "pi": BothWays(config, PI(way_in(config)), fastest_back(config)),
+    }
+    described = {name: policy.describe() for name, policy in played.items()}
+    described |= {"agent": {"policy": "Agent"}, "shielded-mine": {"policy": "Shielded", "of": {"policy": "Privileged"}}}
+    rows = [
+        {"policy": name, "context": 0, "seed": 0, "agent": 0, "reward": -k} | dict.fromkeys(CORE, 1.0)
+        for k, name in enumerate(described)
+    ]
+    profile = [
+        {"policy": name, "context": 0, "seed": 0, "agent": 0, "feed_speed": 0.2, "air_supply_rate": 0.02}
+        | {"inserted_length": metre}
+        for name in described
+        for metre in (10.0, 11.0)
+    ]
+    offered, without = downloads(described, pd.DataFrame(rows), pd.DataFrame(profile), returns=True)
+    assert [one.policy for one in offered] == ["mine", "pi"]
+    assert without == ["agent", "shielded-mine"]
+    for one in offered:
+        (tmp_path / one.file).write_text(unquote(one.address.split(",", 1)[1]))
+    lengths = np.linspace(5.0, 50.0, 46)
+    for name, drawn in (("mine", back), ("pi", fastest_back(config))):
+        read = Schedule.read_back(tmp_path / f"{name}.csv")
+        np.testing.assert_allclose(read.at(lengths), drawn.at(lengths), rtol=1e-5)
+    np.testing.assert_allclose(Schedule.read(tmp_path / "mine.csv").at(lengths), forth.at(lengths), rtol=1e-5)
+
+
+@pytest.mark.parametrize("passes", ["in", "both"])
+def test_who_knows_the_tube_is_no_rival(passes, tmp_path, monkeypatch):
+    """However it is wrapped: a planner of both ways, a way in by it, a shield around it."""
+    config = TaskConfig(passes=passes, privileged=True)
+    names = ["privileged", "pi", "planner", *(["shielded:privileged"] if passes == "in" else [])]
+    policies = named_policies(names, config)
+    record = SimpleNamespace(policies={name: policy.describe() for name, policy in policies.items()})
+    assert informed(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
+    assert informed(SimpleNamespace(record=None)) == set()
+
+
+def test_a_replay_of_both_ways_is_refused(tmp_path):
+    """The way back is not kept a metre: it would come back as fast as it goes."""
+    config = TaskConfig(passes="both")
+    both = plan({"pi": BothWays(config, PI(way_in(config)))}, config=config)
+    for level in ("replayed", "all"):
+        with pytest.raises(ValueError, match=f"check_fidelity = '{level}' .* way in alone: with --passes both it must"):
+            evaluate(both, tmp_path / "out", Checks(level))
+    assert not (tmp_path / "out").exists()

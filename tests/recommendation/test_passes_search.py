@@ -222,3 +222,22 @@ def test_a_budget_out_of_range_is_refused(
     assert main(["optimise-passes", *arguments, "--output", str(tmp_path / "o")]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "folder"),
+    [
+        ([], "optimise-passes"),
+        (["--probe", "improved"], "optimise-passes-improved"),
+        (["--tube", "example", "--probe", "configs/design/longer-guide.toml"], "optimise-passes-example-longer-guide"),
+        (["--inspects", "back"], "optimise-passes-back"),
+    ],
+)
+def test_every_task_has_a_folder_of_its_own(
+    arguments: list[str], folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One after the other as documented: episodes of another task would be refused."""
+    seen = []
+    monkeypatch.setattr("agents.recommendation.both_ways.run_search", lambda *given: seen.append(given[3]))
+    assert main(["optimise-passes", *arguments]) == 0
+    assert seen == [Path("output") / folder]

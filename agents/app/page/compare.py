@@ -23,13 +23,13 @@ from agents.app.page.style import (
 from agents.app.runs.shelf import stored_runs
 from agents.design.compare import STORED, cells, header, read_comparison
 from agents.design.compare import summarise as summarise_designs
+from agents.evaluation.page.described import informed
 from agents.evaluation.page.stored import Evaluation, read_evaluation
 from agents.evaluation.page.tables import Cell, Row, by_diameter, by_tube, ranked
 from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import limit_of, ranking, verdict
-from agents.policies.on_map import Privileged
 from agents.rollouts.bootstrap import Interval
-from agents.rollouts.statistics import method_and_seed, sentences, summarise
+from agents.rollouts.statistics import sentences, summarise
 from agents.terminal.refusals import refusal
 
 SHOWN: Final = 6
@@ -123,11 +123,9 @@ class CompareScreen:
 
     def _show(self, done: Evaluation) -> None:
         table, task = done.table, done.setting.task
-        described = done.record.policies if done.record else {}
-        kinds = {method_and_seed(name)[0]: d.get("policy") for name, d in described.items()}
-        privileged = {name for name, kind in kinds.items() if kind == Privileged.__name__}
+        knowing = informed(done)
         judged = done.own or (done.against,)
-        verdicts = [verdict(table, policy, privileged, limit_of(task)) for policy in judged]
+        verdicts = [verdict(table, policy, knowing, limit_of(task)) for policy in judged]
         missing = ""
         if done.missing is not None:
             missing = f"<p class='quiet'>Not finished: {done.missing.stored} of {done.missing.planned} insertions.</p>"
@@ -139,10 +137,10 @@ class CompareScreen:
         summary = summarise(table)
         differences = "".join(f"<li>{escape(line)}</li>" for line in sentences(table, done.against))
         self.tables.text = (
-            "<h2>Ranking</h2>" + _html(*ranked(table, summary, done.own, privileged))
+            "<h2>Ranking</h2>" + _html(*ranked(table, summary, done.own, knowing))
             + (f"<h2>Against {escape(done.against)}</h2><ul>{differences}</ul>" if differences else "")
-            + _titled("By helix diameter", *by_diameter(table, privileged))
-            + _titled("Tube by tube", *by_tube(table, privileged))
+            + _titled("By helix diameter", *by_diameter(table, knowing))
+            + _titled("Tube by tube", *by_tube(table, knowing))
         )  # fmt: skip
         order = ranking(table)
         self.front.show(summary, order)

@@ -15,24 +15,24 @@ from markupsafe import Markup
 
 from agents.detection.pictures import curves
 from agents.evaluation import figures
+from agents.evaluation.page.described import descriptions, informed, within
 from agents.evaluation.page.schedules import downloads
 from agents.evaluation.page.stored import Evaluation, read_evaluation
 from agents.evaluation.page.tables import by_diameter, by_tube, ranked
 from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import MEASURES, Verdict, limit_of, ranking, verdict
-from agents.policies.fixed import Scheduled
-from agents.policies.on_map import Privileged
-from agents.policies.planning.planner import Planner
+from agents.policies.fixed import Replayed, Scheduled
 from agents.records.drawing import MM
 from agents.records.provenance import write_atomically
 from agents.records.reading import read_csv
 from agents.records.tables import FRONT
 from agents.rollouts import depths
-from agents.rollouts.statistics import method_and_seed, sentences, summarise
+from agents.rollouts.statistics import sentences, summarise
 from probe_env.fidelity import PRESETS
 
 SHOWN: Final = 4
 """Policies that the interactive pictures begin with."""
+SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
 MOST_LISTED: Final = 60
 """Numbers of a list in the settings of a policy; of a longer one the first are shown."""
 
@@ -71,35 +71,34 @@ def _read(name: str) -> str:
 def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     """What stands in the template, but the pictures."""
     table, task = done.table, done.setting.task
-    described = done.record.policies if done.record else {}
-    kinds = {method_and_seed(name)[0]: d.get("policy") for name, d in described.items()}
-    informed = {name for name, kind in kinds.items() if kind in (Privileged.__name__, Planner.__name__)}
+    described, knowing = descriptions(done), informed(done)
+    kinds = {name: within(given).get("policy") for name, given in described.items()}
     order = ranking(table)
-    verdicts = [verdict(table, policy, informed, limit_of(task)) for policy in done.own or (done.against,)]
-    offered, without = downloads(described, table, done.profile)
+    verdicts = [verdict(table, policy, knowing, limit_of(task)) for policy in done.own or (done.against,)]
+    offered, without = downloads(described, table, done.profile, task.returns)
     return {
         "title": "Feed policies compared",
         "verdicts": verdicts,
-        "own": {name: f"Your {'schedule' if kinds.get(name) == Scheduled.__name__ else 'policy'}" for name in done.own},
+        "own": {name: f"Your {'schedule' if kinds.get(name) in SCHEDULES else 'policy'}" for name in done.own},
         "missing": done.missing,
         "facts": _facts(done),
-        "ranked": ranked(table, summary, done.own, informed),
-        "told": sorted(informed & set(order), key=order.index),
+        "ranked": ranked(table, summary, done.own, knowing),
+        "told": sorted(knowing & set(order), key=order.index),
         "against": done.against,
         "sentences": sentences(table, done.against),
-        "by_diameter": by_diameter(table, informed),
-        "by_tube": by_tube(table, informed),
+        "by_diameter": by_diameter(table, knowing),
+        "by_tube": by_tube(table, knowing),
         "downloads": offered,
         "without": without,
-        "traces": traces(table, done.profile, _shown(done, verdicts, informed), _limit_mm(done)),
+        "traces": traces(table, done.profile, _shown(done, verdicts, knowing), _limit_mm(done)),
         "record": _record(done),
-        "settings": json.dumps(_shortened(described), indent=1),
+        "settings": json.dumps(_shortened(done.record.policies if done.record else {}), indent=1),
     }
 
 
-def _shown(done: Evaluation, verdicts: list[Verdict], informed: set[str]) -> list[str]:
+def _shown(done: Evaluation, verdicts: list[Verdict], knowing: set[str]) -> list[str]:
     """The policies that are judged, what they are compared with, and the best."""
-    best = [name for name in ranking(done.table) if name not in informed]
+    best = [name for name in ranking(done.table) if name not in knowing]
     return list(dict.fromkeys([*(v.policy for v in verdicts), *best[:2], done.against, *best]))[:SHOWN]
 
 
