@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Final
 
@@ -97,7 +98,7 @@ def grooves(run: Insertion, voltages: FloatArray, flaws: Sequence[Flaw], path: P
 def curves(bands: pd.DataFrame, path: Path) -> Path:
     """Probability of detection over the depth with 95 % bands over the tubes, a line a policy."""
     figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
-    for (policy, part), colour in zip(bands.groupby("policy", sort=False), colours() * 5, strict=False):
+    for (policy, part), colour in zip(bands.groupby("policy", sort=False), cycle(colours()), strict=False):
         axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=plain(str(policy)))
         axis.fill_between(part["depth_percent_wall"], part["low"], part["high"], color=colour, alpha=0.15, linewidth=0)
     axis.axhline(0.9, color=GREY, linewidth=0.8, linestyle=":")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -15,7 +16,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
     """Inspection time against the share of length out of the limit, a point a policy with both intervals."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     rows = summary.set_index(["policy", "kpi"])
-    for colour, policy in zip(colours(), dict.fromkeys(summary["policy"]), strict=False):
+    for colour, policy in zip(cycle(colours()), dict.fromkeys(summary["policy"]), strict=False):
         time, share = rows.loc[(policy, "inspection_time_s")], rows.loc[(policy, "share_within_limit")]
         x, y = time["mean"], 100.0 * (1.0 - share["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
@@ -27,7 +28,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
 def front(points: pd.DataFrame, path: Path) -> Path:
     """Fronts of policy families: inspection time against length out of the limit, a line a family."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
-    for colour, (family, rows) in zip(colours(), points.groupby("family", sort=False), strict=False):
+    for colour, (family, rows) in zip(cycle(colours()), points.groupby("family", sort=False), strict=False):
         ordered = rows.sort_values("time_s")
         x, y = ordered["time_s"], 100.0 * ordered["out_share"]
         across = [x - ordered["time_low"], ordered["time_high"] - x]
@@ -55,7 +56,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
         ("air_supply_rate", 3600.0, "air [m3/h]"),
         ("radial_rms_m", MM, "radial rms [mm]"),
     )
-    for colour, policy in zip(colours(), dict.fromkeys(profile["policy"]), strict=False):
+    for colour, policy in zip(cycle(colours()), dict.fromkeys(profile["policy"]), strict=False):
         groups = binned[binned["policy"] == policy].groupby("bin")
         for axis, (name, factor, label) in zip(axes, fields, strict=True):
             mean = groups[name].mean() * factor

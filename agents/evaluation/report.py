@@ -11,6 +11,7 @@ import pandas as pd
 from agents.evaluation.fidelity_check import Checks, run_checks
 from agents.evaluation.page.stored import compared_with as compared_with
 from agents.evaluation.page.writing import write_report as write_report
+from agents.policies.both_ways import BothWays
 from agents.policies.catalogue import domains_of, named_policies
 from agents.policies.domain import check_domains
 from agents.policies.places import Place
@@ -42,7 +43,8 @@ def plan_of(
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
     config = place.config.all_shown
     policies = named_policies(specs, config, place.vibration)
-    check_domains(domains_of(specs, policies), config, place.contexts, strict)
+    forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
+    check_domains(domains_of(specs, forth), config, place.contexts, strict)
     return Plan(
         policies, place.contexts, range(seeds), config, resolve_fidelity(fidelity, both_ways=config.returns), probes
     )

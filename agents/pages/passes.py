@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from agents.evaluation import feed_changes as changes_study
 from agents.evaluation import passes as passes_study
@@ -167,8 +170,7 @@ def passes_search() -> str:
     return (
         f"{markdown(header, rows)}\n\n"
         f"`{search.NAME}` has the most reward of {len(trials)} trials by a Gaussian process, each played in"
-        f" {searched['training_tubes']} training tubes: {trials['reward'].max():.1f}. {len(alike)} came within"
-        f" {LIKE:g}."
+        f" {searched['training_tubes']} training tubes: {trials['reward'].max():.1f}. {_as_good(trials)}"
         f" More than `fast-in` earns, paired: {Interval(**searched['gain']).text()} in {searched['validation_tubes']}"
         f" validation tubes and {paired_difference(own, search.NAME, BACK[0], 'reward').text()} in"
         f" {own['context'].nunique()} test tubes, of which {lost[0]} lose the drive; with the improved probe, for which"
@@ -176,19 +178,36 @@ def passes_search() -> str:
     )
 
 
+def _as_good(trials: pd.DataFrame) -> str:
+    """How many schedules, tried once or more, are about as good as the best."""
+    different = trials.drop_duplicates(list(search.COLUMNS))
+    count = int((different["reward"] > different["reward"].max() - LIKE).sum()) - 1
+    return f"{count} other{' comes' if count == 1 else 's come'} within {LIKE:g}."
+
+
 def _improved(place: Path) -> str:
     """What the same search comes to with the improved probe."""
-    place = place.with_name(f"{search.called('improved')}.json")
+    name = search.called("improved")
+    place = place.with_name(f"{name}.json")
     searched = read_json(place, Record).model_extra or {}
+    trials = stored_table(place.with_name(f"{name}-trials.csv"), *search.COLUMNS, *search.KPIS)
     feed_in, air_in, feed_back, air_back = (f"{searched['schedule'][column]:.3g}" for column in search.COLUMNS)
     safe = (searched["ranges"][search.COLUMNS[k]] for k in (1, 3))
     (least, _), (_, most) = safe
     return (
         f"With the improved probe, of which {least:.0f} m³/h in and {most:.0f} back are safe, {searched['trials']}"
         f" trials come to {feed_in} m/s with {air_in} m³/h in, {feed_back} m/s with {air_back} back, reward"
-        f" {searched['reward']:.1f}; more than the first of them, `fast-in`'s numbers, earns:"
-        f" {Interval(**searched['gain']).text()} in {searched['validation_tubes']} validation tubes. {source(place)}"
+        f" {searched['reward']:.1f}. {_as_good(trials)} {_over_the_first(trials, searched)} {source(place)}"
     )
+
+
+def _over_the_first(trials: pd.DataFrame, searched: dict[str, Any]) -> str:
+    """What the best of a search earns more than its first trial: as fast as it goes, with the study's air if safe."""
+    first = trials.iloc[0][list(search.COLUMNS)].to_dict()
+    if all(math.isclose(value, searched["schedule"][name], rel_tol=1e-5) for name, value in first.items()):
+        return "The best is the first of them."
+    gain, tubes = Interval(**searched["gain"]).text(), searched["validation_tubes"]
+    return f"More than the first of them earns, paired: {gain} in {tubes} validation tubes."
 
 
 def passes_acting() -> str:

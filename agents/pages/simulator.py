@@ -138,8 +138,8 @@ def presets() -> str:
     table = chart.presets(*_chart_errors(True), costs)
     bench = read_json(RESULTS / "bench" / "bench.json", Record).model_dump()["fast"]["imex32, 8 lanes"]
     table += (
-        f" (Best of {REPEATS} in one run; the bench, another, has {bench['simulated_second_ratio']:.0f} for `imex32`"
-        " at 2e-4 s: such ratios move by as much from run to run.)"
+        f" (Best of {REPEATS} in one run; the bench, another run, has {bench['simulated_second_ratio']:.0f} for"
+        " `imex32` at 2e-4 s: such ratios hang on the processor, which the records name.)"
     )
     return f"{table}\n\n{source(RESULTS / 'chart' / 'insertions-provenance.json')}"
 

@@ -67,7 +67,7 @@ class MapPolicy(FixedPolicy):
 
 @dataclass
 class Privileged(MapPolicy):
-    """The best schedule for the true tube, which no rig knows: what a controller can reach at best."""
+    """The best schedule for the true tube, which no rig knows: no bound, for who listens to the probe can earn more."""
 
     vibration_weight: float | None = None
     """Weight that the schedule is best for; default: the task's."""

@@ -87,6 +87,7 @@ def _sees(view: View) -> str:
         "lengths, feed, air, accelerations, eddy-current noise, helix diameter",
         tension if TENSION in view.observations else "not the root tension",
         "which probe was built" if set(PROBE) <= set(view.observations) else "not which probe was built",
+        "whether it is drawn back" if "way" in view.observations else "",
         f"averages of all that over {averages} s" if averages else "",
     ]
     return "; ".join(filter(None, parts))

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from kills import killed_at
 
+from agents.evaluation import figures
 from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.page import traces as page_traces
 from agents.evaluation.page.described import informed
@@ -331,3 +332,21 @@ def test_a_replay_of_both_ways_is_refused(tmp_path):
         with pytest.raises(ValueError, match=f"check_fidelity = '{level}' .* way in alone: with --passes both it must"):
             evaluate(both, tmp_path / "out", Checks(level))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("picture", ["trade_off", "policy_profiles"])
+def test_more_policies_than_colours_are_all_drawn(picture, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.append(figure) or path)
+    names = [f"policy {k}" for k in range(23)]
+    kpis = ("inspection_time_s", "share_within_limit")
+    if picture == "trade_off":
+        rows = [(name, kpi, 0.5, 0.4, 0.6) for name in names for kpi in kpis]
+        figures.trade_off(pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high"]), tmp_path / "a.png")
+        (legend,) = (axis.get_legend() for axis in drawn[0].axes)
+    else:
+        columns = ["policy", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m"]
+        rows = [(name, metre, 0.2, 0.02, 1e-4) for name in names for metre in (10.0, 20.0)]
+        figures.policy_profiles(pd.DataFrame(rows, columns=columns), tmp_path / "a.png", 0.1)
+        (legend,) = drawn[0].legends
+    assert [text.get_text() for text in legend.get_texts()] == names

@@ -15,7 +15,7 @@ from agents.policies.maps import fit as map_fit
 from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.maps.search import FAMILIES, metres, run_search
 from agents.policies.maps.vibration_map import VibrationMap, equivalent_air, stored_map
-from agents.policies.places import map_beside, map_of, place_at, place_of
+from agents.policies.places import both_ways, map_beside, map_of, place_at, place_of
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene
 from probe_env.envs.task import TaskConfig
@@ -85,9 +85,13 @@ def test_least_air_of_another_bore_pulls_alike_and_stays_in_range():
     assert least_air(strong) == 0.02
 
 
-def test_what_policies_were_made_for_is_said_or_refused():
+@pytest.mark.parametrize("passes", ["in", "both"])
+def test_what_policies_were_made_for_is_said_or_refused(passes):
+    """On the way in, and where the probe is drawn back as well, which asks nothing of the tubes."""
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
     place = place_of(rough, "test", 4)
+    if passes == "both":
+        place = both_ways(place, "best")
     with pytest.warns(OutsideDomain) as caught:
         plan_of(["best-schedule", "tension-scheduled", "pi"], place, 1, "fast")
     assert [str(w.message).split(" was")[0] for w in caught] == ["best-schedule", "tension-scheduled"]

@@ -233,9 +233,7 @@ def test_a_budget_out_of_range_is_refused(
         (["--inspects", "back"], "optimise-passes-back"),
     ],
 )
-def test_every_task_has_a_folder_of_its_own(
-    arguments: list[str], folder: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_task_has_a_folder_of_its_own(arguments: list[str], folder: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """One after the other as documented: episodes of another task would be refused."""
     seen = []
     monkeypatch.setattr("agents.recommendation.both_ways.run_search", lambda *given: seen.append(given[3]))

@@ -101,8 +101,8 @@ IF Length < Onset THEN
 ELSE
     Feed := LIMIT(LEAST_FEED, Slow, MOST_FEED);
     Air := MOST_AIR;
-{trim_feed}END_IF;
-END_FUNCTION_BLOCK
+END_IF;
+{trim_feed}END_FUNCTION_BLOCK
 """
 
 _TRIM: Final = {
@@ -118,10 +118,12 @@ _TRIM: Final = {
 NoiseNow := NoiseNow + (1.0 - EXP(-Period / {average})) * (LN(MAX(Noise, 0.0000001)) - NoiseNow);
 """,
     "trim_feed": """\
-    (* past the onset the feed is trimmed until the noise is what is aimed at *)
+(* past the onset, where more air is blown, the feed is trimmed until the noise is what is aimed at *)
+IF Air > LEAST_AIR THEN
     Trim := Trim + Period / TRIM_TIME * LIMIT(-{lowered}, LN(AIM) - NoiseNow, {raised});
     Trim := LIMIT(-{most}, Trim, {most});
     Feed := LIMIT(LEAST_FEED, Feed * EXP(Trim), MOST_FEED);
+END_IF;
 """,
 }
 """What integral action adds."""
