@@ -20,10 +20,10 @@ Description = Mapping[str, Any]
 
 def descriptions(done: Evaluation) -> dict[str, Description]:
     """The description of every method, of its first training seed; empty if what made the evaluation is not known."""
-    found: dict[str, Description] = {}
+    methods: dict[str, Description] = {}
     for name, description in (done.record.policies if done.record else {}).items():
-        found.setdefault(method_and_seed(name)[0], description)
-    return found
+        methods.setdefault(method_and_seed(name)[0], description)
+    return methods
 
 
 def within(description: Description) -> Description:
