@@ -32,7 +32,10 @@ BACK: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per
 """Columns of the way back, beside those of the way in."""
 COLUMNS: Final = (*POSITIONS, *RANGES, *BACK.values())
 CSV_COMMENT = "# interpolation:"
-SEPARATED: Final = " - semicolons or decimal commas? probe-env log reads such files, and makes schedules of them"
+SEPARATED: Final = (
+    " - semicolons or decimal commas? A schedule has commas between columns and points in numbers; logs over time with"
+    " others are read, and made schedules of, by probe-env log"
+)
 MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
 """What a file may hold: three hours of a log at 100 Hz."""
 

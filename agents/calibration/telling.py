@@ -7,8 +7,8 @@ from agents.calibration.unknowns import UNKNOWNS
 from agents.terminal.tables import print_table, print_terms
 
 
-def print_calibration(calibration: Calibration) -> None:
-    """Print figures, intervals and the verdict."""
+def print_calibration(calibration: Calibration, own: bool = True) -> None:
+    """Print figures, intervals and the verdict; ``own``: whether a file says what the tubes are."""
     rows = []
     for k, name in enumerate(calibration.tubes):
         where = f" in {name}" if len(calibration.tubes) > 1 else ""
@@ -28,6 +28,11 @@ def print_calibration(calibration: Calibration) -> None:
             for case in calibration.cases
         )
     }
+    terms["taken for"] = _geometry(calibration)
+    if not own:
+        terms["taken for"] += (
+            ". That is table 2's: a --tube says what yours are; another bore or helix tells another friction"
+        )
     if calibration.prior.assumed:
         terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(calibration.prior.assumed)
     if calibration.prior.known:
@@ -42,6 +47,18 @@ def print_calibration(calibration: Calibration) -> None:
     for text in (*calibration.misfits, *calibration.leaning):
         print_terms({"note": text})
     print_terms({"verdict": calibration.verdict})
+
+
+def _geometry(calibration: Calibration) -> str:
+    """The tubes that the logs are taken to be of."""
+    tubes = dict.fromkeys(
+        (case.scene.tube.inner_diameter, case.scene.tube.helix_diameter, case.scene.probe.carrier_float_diameter)
+        for case in calibration.cases
+    )
+    return "; ".join(
+        f"bore {1e3 * bore:g} mm, helix of {helix:g} m, floats of {1e3 * float_diameter:g} mm"
+        for bore, helix, float_diameter in tubes
+    )
 
 
 def _cells(summary: dict[str, float]) -> tuple[str, str, str]:

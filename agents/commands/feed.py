@@ -6,14 +6,11 @@ import sys
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from agents.processes.workers import Workers
-
-if TYPE_CHECKING:
-    from probe_env.fidelity import Fidelity
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,8 @@ class Evaluate:
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
-    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone."""
+    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone. Or settings in
+    braces, as errors advise them."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
     """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed (on the way in alone),
@@ -49,10 +47,10 @@ class Evaluate:
     """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list."""
     strict: bool = False
     """Refuse policies that were not made for these tubes, instead of saying so."""
-    passes: Literal["in", "both"] = "in"
-    """both: feed the probe in and draw it back. Policies are for the way in; schedule files may have columns for the
-    way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others come back as fast as the device can. Agents
-    that were trained for both passes act on both."""
+    passes: Literal["in", "both"] | None = None
+    """Default: in, or what the tube's file says. both: feed the probe in and draw it back. Policies are for the way in;
+    schedule files may have columns for the way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others
+    come back as fast as the device can. Agents that were trained for both passes act on both."""
     inspects: Literal["in", "back", "best"] | None = None
     """What a metre counts for with --passes both: the way in, the way back, or the better of both (default)."""
 
@@ -60,20 +58,25 @@ class Evaluate:
         """Run what is missing, print, write the report."""
         from agents.evaluation.fidelity_check import Checks
         from agents.evaluation.report import evaluate, plan_of
-        from agents.policies.both_ways import check_goes_back, fidelity_of
+        from agents.policies.both_ways import check_goes_back, fidelity_of, way_in
         from agents.policies.catalogue import own_policies
-        from agents.policies.places import both_ways, place_at
+        from agents.policies.places import both_ways, looking, place_at
+        from agents.terminal.fidelities import fidelity_given
 
         place = place_at(self.tube, self.contexts, self.limit)
-        fidelity: str | Fidelity = self.fidelity
-        finer: str | Fidelity = self.finer
-        if self.passes == "both":
-            place, fidelity = both_ways(place, self.inspects or "best"), fidelity_of(self.fidelity)
-            if self.check_fidelity != "no":
-                check_goes_back("finer", self.finer)
-                finer = fidelity_of(self.finer)
+        fidelity, finer = fidelity_given(self.fidelity), fidelity_given(self.finer, "finer")
+        passes = self.passes or place.config.passes
+        if passes == "both":
+            place = looking(place, self.inspects) if place.config.returns else both_ways(place, self.inspects or "best")
+            if isinstance(fidelity, str):
+                fidelity = fidelity_of(fidelity)
+            if isinstance(finer, str) and self.check_fidelity in ("replayed", "acting", "all"):
+                check_goes_back("finer", finer)
+                finer = fidelity_of(finer)
         elif self.inspects:
             raise ValueError(f"inspects = {self.inspects!r} needs --passes both: the probe is not drawn back")
+        else:
+            place = place._replace(config=way_in(place.config))
         plan = plan_of(self.policies, place, self.seeds, fidelity, self.probes, self.strict)
         checks = Checks(self.check_fidelity, finer)
         evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))

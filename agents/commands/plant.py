@@ -56,7 +56,7 @@ class Calibrate:
             draw_corner(calibration, self.output / "corner.png"),
             draw_bands(calibration, response, self.output / "bands.png"),
         ]
-        print_calibration(calibration)
+        print_calibration(calibration, own=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
             print("it is not for use: a tube.toml that names it is warned of")

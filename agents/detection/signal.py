@@ -105,6 +105,12 @@ def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path)
     chart = chart_of(run, config, put, spacing, np.random.default_rng([look.seed, look.context]))
     _write(run, chart, f"{spec}, tube {look.context}, {fidelity}", output)
     write_json(output / "signal.json", _record(run, config, chart) | provenance())
+    for flaw in put:
+        if flaw not in chart.flaws:
+            print(
+                f"not passed: the flaw at {flaw.place:g} m; the sensor was from {run.passage.place[0]:.2f} to"
+                f" {run.passage.place[-1]:.2f} m"
+            )
     return chart.table
 
 
@@ -206,7 +212,7 @@ def print_signal(table: pd.DataFrame, output: Path) -> None:
         for row in table.to_dict("records")
     ]  # fmt: skip
     print_table("Flaws that were put into the tube", header, rows, left=0)
-    print(f"{int(table['called'].sum())} of {len(table)} flaws called")
+    print(f"called: {int(table['called'].sum())} of the {len(table)} flaws that were passed")
     print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, signal.json)")
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Final
 
 import pandas as pd
+from pydantic import ValidationError
 
 from agents.evaluation.fidelity_check import Checks, run_checks
 from agents.evaluation.page.stored import compared_with as compared_with
 from agents.evaluation.page.writing import write_report as write_report
+from agents.evaluation.passes import LOOKS
 from agents.policies.both_ways import BothWays
 from agents.policies.catalogue import domains_of, named_policies
 from agents.policies.domain import check_domains
@@ -21,9 +23,12 @@ from agents.records.provenance import write_json
 from agents.rollouts.bootstrap import Interval, short
 from agents.rollouts.plan import Plan, run_plan, stored_episodes
 from agents.rollouts.statistics import endings, grouped, in_words, method_and_seed, sentences, summarise
+from agents.rollouts.strain import strained
 from agents.terminal.tables import print_table
+from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.starts import Probes
 from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.settings import explain
 
 
 def plan_of(
@@ -45,9 +50,27 @@ def plan_of(
     policies = named_policies(specs, config, place.vibration)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
     check_domains(domains_of(specs, forth), config, place.contexts, strict)
-    return Plan(
-        policies, place.contexts, range(seeds), config, resolve_fidelity(fidelity, both_ways=config.returns), probes
-    )
+    chosen = resolve_fidelity(fidelity, both_ways=config.returns)
+    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes)
+    check_begins(plan, place.tube.name)
+    return plan
+
+
+def check_begins(plan: Plan, tubes: str) -> None:
+    """Raise ValueError if an episode could not even begin, before anything is run or written; ``tubes`` is whose.
+
+    Probes that are drawn anew for every tube and seed are as they come.
+    """
+    if plan.probes == "random":
+        return
+    try:
+        episodes = Episodes(1, plan.config, threads=1, fidelity=plan.fidelity)
+        for context in plan.contexts:
+            episodes.check_tube(context)
+    except ValidationError as error:
+        raise ValueError(f"{tubes}: {explain(error)}") from error
+    except ValueError as error:
+        raise ValueError(f"{tubes}: {error}") from error
 
 
 NO_CHECKS: Final = Checks()
@@ -79,6 +102,8 @@ def evaluate(
     reference = claim_folder(plan, output, against, own)
     table = run_plan(plan, output, workers=workers)
     write_report(output)
+    if plan.config.returns:
+        print(f"Fed in and drawn back; what counts is {LOOKS[plan.config.inspects]}")
     print_summary(grouped(table), reference)
     run_checks(checks, plan, table, output, workers)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
@@ -108,7 +133,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
         print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
-    for line in sentences(table, against):
+    for line in (*strained(table), *sentences(table, against)):
         print(line)
 
 

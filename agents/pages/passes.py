@@ -20,6 +20,7 @@ from agents.records.reading import read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.bootstrap import Interval
 from agents.rollouts.statistics import failures, grouped, paired_difference
+from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 PASSES = (
@@ -83,7 +84,20 @@ def passes() -> str:
         " the diameters. Policies of the way in come back as fast as the device can. `original` is table 2's probe,"
         f" `improved` the study's. Fed in and drawn back: {fed}. a90/95 is the depth that is found with 90 % over the"
         " tubes, with 95 % confidence; `either` is what is found where either way calls it, each with half of the false"
-        f" calls. Made by `{command(record)}` at commit {record['commit']}."
+        f" calls. {_overloaded()} Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def _overloaded() -> str:
+    """In how many tubes the root tension passes its limit, by policy."""
+    table = read_episodes(RESULTS / "passes" / "episodes.csv")
+    table = table[(table["inspects"] == passes_study.PLAYED) & (table["probe"] == "original")]
+    tubes = (table["cost_tension"] > 0.0).groupby(table["policy"], sort=False).sum()
+    counts = ", ".join(f"{count} by `{policy}`" for policy, count in tubes.items())
+    return (
+        f"The root tension passes {TaskConfig().tension_limit:g} N with table 2's probe, for"
+        f" {table['cost_tension'].max():.0f} control periods at most, in so many of {table['context'].nunique()} tubes:"
+        f" {counts}."
     )
 
 
@@ -246,9 +260,21 @@ def turning() -> str:
         f"{markdown(turning_study.HEADER, turning_study.cells(summary))}\n\n"
         f"Looking on the way back. Paired, a90 with a ramp of {gentle:g} m/s² less that with {usual:g} m/s², at"
         f" `{alone}`: {gained} [% of the wall]; a90 at `{lapsed}` less that at `{alone}`, {usual:g} m/s²: {deeper}."
+        f" At the turn the root tension passes {TaskConfig().tension_limit:g} N {_overloaded_turns()}."
         f" Brackets are 95 % intervals over {record['limit']} balanced test tubes; table 2's probe. `{alone}` is"
         f" `{lapsed}` without its time-lapse on the way in. Made by `{command(record)}` at commit {record['commit']}."
     )
+
+
+def _overloaded_turns() -> str:
+    """In how many tubes it does with each ramp, whatever the policy and the fidelity: the most of them."""
+    table = read_episodes(RESULTS / "turning" / "episodes.csv")
+    table = table[table["cost_tension"] > 0.0]
+    counts = {
+        ramp: table[table["ramp"] == ramp].groupby(["policy", "fidelity"])["context"].nunique().max()
+        for ramp in turning_study.RAMPS
+    }
+    return ", ".join(f"with {ramp:g} m/s² in {0 if pd.isna(count) else count} tubes" for ramp, count in counts.items())
 
 
 def _interval(row: dict[Any, Any], name: str) -> str:

@@ -151,6 +151,7 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
         agent, step = _agent(file, config), _agent(file).config.feed_speed_step
         return InSteps(config, agent, step) if step > 0.0 else agent
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
+    check_way_back(spec, back, config)
     return BothWays(config, make_policy(spec, way_in(config), vibration), back or fastest_back(config))
 
 
@@ -174,6 +175,12 @@ def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str
         shipped = policy_file(unshielded(spec)) in (*STORED, BY_DIAMETER)
         domains[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
     return domains
+
+
+def check_way_back(spec: str, back: Schedule | None, config: TaskConfig) -> None:
+    """Say what a schedule asks for on the way back that the device does not give."""
+    if back is not None:
+        _warn_of_limits(f"{spec}, way back", back, config)
 
 
 def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:

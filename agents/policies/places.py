@@ -145,6 +145,12 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": design.probe(config.scene.probe)}})
 
 
+def looking(place: Place, inspects: str | None) -> Place:
+    """The same place where something else counts, unless that is None."""
+    update = {} if inspects is None else {"inspects": inspects}
+    return place._replace(config=place.config.model_copy(update=update))
+
+
 def both_ways(place: Place, inspects: str) -> Place:
     """The same place with a task of both passes; ``inspects`` as in ``TaskConfig``."""
     limit = WHOLE_SHIFT * place.config.time_limit

@@ -69,7 +69,7 @@ def test_one_call_a_flaw():
 
 def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     output = tmp_path / "signal"
-    asked = ["signal", "constant", "--until", "7", "--flaws", "3:80", "4:80", "4.2:2", "--output", str(output)]
+    asked = ["signal", "constant", "--until", "7", "--flaws", "3:80", "4:80", "4.2:2", "30:80", "--output", str(output)]
     assert main(asked) == 0
     table = pd.read_csv(output / "channels.csv")
     assert list(table.columns) == ["time_s", "place_m", "feed_speed_m_per_s", "x_v", "y_v"]
@@ -82,7 +82,9 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert record["found"]["length_with_snr_over_3_m"] == pytest.approx(2.0, abs=0.01)
     assert record["found"]["a50_percent_wall"] == pytest.approx(20.0 * record["threshold"] / 7.5, rel=0.02)
     assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}
-    assert "2 of 3 flaws called" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "called: 2 of the 3 flaws that were passed" in said
+    assert "not passed: the flaw at 30 m; the sensor was from 2.50 to 4.5" in said
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from kills import killed_at
 
+from agents.cli import main
 from agents.evaluation import figures
 from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.page import traces as page_traces
@@ -26,8 +27,10 @@ from agents.records.columns import CORE, KPIS
 from agents.rollouts.folder import UNFINISHED
 from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import grouped
+from agents.rollouts.strain import strained
 from probe_env import Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import BOTH_WAYS
 from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
@@ -350,3 +353,49 @@ def test_more_policies_than_colours_are_all_drawn(picture, tmp_path, monkeypatch
         figures.policy_profiles(pd.DataFrame(rows, columns=columns), tmp_path / "a.png", 0.1)
         (legend,) = drawn[0].legends
     assert [text.get_text() for text in legend.get_texts()] == names
+
+
+# ---- before anything is done ----
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[contact]\nstiffness = 200\n", "contact_stiffness = 200 N/m is below"),
+        ("[air]\nair_supply_rates = [0.1, 0.15]\n", "drag pulls the probe with .* give fidelity = {'method'"),
+        ("[tube]\nhelix_length = 4\n", "must not exceed tube.helix_length = 4 m"),
+    ],
+)
+def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(text, message, tmp_path, capsys):
+    """And a folder of a refused run is not held against the next one."""
+    tube, output = tmp_path / "mine.toml", tmp_path / "out"
+    tube.write_text(text)
+    asked = ["evaluate", "constant", "--tube", str(tube), "--limit", "1", "--fidelity", "fast", "--output", str(output)]
+    assert main(asked) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert re.search(rf"error: mine: .*{message}", said)
+    assert "1 validation error" not in said
+    assert not output.exists()
+
+
+def test_a_tube_that_is_inspected_both_ways_is_so_unless_told_otherwise(tmp_path, monkeypatch):
+    tube, seen = tmp_path / "mine.toml", []
+    tube.write_text('[task]\npasses = "both"\ninspects = "back"\ntime_limit = 1000.0\n')
+    monkeypatch.setattr("agents.evaluation.report.evaluate", lambda plan, *rest: seen.append(plan))
+    for more in ([], ["--passes", "in"], ["--inspects", "in"], ["--passes", "both", "--check-fidelity", "half-step"]):
+        assert main(["evaluate", "constant", "--tube", str(tube), "--limit", "1", "--fidelity", "fast", *more]) == 0
+    assert [plan.config.passes for plan in seen] == ["both", "in", "both", "both"]
+    assert [plan.config.inspects for plan in seen] == ["back", "back", "in", "back"]
+    assert {plan.config.time_limit for plan in seen} == {1000.0}
+    assert seen[0].fidelity == BOTH_WAYS["fast"]
+
+
+def test_a_strained_cable_is_named():
+    rows = [("a", 0.0, 0.0), ("a", 2.0, 0.0), ("b", 0.0, 0.0), ("c", 1.0, 40.0)]
+    table = pd.DataFrame(rows, columns=["policy", "cost_tension", "cost_buckling"])
+    assert strained(table) == [
+        "a: the root over the tension limit in 1 of 2 episodes, for 2 control periods at most",
+        "c: the root over the tension limit in 1 of 1 episodes, for 1 control period at most",
+        "c: the root pressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
+    ]
+    assert strained(table[["policy"]]) == []

@@ -21,6 +21,7 @@ from agents.evaluation.page.stored import Evaluation, read_evaluation
 from agents.evaluation.page.tables import by_diameter, by_tube, ranked
 from agents.evaluation.page.traces import traces
 from agents.evaluation.page.verdict import MEASURES, Verdict, limit_of, ranking, verdict
+from agents.evaluation.passes import LOOKS
 from agents.policies.fixed import Replayed, Scheduled
 from agents.records.drawing import MM
 from agents.records.provenance import write_atomically
@@ -28,7 +29,8 @@ from agents.records.reading import read_csv
 from agents.records.tables import FRONT
 from agents.rollouts import depths
 from agents.rollouts.statistics import sentences, summarise
-from probe_env.fidelity import PRESETS
+from agents.rollouts.strain import strained
+from probe_env.fidelity import BOTH_WAYS, PRESETS
 
 SHOWN: Final = 4
 """Policies that the interactive pictures begin with."""
@@ -84,6 +86,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "facts": _facts(done),
         "ranked": ranked(table, summary, done.own, knowing),
         "told": sorted(knowing & set(order), key=order.index),
+        "strained": strained(table),
         "against": done.against,
         "sentences": sentences(table, done.against),
         "by_diameter": by_diameter(table, knowing),
@@ -125,8 +128,11 @@ def _facts(done: Evaluation) -> list[tuple[str, str]]:
         f" {scene.probe.float_pitch * MM:g} mm, guide cable {scene.probe.guide_length:g} m"
     )  # fmt: skip
     stored = done.setting.fidelity
-    preset = next((name for name, value in PRESETS.items() if value.model_dump() == stored), str(stored))
+    presets = BOTH_WAYS | PRESETS if task.returns else PRESETS
+    preset = next((name for name, value in presets.items() if value.model_dump() == stored), str(stored))
+    both = [("passes", f"in and back; counted is {LOOKS[task.inspects]}")] if task.returns else []
     return [
+        *both,
         ("limit", f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time"),
         ("insertions", f"{len(table)}: {_count(table['policy'].nunique(), 'policy', 'policies')}, each on"
          f" {'the same ' if len(tubes) > 1 else ''}{_count(len(tubes), 'tube', 'tubes')}"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+from agents.policies.domain import Domain, check_domains
+from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import Place
 from agents.policies.plc.export import structured_text, table
 from agents.policies.plc.law import Constants, PlantData
@@ -64,6 +66,8 @@ def write_law(
             " evaluate shielded:plc-law",
             stacklevel=2,
         )
+    domain = Domain.of_map(stored_map())
+    check_domains({"the law": domain}, place.config, place.contexts, strict=False)
     if st:
         write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")

@@ -280,6 +280,10 @@ class Episodes:
                 info["episode_kpis"] |= judged_beside(look, judge.kpis(k, tube, verdict.end))
         return info
 
+    def check_tube(self, context: Context) -> None:
+        """Raise ValueError if an episode in this tube with the scene's probe could not begin; nothing is simulated."""
+        self._check_simulable(0, self.starts.build(context, {}))
+
     def _check_simulable(self, k: int, scene: Scene) -> None:
         longest = scene.tube.helix_length if self.config.growing else scene.inserted_length
         try:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
-from probe_env.envs.contexts import Context, Ranges, Split, draw_context, load_contexts
+from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import GivenPlant, plant_of
 from probe_env.envs.task import TaskConfig, scene_of
 from probe_env.fidelity import Fidelity
@@ -173,6 +173,7 @@ def placed(
     Raises:
         ValueError: a field that is not known or not valid, or settings that exclude each other.
     """
+    check_settings(settings)
     left = settings.copy()
     plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
     if plant is None:
@@ -188,6 +189,19 @@ def placed(
     if left.get("contexts", "random") == "random":
         left["contexts"] = plant.contexts(RANDOM_TUBES)
     return plant.configured(defaults, config), left
+
+
+def check_settings(settings: Mapping[str, Any]) -> None:
+    """Raise TypeError for a field of the task among the settings, ValueError for tubes that are not the plant's."""
+    for name in settings:
+        if name in TaskConfig.model_fields and name != "scene":
+            raise TypeError(f"{name} is a field of the task: give config={{{name!r}: ...}}")
+    contexts = settings.get("contexts")
+    if settings.get("tube") is not None and isinstance(contexts, str) and contexts in SPLIT_SIZES:
+        raise ValueError(
+            f"contexts = {contexts!r} are table 2's tubes: beside a tube leave it out, and they are drawn from what is"
+            " known of it, or give Contexts of your own"
+        )
 
 
 def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:

@@ -19,6 +19,7 @@ from scipy.stats import qmc
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.plants.figures import middle, quantiles
+from probe_env.envs.plants.plausible import check_device, check_limit, check_scatter
 from probe_env.envs.plants.posterior import Posterior, check_draws, with_posterior
 from probe_env.envs.plants.tables import DRAG, FRICTION, STIFFNESS, FeedDevice, Supply, Tubes, Walls
 from probe_env.envs.task import SHOWN, TaskConfig
@@ -94,6 +95,7 @@ class Plant(Model):
             table = "task" if field in TaskConfig.model_fields or field in self.task else ""
             text = explain(error, "feed" if field in OF_FEED else "air" if field in OF_AIR else table)
             raise PydanticCustomError("plant", "{text}", {"text": text}) from error
+        check_plausible(self)
         return self
 
     def _middle(self, name: str) -> float:
@@ -200,6 +202,22 @@ class Plant(Model):
             )
             for k in range(count)
         )
+
+
+def check_plausible(plant: Plant) -> None:
+    """Raise PydanticCustomError if a field is within its range and cannot be meant."""
+    config = plant.configured()
+    try:
+        check_device(config)
+        check_limit(config)
+        for name, figure in (
+            ("contact.friction", plant.contact.friction),
+            ("contact.stiffness", plant.contact.stiffness),
+            ("air.drag_coefficient", plant.air.drag_coefficient),
+        ):
+            check_scatter(name, figure)
+    except ValueError as error:
+        raise PydanticCustomError("plausible", "{text}", {"text": str(error)}) from None
 
 
 def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:

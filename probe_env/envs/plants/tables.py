@@ -22,7 +22,7 @@ def _figure(low: float, high: float, unit: str) -> AfterValidator:
 def _diameters(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
     for diameter in value if isinstance(value, tuple) else (value,):
         try:
-            within("helix_diameter", diameter, 0.3, 1e4, "m")
+            within("helix_diameter", diameter, 0.3, 50.0, "m")
         except ValueError as error:
             raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
     return value

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from agents.policies.catalogue import make_policy
+from agents.policies.domain import OutsideDomain
 from agents.policies.maps.search import MapCost
 from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import place_at
@@ -242,3 +243,11 @@ def test_a_plant_that_asks_for_more_tension_is_told_that_the_least_air_is_a_fixe
     assert len(heard) == warned
     for warning in heard:
         assert "required_tension = 2.5 N: the law's least air, 45 m3/h, was chosen for 0.8 N" in str(warning.message)
+
+
+def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    tube = tmp_path / "mine.toml"
+    tube.write_text("[tube]\ninner_diameter = 22.5e-3\n")
+    place = place_at(tube, "test")
+    with pytest.warns(OutsideDomain, match=r"the law was not made for these tubes: inner_diameter = 0\.0225 m"):
+        write_law(read_constants(), PlantData.of(place.config), place, tmp_path / "law.st", None)
