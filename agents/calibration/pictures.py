@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Final
 
@@ -37,10 +38,14 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
             columns.append(draws[tube, :, column])
             unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
             labels.append(UNKNOWNS[name].text + (f"\n{plain(calibration.tubes[tube])}" if several else "") + unit)
-    figure = corner.corner(
-        np.column_stack(columns), labels=labels, quantiles=(0.05, 0.5, 0.95), show_titles=True, title_fmt=".3g",
-        color=BLUE, label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9},
-    )  # fmt: skip
+    logging.disable(logging.WARNING)  # it tells the root logger where draws are too few for contours
+    try:
+        figure = corner.corner(
+            np.column_stack(columns), labels=labels, quantiles=(0.05, 0.5, 0.95), show_titles=True, title_fmt=".3g",
+            color=BLUE, label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9},
+        )  # fmt: skip
+    finally:
+        logging.disable(logging.NOTSET)
     figure.set_size_inches(2.2 * len(columns) + 1.0, 2.2 * len(columns) + 1.0)
     return save(figure, path)
 

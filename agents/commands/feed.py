@@ -206,7 +206,7 @@ class Optimise:
     def run(self) -> None:
         """Search, simulate on the validation tubes, store, print."""
         from agents.policies.maps.search import FAMILIES, OF_A_PLANT, run_search
-        from agents.policies.maps.vibration_map import VibrationMap
+        from agents.policies.maps.vibration_map import VibrationMap, stored_map
         from agents.policies.places import map_of, plant_at
 
         for family in self.families:
@@ -215,9 +215,13 @@ class Optimise:
         plant = plant_at(self.tube)
         vibration = VibrationMap.load(self.vibration_map) if self.vibration_map else map_of(self.tube, plant)
         output = self.output or Path(f"output/optimise-{self.tube.stem}" if self.tube else "output/optimise")
-        for family in self.families or (FAMILIES if plant is None else OF_A_PLANT):
+        if self.tube and vibration is stored_map():
+            print(f"no map of {self.tube} is there: searched on the shipped one, of table 2's bore and air")
+        searched = self.families or tuple(FAMILIES if plant is None else OF_A_PLANT)
+        for family in searched:
             run_search(family, self.trials, output, self.work or output / "simulated", vibration, plant)
-        print(f"written: {output}/ (NAME.csv: a schedule to evaluate, NAME-trials.csv, NAME.json)")
+        files = ", ".join(f"{family}.csv" for family in searched)
+        print(f"written: {output}/ ({files}: schedules to evaluate; of each the trials and how it was made)")
 
 
 @dataclass(frozen=True)

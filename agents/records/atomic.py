@@ -16,7 +16,11 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
     The new one is a hidden file, ``.NAME.PROCESS@MACHINE.*.tmp``, until it is whole. What a process of this machine
     that was killed has left of the same file is removed; that of a running one, or of another machine, is not.
+
+    Raises:
+        ValueError: there is a folder of this name.
     """
+    check_is_no_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     _clean(path)
     begin = f".{path.name}.{os.getpid()}@{platform.node()}."
@@ -32,6 +36,12 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         Path(temporary).unlink(missing_ok=True)
         raise
     note_file(path)
+
+
+def check_is_no_folder(path: Path) -> None:
+    """Raise ValueError if a folder is where a file is to be."""
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder: give the name of a file to write")
 
 
 def _clean(path: Path) -> None:

@@ -55,3 +55,10 @@ def test_no_pattern_of_results_takes_a_temporary_file_for_one(tmp_path, dead):
     for suffix in ("csv", "json", "jsonl", "parquet", "toml", "npz", "pt"):
         left(tmp_path, f"a.{suffix}", dead)
         assert not list(tmp_path.glob(f"*.{suffix}"))
+
+
+def test_a_folder_is_no_file(tmp_path):
+    (tmp_path / "out").mkdir()
+    with pytest.raises(ValueError, match="out is a folder: give the name of a file to write"):
+        write_atomically(tmp_path / "out", "text")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
