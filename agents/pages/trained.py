@@ -24,7 +24,7 @@ METHODS: Final = ("constant", "best-constant", "best-schedule", ALONE)
 BESIDE: Final = ("best-schedule-by-diameter", "tension-scheduled", "adaptive", "plc-law", "trimmed-law")
 """What the student is compared with; the last is its teacher."""
 FINELY_BESIDE: Final = BESIDE[1:]
-PAIR: Final = (BAR, STUDENT)
+ACTING: Final = (*BESIDE[:3], STUDENT)
 """Who acts with the study's scheme."""
 
 
@@ -83,32 +83,50 @@ def student_finely() -> str:
 
 
 def student_scheme() -> str:
-    """The student and its bar acting with the study's scheme, beside the fidelities of the same tubes."""
+    """The student and others acting with the study's scheme, and its lead there and at other fidelities."""
     folder = RESULTS / "study-scheme"
-    acting, finely = (
-        read_episodes(one / "finer-acting" / "episodes.csv") for one in (folder, RESULTS / "student-finely")
+    scheme = read_episodes(folder / "finer-acting" / "episodes.csv")
+    finely = pd.concat(
+        [read_episodes(one / "finer-acting" / "episodes.csv") for one in (RESULTS / "student-finely", LAWS_FINELY)]
+    ).replace({"policy": {f"{STUDENT}@0": STUDENT}})
+    tubes = scheme.drop_duplicates("context").sort_values("context")
+    at = {"`fast`": read_episodes(folder / "episodes.csv"), "`reference`": finely, "the study's scheme": scheme}
+    of = scheme.pivot(index="context", columns="policy", values="reward")
+    rewards = markdown(
+        ("helix [m]", *(f"`{one}`" for one in ACTING)),
+        [
+            (f"{tube['helix_diameter']:g}", *(f"{of.loc[tube['context'], one]:.1f}" for one in ACTING))
+            for tube in tubes.to_dict("records")
+        ],
     )
-    at = {
-        "`fast`": read_episodes(folder / "episodes.csv"),
-        "`reference`": finely.replace({"policy": {f"{STUDENT}@0": STUDENT}}),
-        "the study's scheme": acting,
-    }
-    tubes = acting.drop_duplicates("context").sort_values("context")
-    at = {name: table[table["context"].isin(tubes["context"])] for name, table in at.items()}
-    of = {name: table.pivot(index="context", columns="policy", values="reward") for name, table in at.items()}
-    rows = [
-        (f"{tube['helix_diameter']:g}", *(f"{of[name].loc[tube['context'], one]:.1f}" for one in PAIR for name in at))
-        for tube in tubes.to_dict("records")
-    ]
-    header = ("helix [m]", *(f"`{one}`, {name}" for one in PAIR for name in at))
-    leads = ", ".join(
-        f"{paired_difference(part, STUDENT, BAR, 'reward').text()} at {name}" for name, part in at.items()
+    leads = markdown(
+        (f"`{STUDENT}` less", *at),
+        [
+            (f"`{other}`", *(_lead(table[table["context"].isin(tubes["context"])], other) for table in at.values()))
+            for other in ACTING[:-1]
+        ],
     )
     note = (
-        f"Reward tube by tube; `{STUDENT}` is its seed 0. Less that of `{BAR}`, paired, 95 % intervals over these"
-        f" {len(tubes)} tubes: {leads}. {source(folder / 'provenance.json')}"
+        f"`{STUDENT}` is its seed 0; differences of reward are paired, with 95 % intervals over these {len(tubes)}"
+        f" tubes."
+        f" {source(folder / 'provenance.json')}"
     )
-    return f"{markdown(header, rows)}\n\n{note}"
+    orders = "; ".join(f"at {name} {_order(at[name])}" for name in ("`fast`", "the study's scheme"))
+    return f"Reward with the study's scheme:\n\n{rewards}\n\nMeans, {orders}.\n\n{leads}\n\n{note}"
+
+
+def _order(table: pd.DataFrame) -> str:
+    """Policies by their mean reward."""
+    means = table.groupby("policy")["reward"].mean().sort_values(ascending=False)
+    return ", ".join(f"`{policy}` {mean:.1f}" for policy, mean in means.items())
+
+
+def _lead(table: pd.DataFrame, other: str) -> str:
+    """The student's reward less another's in the same tubes; empty where that one did not act."""
+    if other not in set(table["policy"]):
+        return ""
+    once = table[table["policy"].isin((STUDENT, other))].drop_duplicates(["policy", "context", "seed"])
+    return paired_difference(once, STUDENT, other, "reward").text()
 
 
 def _beside(table: pd.DataFrame) -> str:
