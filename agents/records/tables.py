@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from agents.records.columns import CARRIED, CORE, CORE_FAILURES, HEARD, KPIS
+from agents.records.columns import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.terminal.names import name_problem
 from probe_env.envs.contexts import Context
 from probe_env.envs.task import ENDINGS
@@ -39,7 +39,7 @@ EPISODES: Final[Columns] = {
     **PLACE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
 }  # fmt: skip
 """``episodes.csv`` and ``episodes.parquet``: what every one has."""
-EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *POD_NAMES, *ENDINGS), "number")
+EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
 PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
 """What both have that were stored since there is such a figure."""
 PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **PLACE}

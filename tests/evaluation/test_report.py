@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from types import SimpleNamespace
 from urllib.parse import unquote
@@ -15,6 +16,7 @@ from agents.cli import main
 from agents.evaluation import figures
 from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.page import traces as page_traces
+from agents.evaluation.page import writing
 from agents.evaluation.page.described import informed
 from agents.evaluation.page.schedules import downloads
 from agents.evaluation.page.stored import comparable, read_evaluation, spans
@@ -399,3 +401,19 @@ def test_a_strained_cable_is_named():
         "c: the root pressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
     ]
     assert strained(table[["policy"]]) == []
+
+
+def test_the_page_says_both_ways_and_who_was_strained(tmp_path):
+    run_plan(plan(constants(2)), tmp_path, progress=False)
+    table = pd.read_parquet(tmp_path / "episodes.parquet")
+    table["cost_tension"] = np.where((table["policy"] == "feed 1") & (table["context"] > 0), 3.0, 0.0)
+    table.to_parquet(tmp_path / "episodes.parquet")
+    page = write_report(tmp_path).read_text()
+    assert "<li>feed 1: the root over the tension limit in 2 of 3 episodes, for 3 control periods at most</li>" in page
+    assert "feed 0: the root" not in page
+    assert "<dt>passes</dt>" not in page
+    done = read_evaluation(tmp_path)
+    both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": BOTH_WAYS["fast"].model_dump()}
+    facts = dict(writing._facts(replace(done, setting=done.setting.model_copy(update=both))))
+    assert facts["passes"] == "in and back; counted is the way back"
+    assert facts["simulated with"] == "fast"

@@ -128,7 +128,7 @@ def _facts(done: Evaluation) -> list[tuple[str, str]]:
         f" {scene.probe.float_pitch * MM:g} mm, guide cable {scene.probe.guide_length:g} m"
     )  # fmt: skip
     stored = done.setting.fidelity
-    presets = BOTH_WAYS | PRESETS if task.returns else PRESETS
+    presets = PRESETS | BOTH_WAYS if task.returns else PRESETS
     preset = next((name for name, value in presets.items() if value.model_dump() == stored), str(stored))
     both = [("passes", f"in and back; counted is {LOOKS[task.inspects]}")] if task.returns else []
     return [
