@@ -38,6 +38,7 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
             columns.append(draws[tube, :, column])
             unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
             labels.append(UNKNOWNS[name].text + (f"\n{plain(calibration.tubes[tube])}" if several else "") + unit)
+    before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # it tells the root logger where draws are too few for contours
     try:
         figure = corner.corner(
@@ -45,7 +46,7 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
             color=BLUE, label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9},
         )  # fmt: skip
     finally:
-        logging.disable(logging.NOTSET)
+        logging.disable(before)
     figure.set_size_inches(2.2 * len(columns) + 1.0, 2.2 * len(columns) + 1.0)
     return save(figure, path)
 

@@ -108,8 +108,7 @@ def student_scheme() -> str:
     )
     note = (
         f"`{STUDENT}` is its seed 0; differences of reward are paired, with 95 % intervals over these {len(tubes)}"
-        f" tubes."
-        f" {source(folder / 'provenance.json')}"
+        f" tubes. {source(folder / 'provenance.json')}"
     )
     orders = "; ".join(f"at {name} {_order(at[name])}" for name in ("`fast`", "the study's scheme"))
     return f"Reward with the study's scheme:\n\n{rewards}\n\nMeans, {orders}.\n\n{leads}\n\n{note}"
