@@ -23,7 +23,7 @@ from typing import Annotated, Any, Final, NamedTuple, Self
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_env.physics.methods import METHODS, method_named
+from probe_env.physics.methods import METHODS, ON_NODES, method_named
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
@@ -81,6 +81,12 @@ nodes there, and displacements of 0.4 m, which take double precision. "fast" has
 the way in; "unlapsed" has none on either way."""
 
 
+ON_MESH: Final = {"superelement": "imex", "superelement32": "imex32"}
+"""What takes the place of superelements where the cable is more than elastic between floats, in the same precision."""
+MESH_NODES, MESH_STEP = 8, 1.25e-4
+"""Nodes a pitch, and longest step [s] there: all scenes drawn under pressure hold with them (simulation/return.md)."""
+
+
 class Measured(NamedTuple):
     """Error of one output for one setting; ``length`` is None for a whole insertion."""
 
@@ -111,7 +117,8 @@ def resolve_fidelity(
 
     Args:
         fidelity: name, settings, or a mapping of them.
-        scene: that "auto" chooses for; default: table 2's.
+        scene: that is simulated; default: table 2's. "auto" chooses for it, and superelements give way to nodes where
+            it needs them, see ``with_nodes``.
         growing: whether the probe is fed in, for "auto".
         both_ways: whether it is drawn back, too.
 
@@ -121,6 +128,43 @@ def resolve_fidelity(
     """
     if both_ways:
         return _both_ways(fidelity)
+    scene = scene or Scene()
+    return with_nodes(_named(fidelity, scene, growing), scene)
+
+
+def with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
+    """The settings, with nodes between the floats if the scene needs some and they have none; says so, once.
+
+    Between floats, a superelement's cable bends and stretches, no more: where it meets the walls itself, or its couple
+    counts from the tangent, the method of ``ON_MESH`` is taken with ``MESH_NODES`` a pitch, at the same time-lapse and
+    the same step, or ``MESH_STEP``.
+    """
+    if fidelity.method in ON_NODES or not _needs_nodes(scene):
+        return fidelity
+    taken = fidelity.model_copy(
+        update={
+            "method": ON_MESH[fidelity.method], "nodes_per_pitch": MESH_NODES,
+            "time_step": min(fidelity.time_step, MESH_STEP),
+        }
+    )  # fmt: skip
+    _say_nodes(fidelity.method, _words(taken))
+    return taken
+
+
+def _needs_nodes(scene: Scene) -> bool:
+    return scene.contact.cable or scene.couple == "tangent"
+
+
+@lru_cache
+def _say_nodes(method: str, taken: str) -> None:
+    LOGGER.warning(
+        "fidelity: %s has no nodes between floats, which contact.cable and couple = 'tangent' ask for: %s is taken",
+        method, taken,
+    )  # fmt: skip
+
+
+def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: bool) -> Fidelity:
+    """``resolve_fidelity`` for the way in, whatever the scene needs."""
     if isinstance(fidelity, Fidelity):
         return fidelity
     if not isinstance(fidelity, str):
@@ -138,7 +182,7 @@ def resolve_fidelity(
             f"fidelity = {fidelity!r}: {auto['tolerance']!r} is not a number; a tolerance is a relative error, such as"
             f" auto:{TOLERANCE:g}"
         ) from None
-    return choose_fidelity(scene or Scene(), tolerance, growing=growing).fidelity
+    return choose_fidelity(scene, tolerance, growing=growing).fidelity
 
 
 def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
@@ -148,7 +192,7 @@ def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     known = ", ".join((*BOTH_WAYS, "study"))
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
         raise ValueError(f"fidelity = {fidelity!r}: nothing was measured on the way back; give one of {known}")
-    chosen = resolve_fidelity(fidelity)
+    chosen = _named(fidelity, Scene(), growing=True)
     if not METHODS[chosen.method].draws_back:
         raise ValueError(
             f"fidelity = {fidelity!r}: {chosen.method} does not simulate the way back; give one of {known}, or settings"

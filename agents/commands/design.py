@@ -60,7 +60,8 @@ class Compare:
         designs = {name: _design(path, place.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
-        fidelity, config = resolve_fidelity(self.fidelity), place.config.all_shown
+        config = place.config.all_shown
+        fidelity = resolve_fidelity(self.fidelity, config.scene)
         comparison = Comparison(
             designs, place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube
         )

@@ -42,6 +42,7 @@ from probe_env.envs.trials import (
     try_insertions,
     try_sections,
 )
+from probe_env.fidelity import with_nodes
 from probe_env.schedule import Schedule
 from probe_env.settings import explain
 
@@ -77,6 +78,9 @@ class Comparison:
     config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
     vibration: VibrationMap | None = None
     tube: Named = TABLE_2
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     def policy(self) -> Policy:
         """The feed as a policy.

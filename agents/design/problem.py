@@ -22,7 +22,7 @@ from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Candidate, check_candidate, check_measure, judge, stretch_of, try_sections
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import Fidelity, resolve_fidelity, with_nodes
 from probe_env.schedule import Schedule
 
 OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
@@ -56,6 +56,9 @@ class DesignProblem:
     config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
     vibration: VibrationMap | None = None
     tube: Named = TABLE_2
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     @property
     def axes(self) -> dict[str, tuple[float, float, str]]:
@@ -208,7 +211,7 @@ def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> Design
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
     config = place.config.all_shown
-    chosen = resolve_fidelity(fidelity)
+    chosen = resolve_fidelity(fidelity, config.scene)
     problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
     problem.check()
     return problem

@@ -65,7 +65,7 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
     for what, factors in ANCHORS.items():
         task = config.model_copy(update={"sensor": scaled(config.sensor, *factors)})
         plan = Plan(named_policies(names, task, place.vibration), place.contexts, config=task,
-                    fidelity=resolve_fidelity(fidelity))  # fmt: skip
+                    fidelity=resolve_fidelity(fidelity, task.scene))  # fmt: skip
         table = run_plan(plan, output / what.replace(" ", "-"), workers=workers)
         commits += list(table["commit"])
         for name, row in rows.items():
@@ -74,7 +74,7 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
                 for kpi in ("reward", "inspection_time_s", "share_within_limit", "length_with_snr_over_3_m"):
                     row[kpi] = float(by_context(table, name, kpi).mean())
     summary = pd.DataFrame(rows).T.rename_axis("policy").reset_index()
-    record = {"fidelity": resolve_fidelity(fidelity).model_dump(), "tubes": len(place.contexts)}
+    record = {"fidelity": plan.fidelity.model_dump(), "tubes": len(place.contexts)}
     write_atomically(output / "anchors.csv", summary.to_csv(index=False, float_format="%.5g"))
     write_json(output / "provenance.json", provenance(commits=commits) | record | {"agreement": agreement(summary)})
     print_table(f"What is found, {len(place.contexts)} tubes", HEADER, cells(summary), left=1)

@@ -57,7 +57,7 @@ def run_checks(checks: Checks, plan: Plan, table: pd.DataFrame, output: Path, wo
     """
     if checks.level == "no":
         return
-    finer = resolve_fidelity(checks.finer)
+    finer = resolve_fidelity(checks.finer, plan.config.scene)
     parts = [check_half_step(plan, table, output, workers)]
     if checks.level in ("replayed", "all"):
         profile = read_parquet(output / "profile.parquet", PROFILE)

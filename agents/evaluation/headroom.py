@@ -70,7 +70,7 @@ def run_headroom(names: Sequence[str], place: Place, fidelity: str, output: Path
     """
     config = place.config.all_shown
     policies = named_policies(list(dict.fromkeys((*ALWAYS, *names))), config, place.vibration)
-    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity(fidelity))
+    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity(fidelity, config.scene))
     table = grouped(run_plan(plan, output, workers=workers))
     rows = []
     for policy in dict.fromkeys(table["policy"]):
@@ -109,7 +109,7 @@ def run_settings(place: Place, fidelity: str, output: Path, workers: Workers) ->
     policies: dict[str, Policy] = {
         setting.name: Planner(config, vibration=place.vibration, **setting._asdict()) for setting in SETTINGS
     }
-    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity(fidelity))
+    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity(fidelity, config.scene))
     table = run_plan(plan, output, workers=workers)
     shipped = shipped_setting().name
     rows = []

@@ -26,7 +26,7 @@ from agents.rollouts.statistics import endings, grouped, in_words, method_and_se
 from agents.rollouts.strain import strained
 from agents.terminal.tables import print_table
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.episodes.starts import Probes, Starts, settling
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
 
@@ -50,7 +50,8 @@ def plan_of(
     policies = named_policies(specs, config, place.vibration)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
     check_domains(domains_of(specs, forth), config, place.contexts, strict)
-    chosen = resolve_fidelity(fidelity, both_ways=config.returns)
+    hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
+    chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
     plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes)
     check_begins(plan, place.tube.name)
     return plan

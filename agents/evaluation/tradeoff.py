@@ -71,7 +71,9 @@ def run_tradeoff(
     policies: dict[str, Policy] = {
         f"{name} {value:g}": FAMILIES[name].member(value, place) for name in names for value in FAMILIES[name].values
     }
-    table = run_plan(Plan(policies | singles, place.contexts, (0,), config, resolve_fidelity(fidelity)), output)
+    table = run_plan(
+        Plan(policies | singles, place.contexts, (0,), config, resolve_fidelity(fidelity, config.scene)), output
+    )
     front, volumes = front_of(grouped(table), names, singles), hypervolumes(table, names)
     write_atomically(output / "front.csv", front.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "hypervolume.csv", volumes.to_csv(index=False, float_format="%.6g"))

@@ -130,7 +130,7 @@ class Training(Model):
         if self.validation.fidelity == MAP:
             raise PydanticCustomError("fidelity", "validation.fidelity = 'map': agents are chosen by simulation")
         for given in simulated:
-            fidelity = resolve_fidelity(given, both_ways=self.task.returns)
+            fidelity = resolve_fidelity(given, self.task.scene, both_ways=self.task.returns)
             if fidelity.time_lapse > 1.0 and not self.task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
             whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)

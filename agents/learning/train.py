@@ -250,7 +250,7 @@ def _validated(
         tubes=ranges_of(training.trained_in), trained=trained,
     )  # fmt: skip
     agent = Agent(description, model.policy, training.shown_task, f"phase {trained['phase']}")
-    fidelity = resolve_fidelity(training.validation.fidelity, both_ways=training.task.returns)
+    fidelity = resolve_fidelity(training.validation.fidelity, training.task.scene, both_ways=training.task.returns)
     begin = time.perf_counter()
     plan = Plan(
         {"agent": agent}, training.validated_in, (0,), training.shown_task, fidelity, training.environment.probes

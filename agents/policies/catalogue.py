@@ -104,6 +104,8 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if config.returns:
         return _both_ways(spec, config, vibration)
     if spec.startswith(PREFIX):
+        if unshielded(spec) in PLANNERS:
+            raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
         return Shielded(config, make_policy(unshielded(spec), config, vibration))
     spec = policy_file(spec)
     if spec in BUILT_IN:
@@ -145,10 +147,11 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
         names = ", ".join(INSPECTION_PLANNERS)
         raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
     file = Path(policy_file(unshielded(spec)))
-    if file.suffix == ".npz" and _agent(file).config.returns:
+    trained = _agent(file).config if file.suffix == ".npz" else None
+    if trained is not None and trained.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
-        agent, step = _agent(file, config), _agent(file).config.feed_speed_step
+        agent, step = _agent(file, config), trained.feed_speed_step
         return InSteps(config, agent, step) if step > 0.0 else agent
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     check_way_back(spec, back, config)

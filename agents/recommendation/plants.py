@@ -89,5 +89,5 @@ def _episodes(plant: Plant, limit: int, fidelity: str, folder: Path, workers: Wo
         policies = named_policies(OURS, config, unseen.vibration)
     policies[FIXED] = Scheduled(config, recommended(seen.contexts, response, seen.config).schedule)
     policies[LAW] = Lawful(config, law=recommended_law(seen.contexts, response, seen.config))
-    plan = Plan(policies, unseen.contexts, config=config, fidelity=resolve_fidelity(fidelity))
+    plan = Plan(policies, unseen.contexts, config=config, fidelity=resolve_fidelity(fidelity, config.scene))
     return run_plan(plan, folder, workers=workers)

@@ -45,7 +45,7 @@ def run_study(
     """
     config = place.config.all_shown
     policies, settings = named_policies(specs, config, place.vibration), disturbed(config, tuple(axes))
-    accuracy = resolve_fidelity(fidelity)
+    accuracy = resolve_fidelity(fidelity, place.config.scene)
     plans = [Plan(policies, place.contexts, config=setting.config, fidelity=accuracy) for setting in settings]
     count = len(policies) * len(place.contexts)
     print(f"{len(plans)} tasks, {count} insertions each: {len(plans) * count} insertions in {output}")

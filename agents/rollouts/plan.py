@@ -32,6 +32,7 @@ from probe_env import Context, Fidelity
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Controller, Foresighted
+from probe_env.fidelity import with_nodes
 
 BATCH = 16
 SHARED = ("fidelity", "code", "probes")
@@ -55,7 +56,8 @@ class Policy(Controller, Protocol):
 class Plan:
     """What is evaluated: every policy on every context with every seed.
 
-    ``probes``: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
+    ``probes``: "scene", or "random": context and seed draw a ``Design``, the same for every policy. ``fidelity`` gives
+    way to nodes where the task's scene needs some, see ``fidelity.with_nodes``.
     """
 
     policies: Mapping[str, Policy]
@@ -64,6 +66,9 @@ class Plan:
     config: TaskConfig = field(default_factory=TaskConfig)
     fidelity: Fidelity = field(default_factory=Fidelity)
     probes: Probes = "scene"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     def setting(self) -> dict[str, Any]:
         """What all episodes share: results with another setting do not belong in the same table."""

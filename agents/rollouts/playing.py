@@ -104,12 +104,13 @@ class Playing:
 
     def advance(self) -> Iterator[Ended]:
         """Play the period that was decided on; gives the episodes that end with it."""
+        way = self.episodes.passes.way.copy()
         step = self.last = self.episodes.step(self.actions, self._active)
         self.decided = False
         self._observation = step.observation
         for k in np.flatnonzero(self._active).tolist():
             info = step.infos[k]
-            if info.get("way", 1.0) > 0.0:  # per metre of the way in
+            if way[k] > 0.0:  # per metre of the way in, to its last period
                 self.profile[k].append(tuple(float(info[name]) for name in (*CARRIED, *HEARD)))
             if "episode_kpis" in info:
                 yield Ended(self.unit(k), info["episode_kpis"], self.profile[k], self._probes[k])

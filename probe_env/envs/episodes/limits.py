@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from probe_env.fidelity import Fidelity
+from probe_env.fidelity import MESH_NODES, Fidelity
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Probe, Scene
@@ -25,8 +25,6 @@ from probe_env.scene import Probe, Scene
 MOST_TURN: Final = 1.0  # [rad]
 REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
 SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
-FINE_MESH: Final = 8
-"""Nodes a pitch where a superelement gives way to a method on nodes."""
 PULL_HOLDS: Final = 0.0125
 """Of T dt^2 / (rho p^2), T the tension of steady sliding: 20 insertions of table 2's probe in straight tubes, with 2 to
 10 times the drag, diverged at 2e-4 s from 0.0148 on (411 to 549 N)."""
@@ -156,7 +154,7 @@ def _that_holds(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float
     """
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
-        nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else FINE_MESH
+        nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else MESH_NODES
         try:
             limit = min(_longest_step(method, scene, nodes), _pulled_step(method, scene.probe, start, end))
         except ValueError:

@@ -130,6 +130,7 @@ class Plant(Model):
                 "friction": self._middle("friction"),
                 "stiffness": self._middle("contact_stiffness"),
                 "walls": self.contact.walls,
+                "cable": self.contact.cable,
             },
             "air": {
                 "density": self.air.density,

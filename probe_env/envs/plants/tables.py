@@ -54,6 +54,8 @@ class Walls(Model):
     """Of the wall under a float [N/m], alike."""
     walls: Literal["both", "inner"] = "both"
     """Walls that floats touch."""
+    cable: bool = False
+    """Whether the cable between floats touches the walls too: needed where it is weak, or fed in hard."""
 
 
 class Supply(Model):
