@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +14,13 @@ from scipy.stats import trim_mean
 
 from agents.evaluation.fidelity_check import Checks
 from agents.evaluation.report import evaluate, plan_of
+from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.places import place_of
-from agents.records.columns import CORE
+from agents.records.columns import CARRIED, CORE
 from agents.rollouts.bootstrap import Interval
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
+from agents.rollouts.playing import Playing
 from agents.rollouts.statistics import (
     endings,
     interquartile_mean,
@@ -26,9 +29,10 @@ from agents.rollouts.statistics import (
     sentences,
     summarise,
 )
-from probe_env import Fidelity, load_contexts
+from probe_env import Context, Fidelity, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import BOTH_WAYS
 
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
 
@@ -61,6 +65,21 @@ def test_the_profile_is_per_metre():
     assert profile["radial_rms_m"] == pytest.approx([np.sqrt(25.0 / 3.0) * 1e-4, 1e-4])
     assert profile["noise_rms_m"] == pytest.approx(2.0 * profile["radial_rms_m"])
     assert profile["feed_speed"] == pytest.approx([0.2, 0.2])
+
+
+def test_the_profile_of_both_ways_reaches_to_the_turn():
+    """It is of the way in, to the end of the period in which the probe turns round."""
+    scene = Scene.model_validate({"tube": {"helix_length": 8.0}, "carrier_length": 4.0})
+    config = TaskConfig(passes="both", scene=scene, time_limit=100.0)
+    whole = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, BOTH_WAYS["fast"])
+    playing, turned, rows = Playing(whole, deque(whole.units()), 1, 1), [], []
+    while not playing.over:
+        for ended in playing.step():
+            rows = [row[CARRIED.index("inserted_length")] for row in ended.profile]
+        turned.append(playing.last.infos[0]["inserted_length"])
+    deepest = int(np.argmax(turned))
+    assert rows == turned[: deepest + 1]
+    assert rows[-1] == pytest.approx(8.0, abs=0.05)
 
 
 def test_an_episode_does_not_depend_on_its_company(tmp_path):

@@ -157,3 +157,6 @@ def test_what_it_cannot_do_is_refused():
         Shielded(CONFIG, Given([[0.0, 0.0]]), margin=0.5)
     with pytest.raises(ValueError, match="a shield needs a task that shows the root tension"):
         make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
+    for passes in ("in", "both"):
+        with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
+            make_policy("shielded:planner", TaskConfig(passes=passes).all_shown)

@@ -15,7 +15,7 @@ from agents.policies.planning.outlook import Estimate, looked_ahead
 from agents.policies.planning.planner import Planner
 from agents.policies.planning.rest import worth_of_rest
 from agents.rollouts.plan import Plan, run_plan
-from probe_env import Context
+from probe_env import Context, Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
@@ -130,6 +130,18 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
         assert worth_of_rest(tube, np.array([places[k]]), CONFIG, vibration)[0] == pytest.approx(wanted, rel=1e-9)
     assert worth_of_rest(tube, np.array([CONFIG.scene.tube.helix_length]), CONFIG, vibration)[0] == 0.0
     assert len(grid(CONFIG)[0]) > 100  # what the best is picked from
+
+
+def test_the_rest_reaches_to_the_end_of_a_helix_that_ends_between_two_knots() -> None:
+    """Beyond the last knot a schedule is what it is there, and so is what a metre of it earns."""
+    end = 31.2
+    config = TaskConfig(scene=Scene.model_validate({"tube": {"helix_length": end}, "carrier_length": 20.0}))
+    last = knots(config)[-1]
+    assert last < end
+    places = np.array([last, last + 0.5, end])
+    before, within, after = worth_of_rest(TUBES[0], places, config, stored_map())
+    assert after == 0.0 != within
+    assert within / (end - last - 0.5) == pytest.approx((before - within) / 0.5, rel=1e-9)
 
 
 @pytest.mark.processor

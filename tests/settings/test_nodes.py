@@ -1,0 +1,84 @@
+"""Superelements give way to nodes where the cable between floats is more than elastic, and say so."""
+
+import logging
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.evaluation.report import plan_of
+from agents.policies.places import place_of
+from probe_env import Fidelity, Plant, Scene
+from probe_env.envs.episodes import Episodes
+from probe_env.fidelity import PRESETS, _say_nodes, resolve_fidelity, with_nodes
+from probe_env.physics.methods import METHODS, ON_NODES
+
+CABLE = {"contact": {"cable": True}}
+NEEDING = {"cable": CABLE, "tangent": {"couple": "tangent"}}
+SHORT = {"tube": {"helix_length": 8.0}}
+
+
+@pytest.mark.parametrize("needing", NEEDING)
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_have_nodes_where_the_scene_needs_some(name, needing):
+    scene, preset = Scene.model_validate(NEEDING[needing]), PRESETS[name]
+    assert resolve_fidelity(name) == resolve_fidelity(name, Scene()) == preset
+    taken, method = resolve_fidelity(name, scene), METHODS[preset.method]
+    if preset.method in ON_NODES:
+        assert taken == preset
+        return
+    assert taken.method in ON_NODES
+    assert method.lanes.precision == METHODS[taken.method].lanes.precision
+    assert taken.time_lapse == preset.time_lapse
+    assert taken.nodes_per_pitch == 8  # the converged mesh
+    limit = METHODS[taken.method].stable_step(scene, taken.nodes_per_pitch)
+    assert METHODS[taken.method].least_step <= taken.time_step <= min(preset.time_step, limit)
+    assert with_nodes(taken, scene) == taken
+
+
+def test_auto_and_settings_of_ones_own_give_way_as_well():
+    scene = Scene.model_validate(CABLE)
+    for given in ("auto", {"method": "superelement", "time_step": 1e-4}):
+        elastic, taken = resolve_fidelity(given), resolve_fidelity(given, scene)
+        assert elastic.method not in ON_NODES
+        assert (taken.method, taken.nodes_per_pitch) == (elastic.method.replace("superelement", "imex"), 8)
+        assert taken.time_step <= elastic.time_step
+    own = Fidelity(method="imex", time_step=1e-4, nodes_per_pitch=4)
+    assert resolve_fidelity(own, scene) == own
+
+
+def test_it_is_said_once(caplog):
+    _say_nodes.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            resolve_fidelity("standard", Scene.model_validate(CABLE))
+    (line,) = caplog.messages
+    assert "superelement32 has no nodes between floats" in line
+    assert "imex32 at 0.000125 s, 8 nodes a pitch is taken" in line
+
+
+@pytest.mark.parametrize("env_id", ["Insertion", "Design"])
+def test_environments_simulate_such_a_scene_by_default(env_id):
+    """Digit by digit as with the settings that are taken."""
+    taken, tube = resolve_fidelity("standard", Scene.model_validate(CABLE)), SHORT | CABLE
+    if env_id == "Design":
+        tube = tube | {"tube": {"helix_length": 60.0}}
+    envs = [gym.make(f"probe_env/{env_id}-v1", tube=tube, **given) for given in ({}, {"fidelity": taken})]
+    for env in envs:
+        assert env.unwrapped.config.scene.contact.cable
+        env.reset(seed=3)
+        env.action_space.seed(3)
+    for _ in range(1 if env_id == "Design" else 3):
+        one, other = (env.step(env.action_space.sample()) for env in envs)
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1] == other[1]
+
+
+def test_an_evaluation_keeps_what_it_was_simulated_with():
+    """In the plan, so in setting and provenance, also at half the step and where a finer fidelity checks it."""
+    place = place_of(Plant.model_validate(SHORT | CABLE), "test", 1)
+    plan = plan_of(["constant"], place, 1, "fast")
+    assert plan.fidelity == resolve_fidelity("fast", Scene.model_validate(CABLE))
+    assert plan.setting()["fidelity"] == plan.fidelity.model_dump()
+    episodes = Episodes(1, plan.config, threads=1, fidelity=PRESETS["fast"])
+    assert episodes.fidelity == plan.fidelity
