@@ -26,7 +26,7 @@ from agents.records.journal import Journal
 from agents.records.models import Trial
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.tables import Columns, read_csv
-from agents.rollouts.bootstrap import Interval
+from agents.rollouts.bootstrap import Interval, short
 from agents.rollouts.plan import Policy
 from agents.rollouts.statistics import failures, in_words, mean_interval
 from agents.terminal.tables import print_table
@@ -228,10 +228,17 @@ def cells(summary: pd.DataFrame) -> list[list[str]]:
     rows, kpis = [], kpis_of(summary["kpi"], OF_DESIGNS)
     for name in dict.fromkeys(summary["design"]):
         part = summary[summary["design"] == name].set_index("kpi")
-        texts = [Interval(*part.loc[kpi, ["mean", "low", "high"]]).text(factor) for kpi, (_, factor, _) in kpis.items()]
-        change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]]).text()
+        texts = [
+            _text(Interval(*part.loc[kpi, ["mean", "low", "high"]]), factor) for kpi, (_, factor, _) in kpis.items()
+        ]
+        change = _text(Interval(*part.loc["reward", ["change", "change_low", "change_high"]]))
         rows.append([str(name), *texts, change])
     return rows
+
+
+def _text(interval: Interval, factor: float = 1.0) -> str:
+    """Of no width, as of one tube, an interval says nothing."""
+    return interval.text(factor) if interval.low < interval.high else short(interval.mean * factor)
 
 
 def header(summary: pd.DataFrame) -> list[str]:
@@ -254,7 +261,8 @@ def print_comparison(table: pd.DataFrame) -> None:
     """The summary on the terminal."""
     where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
     number = table["context"].nunique()
-    title = f"Means over {number} tubes{where} with 95 % intervals; change against the first"
+    means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
+    title = f"{means}; change against the first"
     summary = summarise(table)
     print_table(title, header(summary), cells(summary))
     for name, part in table.groupby("design", sort=False):

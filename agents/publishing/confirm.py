@@ -42,6 +42,8 @@ from agents.terminal.tables import print_table
 from probe_env.files import read_text
 
 COMPARED: Final = (".csv", ".npz", ".toml")
+SAMPLES: Final = CHECKOUT / "configs" / "samples"
+"""What samples are made of, the same for the code before and the present one: ``{samples}`` in them."""
 
 
 def confirm_results(names: Sequence[str], since: str = "") -> None:
@@ -181,7 +183,7 @@ def _run(stage: Stage, command: str, tree: Path, folder: Path) -> None:
     words = ["-m", "agents.cli", *shlex.split(sampled(command, stage.sample))]
     if stage.script:
         words = [str(CHECKOUT / stage.script), "{work}"]
-    words = [word.replace("{work}", str(folder)) for word in words]
+    words = [word.replace("{work}", str(folder)).replace("{samples}", str(SAMPLES)) for word in words]
     done = subprocess.run([sys.executable, *words], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, check=False)
     if done.returncode:
         raise RuntimeError(

@@ -69,8 +69,15 @@ def recommend(
     for text in beyond(seen.contexts, response, seen.config):
         warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
     specs = (*(confirmation.own if confirmation else ()), *OURS)
+    if seen.config.returns:
+        print(
+            f"{output.stem} is for the way in, and drawn back as fast as the device can;"
+            " probe-env optimise-passes searches feed and air of both ways"
+        )
     if confirmation:
-        plan_of(specs, unseen, 1, confirmation.fidelity)  # what cannot be compared is refused before the search
+        with warnings.catch_warnings():  # what cannot be compared is refused before the search; warnings come with it
+            warnings.simplefilter("ignore")
+            plan_of(specs, unseen, 1, confirmation.fidelity)
     recommendation = recommended(seen.contexts, response, seen.config)
     write_atomically(output, recommendation.schedule.to_csv())
     write_json(output.with_suffix(".json"), _record(recommendation, plant, seen) | provenance())
