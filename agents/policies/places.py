@@ -13,6 +13,7 @@ from agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.task import TaskConfig
+from probe_env.scene import whole_pitches
 
 MAP_SUFFIX: Final = "-map.npz"
 WHOLE_SHIFT: Final = 2.0
@@ -135,14 +136,17 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
 
 
 def with_probe(config: TaskConfig, name: str) -> TaskConfig:
-    """The task with a probe of ``configs/design/``, its floats cut to what fits the bore.
+    """The task with a probe of ``configs/design/``, its floats cut to what fits the bore, its cable to the helix.
 
     Raises:
         FileNotFoundError: no such design.
         ValueError: no float fits.
     """
     design = Design.from_toml(file_or_shipped("design", name)).cut_to(config.scene)
-    return config.model_copy(update={"scene": {"probe": design.probe(config.scene.probe)}})
+    probe = design.probe(config.scene.probe)
+    room = whole_pitches(config.scene.tube.helix_length - probe.guide_length, probe)
+    carrier = min(config.scene.carrier_length, max(room, probe.float_pitch))
+    return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
 def looking(place: Place, inspects: str | None) -> Place:

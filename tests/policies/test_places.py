@@ -15,7 +15,8 @@ from agents.policies.maps import fit as map_fit
 from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.maps.search import FAMILIES, metres, run_search
 from agents.policies.maps.vibration_map import VibrationMap, equivalent_air, stored_map
-from agents.policies.places import both_ways, map_beside, map_of, place_at, place_of
+from agents.policies.places import both_ways, map_beside, map_of, place_at, place_of, with_probe
+from agents.robustness.axes import AXES, disturbed
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene
 from probe_env.envs.task import TaskConfig
@@ -250,3 +251,15 @@ def test_the_shipped_example_is_a_plant_and_what_the_page_shows():
     with pytest.raises(FileNotFoundError) as error:
         place_at(Path("nowhere.toml"), "test")
     assert "tubes that ship, by name: example" in error.value.hint
+
+
+def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():
+    """The improved probe has 10 m of guide cable, the plant's own 2.5 m; table 2's helix has room for it."""
+    plant = Plant.model_validate({"tube": {"helix_length": 28.0}})
+    config = place_of(plant, "test", 1).config
+    own, improved = config.scene, with_probe(config, "improved").scene
+    assert own.inserted_length == pytest.approx(28.0)
+    assert improved.probe.guide_length == pytest.approx(10.0)
+    assert 28.0 - improved.probe.float_pitch < improved.inserted_length <= 28.0
+    assert with_probe(TaskConfig(), "improved").scene.carrier_length == TaskConfig().scene.carrier_length
+    assert {setting.axis for setting in disturbed(config, AXES)} >= set(AXES)
