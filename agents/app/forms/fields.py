@@ -27,6 +27,8 @@ ELSEWHERE: Final = frozenset(
 )
 """Fields of the task that stand in other tables, are nobody's to set, or change what is rewarded as a whole."""
 SIGNS: Final = ("±", "+-")
+TRUTH: Final = {"no": False, "yes": True}
+"""What a choice of the two stands for in a file."""
 HINTS: Final[dict[Kind, str]] = {
     "number": "",
     "figure": "a number, LOW to HIGH, or MEAN ± STANDARD DEVIATION",
@@ -94,6 +96,8 @@ def text_of(value: Any) -> str:
     """A value of a file as the text of its field; empty for none."""
     if value is None:
         return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, Mapping):
         low, high = value.get("low"), value.get("high")
         return f"{value.get('mean')} ± {value.get('std')}" if low is None else f"{low} to {high}"
@@ -106,7 +110,7 @@ def value_of(field: Field, text: str) -> Any:
     """What a text stands for, as a file would have it; what is no number stays a text, which the model refuses."""
     text = text.strip()
     if field.kind == "choice":
-        return text
+        return TRUTH.get(text, text) if field.choices == tuple(TRUTH) else text
     sign = next((sign for sign in SIGNS if sign in text), None)
     if field.kind == "figure" and sign:
         mean, _, std = text.partition(sign)
@@ -150,6 +154,8 @@ def _shown(default: Any) -> str:
 
 def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
     """How a field of a type is written, and the choices where there are some."""
+    if annotation is bool:
+        return "choice", tuple(TRUTH)
     if get_origin(annotation) is Literal:
         return "choice", get_args(annotation)
     parts = list(_parts(annotation))
