@@ -134,14 +134,17 @@ def test_render_writes_slow_motion(name, pictures, tmp_path, capsys):
 
 
 def check_film(path, pictures):
-    """So many, of the size that was drawn, mostly white, and none like another; of an MP4 the number alone."""
+    """So many, of the size that was drawn, mostly white, and none like another; of an MP4 the number alone.
+
+    A palette of 256 colours has white a few levels lower, by processor; the lightest lines are at 217.
+    """
     if path.suffix == ".mp4":
         assert count_frames_and_secs(path)[0] == pictures
         return
     frames = iio.imread(path, index=None if path.suffix == ".png" else ...)
     frames = frames.reshape(-1, 600, 1000, frames.shape[-1])[..., :3].astype(int)
     assert len(frames) == pictures
-    assert (frames > 250).all(axis=-1).mean() > 0.6
+    assert (frames > 240).all(axis=-1).mean() > 0.6
     assert all((np.abs(a - b) > 50).any() for a, b in pairwise(frames))
 
 
