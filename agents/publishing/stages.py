@@ -66,7 +66,8 @@ class Stage(Model):
         returns: whether probes are drawn back; else how both passes are judged does not count.
         reads: patterns of files that the results depend on.
         script: makes a sample where no option of the command does; called with a folder, by both codes.
-        sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``.
+        sample: options of the command for a short run that shows whether changed code gives the same, see ``confirm``;
+            ``{samples}`` is the folder of what only samples read.
         minutes: that it takes on two cores, before it has been measured here.
     """
 

@@ -72,6 +72,9 @@ def test_a_default_can_be_typed_and_changes_nothing(field):
         ("feed.feed_speeds", "0.03, 0.35", [0.03, 0.35]),
         ("task.delay_periods", "2", 2),
         ("tube.helix_length", "long", "long"),
+        ("contact.walls", "inner", "inner"),
+        ("contact.cable", "yes", True),
+        ("contact.cable", "no", False),
     ],
 )
 def test_a_text_is_what_a_file_would_say(path, text, value):

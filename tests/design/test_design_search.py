@@ -189,6 +189,18 @@ def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, ca
     assert rows.loc[("light", "reward"), "change"] == pytest.approx(change)
 
 
+def test_one_tube_has_no_intervals(capsys):
+    """One value has no scatter; two have."""
+    rows = {"design": ["plain"] * 2, "context": [0, 1], "reward": [1.0, 3.0], "inspection_time_s": [275.0, 275.0]}
+    table = pd.DataFrame(rows | dict.fromkeys(("complete", "lost_drive", "diverged"), 0.0))
+    for part, title in ((table, "Means over 2 tubes with 95 % intervals"), (table[:1], "One tube; change")):
+        print_comparison(part)
+        told = capsys.readouterr().out
+        assert title in told
+        assert ("[1, 3]" in told) == (len(part) == 2)
+        assert "[275" not in told
+
+
 def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: closed_form(point))
     arguments = ["design", "--limit", "1", "--output", str(tmp_path / "out"), "--trials"]

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import pytest
 import tomli_w
 
 from agents.publishing import confirm, stages, trees
-from agents.publishing.confirm import additions, confirm_results, first_difference, sampled
-from agents.publishing.stages import Stage
+from agents.publishing.confirm import SAMPLES, additions, confirm_results, first_difference, sampled
+from agents.publishing.stages import Stage, load_stages
 from agents.publishing.trees import put_inputs, share_compiled
 from probe_env.kernel_cache import STAMP
 
@@ -103,6 +104,21 @@ def test_a_sample_is_the_command_with_other_options():
         "evaluate 'a b' --limit 1 --output '{work}'"
     )
     assert sampled("evaluate pi", {"limit": "1"}) == "evaluate pi --limit 1"
+
+
+def test_every_sample_finds_what_it_reads(monkeypatch, tmp_path):
+    """A file beside the samples, wherever the code is that runs; and there are scripts where they are named."""
+    ran = []
+    done = subprocess.CompletedProcess([], 0)
+    monkeypatch.setattr(confirm.subprocess, "run", lambda words, **_: ran.append(words) or done)
+    for one in load_stages():
+        if one.sample or one.script:
+            confirm._run(one, one.command, tmp_path / "tree", tmp_path / "work")
+    assert len(ran) > 40
+    files = {word for words in ran for word in words if str(SAMPLES) in word}
+    assert {Path(word).suffix for word in files} == {".py", ".toml"}
+    assert all(Path(word).is_file() for word in files)
+    assert not any("{" in word for words in ran for word in words)
 
 
 @pytest.fixture

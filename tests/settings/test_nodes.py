@@ -74,6 +74,15 @@ def test_environments_simulate_such_a_scene_by_default(env_id):
         assert one[1] == other[1]
 
 
+def test_an_evaluation_by_auto_goes_by_its_own_tubes():
+    """As its episodes do; a contact that is harder than table 2's takes another setting."""
+    hard = Plant.model_validate({"contact": {"stiffness": 5e5}})
+    place = place_of(hard, "test", 2)
+    plan = plan_of(["constant"], place, 1, "auto:0.5")
+    episodes = Episodes(1, plan.config, threads=1, fidelity="auto:0.5", contexts=place.contexts)
+    assert plan.fidelity == episodes.fidelity != resolve_fidelity("auto:0.5")
+
+
 def test_an_evaluation_keeps_what_it_was_simulated_with():
     """In the plan, so in setting and provenance, also at half the step and where a finer fidelity checks it."""
     place = place_of(Plant.model_validate(SHORT | CABLE), "test", 1)
