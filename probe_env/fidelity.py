@@ -84,7 +84,7 @@ the way in; "unlapsed" has none on either way."""
 ON_MESH: Final = {"superelement": "imex", "superelement32": "imex32"}
 """What takes the place of superelements where the cable is more than elastic between floats, in the same precision."""
 MESH_NODES, MESH_STEP = 8, 1.25e-4
-"""Nodes a pitch, and longest step [s] there: all scenes drawn under pressure hold with them (simulation/return.md)."""
+"""Nodes a pitch, and longest step [s] there: all scenes drawn under pressure hold on them (simulation/return.md)."""
 
 
 class Measured(NamedTuple):
