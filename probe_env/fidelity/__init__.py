@@ -1,0 +1,14 @@
+"""How closely an environment simulates: method, step, mesh and time-lapse under one name.
+
+Settings and their presets, the choice that "auto" makes by measured errors, and what a name stands for in a scene.
+Imports the physics and the scene.
+"""
+
+from probe_env.fidelity.choice import MOST_TIME_LAPSE, Choice, choose_fidelity, measured, outputs
+from probe_env.fidelity.resolution import MESH_NODES, resolve_fidelity, with_nodes
+from probe_env.fidelity.settings import BOTH_WAYS, PRESETS, Fidelity
+
+__all__ = [
+    "BOTH_WAYS", "MESH_NODES", "MOST_TIME_LAPSE", "PRESETS", "Choice", "Fidelity", "choose_fidelity", "measured",
+    "outputs", "resolve_fidelity", "with_nodes",
+]  # fmt: skip
