@@ -1,7 +1,7 @@
-"""How closely an environment simulates: method, step, mesh and time-lapse under one name.
+"""How closely an environment simulates: a name and a scene enter, method, step, mesh and time-lapse leave.
 
-Settings and their presets, the choice that "auto" makes by measured errors, and what a name stands for in a scene.
-Imports the physics and the scene.
+From the bottom: settings and their presets; the choice that "auto" makes by measured errors; what a name stands for in
+a scene. Imports the physics and the scene.
 """
 
 from probe_env.fidelity.choice import MOST_TIME_LAPSE, Choice, choose_fidelity, measured, outputs

@@ -195,10 +195,10 @@ def test_one_tube_has_no_intervals(capsys):
     table = pd.DataFrame(rows | dict.fromkeys(("complete", "lost_drive", "diverged"), 0.0))
     for part, title in ((table, "Means over 2 tubes with 95 % intervals"), (table[:1], "One tube; change")):
         print_comparison(part)
-        told = capsys.readouterr().out
-        assert title in told
-        assert ("[1, 3]" in told) == (len(part) == 2)
-        assert "[275" not in told
+        printed = capsys.readouterr().out
+        assert title in printed
+        assert ("[1, 3]" in printed) == (len(part) == 2)
+        assert "[275" not in printed
 
 
 def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeypatch):

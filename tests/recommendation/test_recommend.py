@@ -44,9 +44,9 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert main(["recommend", *arguments]) == 0
     assert Schedule.read(output).position[-1] == 24.0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
-    told = capsys.readouterr().out
-    assert "simulated on" not in told
-    assert "way in" not in told
+    printed = capsys.readouterr().out
+    assert "simulated on" not in printed
+    assert "way in" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0
     assert "my is for the way in, and drawn back as fast as the device can" in capsys.readouterr().out
