@@ -56,6 +56,7 @@ def test_every_screen_is_built_and_drawn_for_ones_own_tube(office):
         assert [screen.layout.visible for screen in page.screens].count(True) == 1
     text = json.dumps(document.to_json(), default=str)
     assert "http" not in text.replace("http://www.w3.org", "")  # nothing to be asked of anybody
+    assert "whether the cable" in page.tube.inputs["contact.cable"].description.content.html.lower()
     page.tube.inputs["tube.helix_length"].value = "30"
     assert page.schedule.along.end == pytest.approx(30.3)
     page.tube.inputs["tube.helix_length"].value = "never"

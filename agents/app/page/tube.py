@@ -39,6 +39,7 @@ TITLES: Final = {
     "contact": "Walls",
     "air": "Air",
     "feed": "Feed device",
+    "sensor": "Sensor",
     "task": "Task",
 }
 STUDY: Final = "the study's tubes"
@@ -126,7 +127,8 @@ class TubeScreen:
         tip = Tooltip(content=HTML(html=field.hint or name), position="bottom")
         given: Any
         if field.kind == "choice":
-            given = Select(title=title, options=list(field.choices), stylesheets=sheet, sizing_mode="stretch_width")
+            given = Select(title=title, options=list(field.choices), stylesheets=sheet, description=tip,
+                           sizing_mode="stretch_width")  # fmt: skip
         else:
             given = TextInput(title=title, placeholder=field.default or "none", stylesheets=sheet, description=tip,
                               sizing_mode="stretch_width", name=field.path)  # fmt: skip
