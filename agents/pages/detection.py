@@ -21,7 +21,7 @@ from probe_env.schedule import Schedule
 FOLDER: Final = RESULTS / "snr"
 REFERENCE: Final = "millimetre-schedule"
 OWN: Final = "snr-schedule"
-HEARING: Final = ("a90_percent_wall", "length_with_snr_over_3_m", "radial_rms_m")
+HEARING: Final = ("a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v", "radial_rms_m")
 """What is compared at two fidelities."""
 AGENT: Final = "ppo-snr"
 TEACHER: Final = "tension-scheduled"
@@ -62,11 +62,26 @@ def snr() -> str:
 
 def hearing() -> str:
     """What is found at ``standard`` beside ``fast``."""
-    folder = RESULTS / "hearing"
+    return _found("hearing", "acting", "standard")
+
+
+def hearing_finely() -> str:
+    """What is found at ``reference`` by what does not listen."""
+    return _found("hearing-finely", "acting", "reference")
+
+
+def replays() -> str:
+    """What is found where that is replayed which was fed and blown at ``fast``."""
+    return _found("replays-standard", "replayed", "standard")
+
+
+def _found(name: str, check: str, finer: str) -> str:
+    """A stored check of a finer fidelity: a row a policy, each KPI at ``fast`` and its change."""
+    folder = RESULTS / name
     checks = stored_table(folder / "fidelity.csv", "check", "policy", "kpi", "before", "mean", "low", "high")
-    acting, rows = checks[checks["check"].str.startswith("acting")], []
+    chosen, rows = checks[checks["check"].str.startswith(check)], []
     clear: dict[str, list[str]] = {kpi: [] for kpi in HEARING}
-    for policy, part in acting.groupby("policy", sort=False):
+    for policy, part in chosen.groupby("policy", sort=False):
         of_kpi: dict[Any, dict[Any, Any]] = {entry["kpi"]: entry for entry in part.to_dict("records")}
         cells = []
         for kpi in HEARING:
@@ -77,8 +92,8 @@ def hearing() -> str:
                 clear[kpi].append(f"`{policy}`")
         rows.append((str(policy), *cells))
     header = ["policy"]
-    for name, _, unit in (KPIS[kpi] for kpi in HEARING):
-        header += [f"{name} [{unit}] at `fast`", "change at `standard`"]
+    for title, _, unit in (KPIS[kpi] for kpi in HEARING):
+        header += [f"{title} [{unit}] at `fast`", f"change at `{finer}`"]
     changed = [f"{KPIS[kpi][0]} of {' and '.join(names)}" for kpi, names in clear.items() if names]
     tubes = read_episodes(folder / "episodes.csv")["context"].nunique()
     return (

@@ -100,7 +100,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "cluster.md": ("scaling",),
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_fresh", "plc_finely", "plc_constants", "trim", "plc_text"),
-        DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent", "hearing"),
+        DOCS / "inspection" / "signal.md": ("anchors", "snr", "snr_agent", "hearing", "hearing_finely", "replays"),
         DOCS / "inspection" / "passes.md": ("passes", "turning", "passes_search", "passes_acting"),
         DOCS / "learning" / "headroom.md": ("headroom", "headroom_finely", "planner_settings"),
         DOCS / "learning" / "world.md": ("world",),
