@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 from tqdm import tqdm
 
+from agents.bench import walls
 from agents.bench.environments import bench_environments
 from agents.records.provenance import provenance, write_json
 from agents.terminal.tables import print_table
@@ -39,6 +40,7 @@ def run_bench(output: Path, repeats: int) -> dict[str, Any]:
         "solvers": _solvers(repeats),
         "scaling": _scaling(repeats),
         "fast": _fast(repeats),
+        "idle_cable": walls.idle_cable(),
         "insertion": _insertion(),
         "environments": bench_environments(),
         "first_result_s": _first_result(),
@@ -199,6 +201,7 @@ def _print(results: dict[str, Any]) -> None:
     figures = ("ns_per_node_step", "node_step_ratio", "simulated_second_ratio", "of_eight_nodes_ratio")
     fast = [(n, f"{row['time_step_s']:g}", *(f"{row[f]:.1f}" for f in figures)) for n, row in results["fast"].items()]
     print_table("The fast scheme against the study's, l = 50 m, one thread", header, fast)
+    print_table(walls.TITLE, walls.HEADER, walls.cells(results["idle_cable"]))
     for name, seconds in results["insertion"].items():
         print(f"full insertion at 0.2 m/s, 16 probes, all cores, {name}: {seconds:.2f} s a probe")
     environments = results["environments"]

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import DegenerateDataWarning, bootstrap
+from scipy.stats import DegenerateDataWarning, bootstrap, permutation_test
 
 from probe_env.arrays import FloatArray
 
@@ -18,6 +18,8 @@ PERCENTILES: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 """Of what was drawn anew: ends of an interval."""
 RESAMPLES: Final = 2000
 """How often samples are drawn anew where SciPy does not do it."""
+FLIPS: Final = 99_999
+"""At most so many signs are drawn where chance is asked for."""
 
 
 @dataclass(frozen=True)
@@ -75,3 +77,24 @@ def redrawn_means(values: FloatArray) -> FloatArray:
     rng, count = np.random.default_rng(0), len(values)
     weights = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
     return np.asarray(weights @ values / count)
+
+
+def chance_of_mean(differences: np.ndarray) -> float:
+    """How likely paired differences are to have so large a mean, either way, if each might as well have the other sign.
+
+    That is so where both of a pair were drawn from one distribution. All signs are tried, or 99,999 drawn ones.
+
+    Raises:
+        ValueError: no differences, or some that are not finite.
+    """
+    differences = np.asarray(differences, dtype=float)
+    if len(differences) == 0 or not np.isfinite(differences).all():
+        raise ValueError(f"differences = {differences!r} must be finite and at least one")
+    differences = differences[differences != 0.0]  # which have no sign
+    if len(differences) == 0:
+        return 1.0
+    tried = permutation_test(
+        (differences,), np.mean, permutation_type="samples", vectorized=True,
+        n_resamples=FLIPS, batch=10_000, rng=np.random.default_rng(0),
+    )  # fmt: skip
+    return float(tried.pvalue)

@@ -18,7 +18,7 @@ from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.places import place_of
 from agents.records.columns import CARRIED, CORE
-from agents.rollouts.bootstrap import Interval
+from agents.rollouts.bootstrap import Interval, chance_of_mean
 from agents.rollouts.plan import Plan, episodes_of, per_metre, run_plan
 from agents.rollouts.playing import Playing
 from agents.rollouts.statistics import (
@@ -176,6 +176,19 @@ def test_intervals_cover_the_truth_as_often_as_they_say(seeds):
         hits += interval.low <= 3.0 <= interval.high
     least, most = hits_within(200, 0.931, 0.951)
     assert least <= hits <= most
+
+
+def test_the_chance_of_a_mean_where_signs_are_as_likely_one_way_as_the_other(seeds):
+    """k differences of one sign: 2 of 2^k. Of means of ten true zeros 50 in 1024, the outermost, fall under 0.05."""
+    assert chance_of_mean(np.array([1.0, 2.0, 0.5, 3.0, 1.0, 0.0])) == 2 / 2**5
+    assert chance_of_mean(-np.ones(8)) == 2 / 2**8
+    assert chance_of_mean(np.array([1.0, -1.0])) == chance_of_mean(np.zeros(4)) == 1.0
+    rng = np.random.default_rng(seeds(1))
+    under = sum(chance_of_mean(rng.standard_t(3, size=10)) < 0.05 for _ in range(400))
+    least, most = hits_within(400, 50 / 1024, 50 / 1024)
+    assert least <= under <= most
+    with pytest.raises(ValueError, match="must be finite"):
+        chance_of_mean(np.array([1.0, np.nan]))
 
 
 def test_means_of_special_cases():

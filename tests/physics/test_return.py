@@ -176,6 +176,28 @@ def test_probes_that_go_both_ways_side_by_side_equal_single_ones():
             assert (mine == theirs).all()
 
 
+@pytest.mark.parametrize("method", ["imex", "imex32"])
+def test_a_cable_that_touches_no_wall_moves_as_without_contact_also_beside_one_that_does(method):
+    """A group looks for the wall in a step in which one of its probes is near it, and in no other.
+
+    The weak one, pulled hard, is pressed into the inner wall, 5.325 mm off for a cable: in all looks but the first.
+    """
+    given = {"carrier_length": 5.0, "feed_speed": 0.4, "air_supply_rate": 0.036, "contact": {"cable": True}}
+    stiff, weak = (Scene.model_validate(given | {"probe": {"flexural_rigidity": r}}) for r in (4.8e-2, 5e-4))
+    free = Scene.model_validate(given | {"contact": {"cable": False}})
+    groups = [SimulatorBatch(scenes, method, 1e-4, threads=1) for scenes in ([stiff], [stiff, weak], [free])]
+    lowest = 0.0
+    for _ in range(5):
+        for batch in groups:
+            batch.advance(None, None, 0.1)
+        alone, beside, without = (State(*batch.simulators[0].state) for batch in groups)
+        for values in zip(alone, beside, without, strict=True):
+            assert (values[0] == values[1]).all()
+            assert (values[0] == values[2]).all()
+        lowest = min(lowest, groups[1].simulators[1].state.d[:, 1].min())
+    assert lowest < -5.325e-3
+
+
 @pytest.mark.processor
 @pytest.mark.parametrize("method", ["newmark", "imex", "implicit"])
 def test_a_cable_that_buckles_lies_against_the_tube(method, seeds):

@@ -130,6 +130,21 @@ def cable_walls(own, cable):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
+def nearest_walls(floats, cable):
+    """``cable_walls`` that hold all along a probe: those of the guide or of the carrier, whichever are nearer."""
+    _, guide_lever, carrier_lever, guide_gap, carrier_gap, _, _ = floats
+    low, high = cable_walls((guide_lever, guide_gap, guide_gap), cable)
+    carrier_low, carrier_high = cable_walls((carrier_lever, carrier_gap, carrier_gap), cable)
+    return where_less(low, carrier_low, carrier_low, low), where_less(high, carrier_high, high, carrier_high)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def widened(least, most, y):
+    """A range of heights, with one more in it."""
+    return where_less(y, least, y, least), where_less(most, y, y, most)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
 def cable_forces(walls, cable, y, slide, turn):
     """Contact and friction of the cable between floats; see ``cable_walls``."""
     low, high = walls
