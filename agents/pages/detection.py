@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -13,9 +14,9 @@ from agents.records.columns import KPIS
 from agents.records.models import Record
 from agents.records.reading import read_json
 from agents.records.tables import read_episodes
-from agents.rollouts.bootstrap import Interval
+from agents.rollouts.bootstrap import Interval, chance_of_mean
 from agents.rollouts.depths import depths_of
-from agents.rollouts.statistics import failures, grouped, paired_difference
+from agents.rollouts.statistics import by_context, failures, grouped, mean_interval, paired_difference
 from probe_env.schedule import Schedule
 
 FOLDER: Final = RESULTS / "snr"
@@ -23,6 +24,14 @@ REFERENCE: Final = "millimetre-schedule"
 OWN: Final = "snr-schedule"
 HEARING: Final = ("a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v", "radial_rms_m")
 """What is compared at two fidelities."""
+HEARD, UNHEARING = HEARING[:3], ("best-constant", "best-schedule")
+TRIALS: Final = {"hearing-fresh": "standard", "hearing-fresh-finely": "reference"}
+"""Stages in fresh tubes, and what they compare with ``fast``."""
+LEAST_CHANCE: Final = 0.05 / (len(HEARD) * len(UNHEARING) * len(TRIALS))
+"""Below which a change is taken for one: together the trials go wrong by luck in one of twenty cases (Bonferroni)."""
+TRIAL_HEADER: Final = (
+    "policy", "what", "at", "at `fast`", "change", "standard deviation between tubes at `fast`", "p",
+)  # fmt: skip
 AGENT: Final = "ppo-snr"
 TEACHER: Final = "tension-scheduled"
 HEADER: Final = (
@@ -65,9 +74,31 @@ def hearing() -> str:
     return _found("hearing", "acting", "standard")
 
 
-def hearing_finely() -> str:
-    """What is found at ``reference`` by what does not listen."""
-    return _found("hearing-finely", "acting", "reference")
+def hearing_fresh() -> str:
+    """Whether what is found is the same at ``fast``, ``standard`` and ``reference``, by what was said beforehand."""
+    rows, differ = [], []
+    for name, finer in TRIALS.items():
+        folder = RESULTS / name
+        tables = [read_episodes(path / "episodes.csv") for path in (folder, folder / "finer-acting")]
+        for policy, kpi in product(UNHEARING, HEARD):
+            title, factor, unit = KPIS[kpi]
+            before, after = (by_context(table, policy, kpi) for table in tables)
+            change = after - before
+            chance = chance_of_mean(change.to_numpy())
+            rows.append(
+                (
+                    policy, f"{title} [{unit}]", f"`{finer}`", f"{factor * before.mean():.3g}",
+                    mean_interval(change.to_numpy()).text(factor), f"{factor * before.std():.2g}", f"{chance:.2g}",
+                )
+            )  # fmt: skip
+            if chance < LEAST_CHANCE:
+                differ.append(f"{title} of `{policy}` at `{finer}`")
+    said = f"differ: {'; '.join(differ)}" if differ else "none differs by more than chance"
+    sources = " ".join(source(RESULTS / name / "provenance.json") for name in TRIALS)
+    return (
+        f"**Of {len(rows)}, {said}.**\n\n{markdown(TRIAL_HEADER, rows)}\n\nMeans over"
+        f" {tables[0]['context'].nunique()} tubes; changes with 95 % intervals. {sources}"
+    )
 
 
 def replays() -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from agents.bench import scaling as portioned
+from agents.bench import walls
 from agents.chart import other_probes as probes
 from agents.chart import tables as chart
 from agents.chart import timelapse as lapses
@@ -13,6 +14,7 @@ from agents.chart.peers import comparison as others
 from agents.chart.stability import lost, pressed_words, returns
 from agents.chart.stability import map as stability_map
 from agents.pages.sources import RESULTS, source
+from agents.pages.sources import markdown as table_of
 from agents.records.models import Record
 from agents.records.reading import read_csv, read_json
 from agents.records.store import stored_rows
@@ -95,6 +97,14 @@ def bench() -> str:
         f" {results['first_result_s']:.1f} s with cached kernels. {source(path)}"
     )
     return "\n".join(lines) + f"\n\n{note}"
+
+
+def idle_cable() -> str:
+    """Cost of the cable's contact where it does not act."""
+    path = RESULTS / "bench" / "bench.json"
+    rows = read_json(path, Record).model_dump()["idle_cable"]
+    note = "Processor times of rounds that take turns, groups as wide as a register, one thread."
+    return f"{table_of(walls.HEADER, walls.cells(rows))}\n\n{note} {source(path)}"
 
 
 def environments() -> str:
