@@ -91,7 +91,7 @@ def chance_of_mean(differences: np.ndarray) -> float:
     if len(differences) == 0 or not np.isfinite(differences).all():
         raise ValueError(f"differences = {differences!r} must be finite and at least one")
     differences = differences[differences != 0.0]  # which have no sign
-    if len(differences) == 0:
+    if len(differences) < 2:
         return 1.0
     tried = permutation_test(
         (differences,), np.mean, permutation_type="samples", vectorized=True,

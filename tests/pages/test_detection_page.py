@@ -20,7 +20,8 @@ def test_what_differs_between_fidelities_is_named(tmp_path, monkeypatch, change)
     monkeypatch.setattr(detection, "RESULTS", tmp_path)
     text = detection.hearing_fresh()
     if change == "none":
-        assert "Of 12, none differs by more than chance." in text
+        assert "Of 12, none differs by more than chance; too few tubes change to tell:" in text
+        assert text.partition("|")[0].count("` at `") == 12  # none changes
     else:
         assert "Of 12, differ:" in text
         assert "of `best-schedule` at `standard`" in text
