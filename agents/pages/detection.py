@@ -76,7 +76,7 @@ def hearing() -> str:
 
 def hearing_fresh() -> str:
     """Whether what is found is the same at ``fast``, ``standard`` and ``reference``, by what was said beforehand."""
-    rows, differ, untold = [], [], []
+    rows, differ, undecided = [], [], []
     for name, finer in TRIALS.items():
         folder = RESULTS / name
         tables = [read_episodes(path / "episodes.csv") for path in (folder, folder / "finer-acting")]
@@ -91,13 +91,13 @@ def hearing_fresh() -> str:
                     mean_interval(change.to_numpy()).text(factor), f"{factor * before.std():.2g}", f"{chance:.2g}",
                 )
             )  # fmt: skip
-            told = f"{title} of `{policy}` at `{finer}`"
+            compared = f"{title} of `{policy}` at `{finer}`"
             if chance < LEAST_CHANCE:
-                differ.append(told)
+                differ.append(compared)
             elif 2.0 ** (1 - np.count_nonzero(change)) >= LEAST_CHANCE:  # though all signs were one way
-                untold.append(told)
+                undecided.append(compared)
     said = f"differ: {'; '.join(differ)}" if differ else "none differs by more than chance"
-    said += f"; too few tubes change to tell: {'; '.join(untold)}" if untold else ""
+    said += f"; too few tubes change to tell: {'; '.join(undecided)}" if undecided else ""
     sources = " ".join(source(RESULTS / name / "provenance.json") for name in TRIALS)
     return (
         f"**Of {len(rows)}, {said}.**\n\n{markdown(TRIAL_HEADER, rows)}\n\nMeans over"
