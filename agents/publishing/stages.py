@@ -123,7 +123,8 @@ class Stage(Model):
             return f"{' and '.join(changed)} changed"
         if not in_history(record["commit"]):
             return f"commit {record['commit']} is not in the history"
-        return "" if all((CHECKOUT / file).exists() for file in record["files"]) else "files are missing"
+        there = all((CHECKOUT / file).exists() for file in record["files"])
+        return "" if there and all(any(CHECKOUT.glob(p)) for p in self.published()) else "files are missing"
 
 
 def content(path: Path) -> bytes:

@@ -14,7 +14,7 @@ import hashlib
 import itertools
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from functools import lru_cache
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -43,7 +43,7 @@ class Definition(NamedTuple):
     node: ast.stmt
 
 
-@lru_cache
+@cache
 def code_hash(roots: tuple[str, ...], method: str | None = None, without: tuple[str, ...] = ()) -> str:
     """Short hash of the code that ``roots`` depend on.
 
@@ -116,10 +116,7 @@ def _texts(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> Iterator[st
                     methods.setdefault(member.name, []).append(inner)
                 else:
                     parts.append(member)
-        names = _names_of_ours(reached, parts)
-        yield f"{reached.name} " + " ".join(
-            filter(None, ("" if _is_place(part) else _canonical(part, names) for part in parts))
-        )
+        yield _text(reached, tuple(parts))
         for part in parts:
             attributes, targets = _uses(part, reached.module)
             names_used |= attributes
@@ -128,11 +125,20 @@ def _texts(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> Iterator[st
             todo += methods.pop(name)
 
 
+@cache  # stages have most of their code in common
+def _text(reached: Definition, parts: tuple[ast.AST, ...]) -> str:
+    """The canonical form of the parts of a definition that count, its name first."""
+    names = _names_of_ours(reached, parts)
+    texts = ("" if _is_place(part) else _canonical(part, names) for part in parts)
+    return f"{reached.name} " + " ".join(filter(None, texts))
+
+
 def _is_aside(module: str) -> bool:
     return module == REGISTRY or any(module == name or module.startswith(f"{name}.") for name in ASIDE)
 
 
-def _uses(node: ast.AST, module: str) -> tuple[set[str], list[Definition | None]]:
+@cache
+def _uses(node: ast.AST, module: str) -> tuple[frozenset[str], tuple[Definition | None, ...]]:
     """Names of attributes and the definitions that a piece of code refers to."""
     attributes: set[str] = set()
     targets: list[Definition | None] = []
@@ -147,7 +153,7 @@ def _uses(node: ast.AST, module: str) -> tuple[set[str], list[Definition | None]
                 targets.append(_find_in_alias(module, part.value.id, part.attr))
         elif isinstance(part, ast.Constant) and counts and isinstance(part.value, str) and part.value.isidentifier():
             attributes.add(part.value)  # getattr(thing, "name")
-    return attributes, targets
+    return frozenset(attributes), tuple(targets)
 
 
 def _walk(node: ast.AST, counts: bool = True) -> Iterator[tuple[ast.AST, bool]]:
@@ -214,7 +220,7 @@ def _canonical(node: object, names: Mapping[str, tuple[str, str | None]]) -> str
     return "" if node is None else repr(node)
 
 
-@lru_cache
+@cache
 def _module(name: str) -> dict[str, ast.stmt | tuple[str, str | None]]:
     """Top-level names of a module: their definition, or the module and name that they are imported from."""
     path = _path(name)
@@ -251,7 +257,7 @@ def _imports(nodes: list[ast.AST] | list[ast.stmt]) -> dict[str, tuple[str, str 
     return names
 
 
-@lru_cache
+@cache
 def _path(module: str) -> Path | None:
     """The file of a module of ours; nothing is imported to find it."""
     package, *inner = module.split(".")

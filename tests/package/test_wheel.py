@@ -17,6 +17,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from agents.publishing.trees import share_compiled
 from agents.records.shipped import shipped_agents, shipped_names
 from agents.terminal.extras import modules_of
 
@@ -74,7 +75,7 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def python(wheel, tmp_path_factory):
-    """The interpreter of an environment with nothing of ours but the wheel."""
+    """The interpreter of an environment with nothing of ours but the wheel, and kernels that need no compiling."""
     folder = tmp_path_factory.mktemp("installed")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
     python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
@@ -86,6 +87,7 @@ def python(wheel, tmp_path_factory):
     command = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+    share_compiled(site)
     return python
 
 

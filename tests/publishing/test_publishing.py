@@ -142,6 +142,7 @@ def test_what_makes_a_stage_stale_is_named(checkout, ran, monkeypatch):
     run_results(("numbers",))
     assert stage(command="simulate other.toml --output {work}").stale() == "command changed"
     assert stage(code=("agents.study.cases:run_study",)).stale() == "code changed"
+    assert stage(publish={"results/numbers": ("*.csv", "*.json")}).stale() == "files are missing"
     (checkout / "configs" / "c.toml").write_text("2\n")
     assert stage().stale() == "inputs changed"
     (checkout / "configs" / "c.toml").write_text("1\n")
