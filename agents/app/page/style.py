@@ -51,6 +51,7 @@ const view = Bokeh.index.find_one(div);
 if (view != null && view.markup_el != null) view.markup_el.innerHTML = html;
 """
 CONTROL: Final = """
+:host { max-width: 100%; } .bk-btn-group { flex-wrap: wrap; }
 .bk-input, .bk-btn { font-size: 15px; min-height: 34px; } label { font-size: 14px; }
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072B2; outline-offset: 1px; }
 """
