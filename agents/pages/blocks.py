@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.pages import control, designs, detection, headroom, passes, plant, plc, simulator, trained
+from agents.pages import control, designs, headroom, passes, plant, plc, simulator, trained
+from agents.pages.signal import along, detection, hearing
 from agents.pages.sources import RESULTS
 
 __all__ = ["MAKERS", "RESULTS"]
@@ -16,8 +17,8 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff,
         headroom.headroom, headroom.headroom_finely, headroom.planner_settings, headroom.world,
         plc.plc_constants, plc.plc_finely, plc.plc_fresh, plc.plc_reached, plc.plc_text, plc.trim,
-        detection.anchors, detection.hearing, detection.hearing_fresh, detection.replays,
-        detection.snr, detection.snr_agent,
+        detection.anchors, detection.snr, detection.snr_agent,
+        along.hearing_along, hearing.hearing, hearing.hearing_fresh, hearing.replays,
         passes.feed_changes, passes.passes, passes.passes_acting, passes.passes_search, passes.turning,
         plant.answers, plant.calibrations, plant.plants, plant.recommendations,
         designs.codesign, designs.designs, designs.search, plant.robustness,

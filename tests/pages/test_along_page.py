@@ -1,0 +1,30 @@
+"""The page of the signal says where along the tube S/N differs between fidelities."""
+
+import shutil
+
+import pandas as pd
+import pytest
+
+from agents.pages.signal import along
+
+
+@pytest.mark.parametrize("change", ["none", "of_one_sign"])
+def test_stretches_that_differ_are_named(tmp_path, monkeypatch, change):
+    """With the coarse metres in place of the finer ones nothing differs; with more noise in a stretch that one does."""
+    for name in along.TRIALS:
+        folder = tmp_path / name / "finer-acting"
+        folder.mkdir(parents=True)
+        shutil.copy(along.RESULTS / name / "profile.parquet", folder.parent)
+        table = pd.read_parquet(folder.parent / "profile.parquet")
+        if change == "of_one_sign":
+            stretch = (table["policy"] == "best-schedule") & table["inserted_length"].between(20.0, 25.0)
+            table.loc[stretch, "noise_rms_m"] *= 1.25
+        table.to_parquet(folder / "profile.parquet")
+    monkeypatch.setattr(along, "RESULTS", tmp_path)
+    text = along.hearing_along()
+    if change == "none":
+        assert "none differs by more than chance" in text
+    else:
+        named = "; ".join(f"S/N of `best-schedule` at `{finer}` from 20 m on" for finer in along.TRIALS.values())
+        assert f"these differ by more than chance: {named}.**" in text
+        assert "with `best-schedule` at `standard` from 20 m on, by -20 %" in text  # 1 / 1.25
