@@ -78,7 +78,8 @@ sys.meta_path.insert(0, Edited())
 from agents.design import compare  # noqa: E402
 from agents.evaluation.page.tables import ended  # noqa: E402
 from agents.evaluation.report import print_summary  # noqa: E402
-from agents.pages import control, detection  # noqa: E402
+from agents.pages import control  # noqa: E402
+from agents.pages.signal import detection  # noqa: E402
 from agents.records.columns import COST_KPIS  # noqa: E402
 from agents.records.tables import EPISODES_NEWER, read_episodes  # noqa: E402
 from agents.robustness.axes import NOMINAL  # noqa: E402
