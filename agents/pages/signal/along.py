@@ -17,8 +17,8 @@ from probe_env.inspection.sensor import Sensor
 
 STRETCH: Final = 5.0
 """[m] of the tube, over which means are taken."""
-QUANTITIES: Final = {"snr": ("S/N", 1.0), "radial_rms_m": ("radial rms [mm]", 1e3)}
-"""What is compared -> its name and factor for people."""
+QUANTITIES: Final = {"snr": ("S/N", 1.0, 2), "radial_rms_m": ("radial rms [µm]", 1e6, 1)}
+"""What is compared -> its name, factor and decimals for people."""
 
 
 class Change(NamedTuple):
@@ -106,16 +106,23 @@ def _table(
 ) -> str:
     """A row a stretch of a policy."""
     header, rows = ["from [m]", "feed [m/s]"], []
-    for title, _ in QUANTITIES.values():
+    for title, _, _ in QUANTITIES.values():
         header += [f"{title} at `fast`", "scatter", *(f"change at `{finer}`" for finer in tables)]
     for start in starts:
         feed = _along(next(iter(tables.values()))[0], policy, start, "feed_speed").mean()
         cells = [f"{start:.0f}", f"{feed:.2f}"]
-        for quantity, (_, factor) in QUANTITIES.items():
+        for quantity, (_, factor, decimals) in QUANTITIES.items():
             row = [change for change in changes[policy, start] if change.quantity == quantity]
-            cells += [f"{factor * row[0].coarse:.3g}", f"{factor * row[0].scatter:.2g}"]
+            cells += [f"{factor * value:.{decimals}f}" for value in (row[0].coarse, row[0].scatter)]
             for change in row:
-                text = change.interval.text(factor)
+                ends = change.interval.mean, change.interval.low, change.interval.high
+                mean, low, high = (_fixed(factor * end, decimals) for end in ends)
+                text = f"{mean} [{low}, {high}]"
                 cells.append(f"**{text}**" if change.chance < least else text)
         rows.append(cells)
     return markdown(header, rows)
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals, and no minus at a zero."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
