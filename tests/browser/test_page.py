@@ -267,7 +267,7 @@ PICTURES = os.environ.get("PROBE_ENV_PICTURES")
 TITLES = ("tube", "schedule", "insertion", "compare", "manual")
 
 
-@pytest.mark.parametrize("width", [1280, 820])
+@pytest.mark.parametrize("width", [1280, 820, 420])
 def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
     """Of the study's tubes; the pictures of the pages are these, with PROBE_ENV_PICTURES=docs/inspection/app."""
     folder = Path(PICTURES or tmp_path)

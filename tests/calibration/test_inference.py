@@ -85,7 +85,7 @@ def test_logs_of_one_tube_share_its_friction(response: Response, short: None, se
     Every other metre is enough for the first.
     """
     prior, truth = prior_of(Plant()), np.array([0.18, 9e4, 0.44, 6e-5])
-    ratios, worlds = [], 3
+    ratios, worlds = [], 4
     for seed in seeds(worlds):
         rng = np.random.default_rng([2, seed])
         logs = [drawn_log(response, truth, rng, length=LENGTH[::2]) for _ in range(3)]

@@ -44,7 +44,7 @@ class Change(NamedTuple):
 def hearing_along() -> str:
     """Where along the tube S/N and vibration differ between ``fast``, ``standard`` and ``reference``."""
     tables = {finer: tuple(map(_profile, (name, f"{name}/finer-acting"))) for name, finer in TRIALS.items()}
-    starts = np.unique(_start(next(iter(tables.values()))[0])).tolist()
+    starts = np.unique(_start(_coarse(tables))).tolist()
     changes = {place: _changes(tables, *place) for place in product(UNHEARING, starts)}
     count = sum(map(len, changes.values()))
     least = 0.05 / count  # Bonferroni
@@ -71,6 +71,11 @@ def hearing_along() -> str:
 
 def _profile(folder: str) -> pd.DataFrame:
     return read_parquet(RESULTS / folder / "profile.parquet", {**PROFILE, **PROFILE_HEARD})
+
+
+def _coarse(tables: dict[str, tuple[pd.DataFrame, ...]]) -> pd.DataFrame:
+    """Metres at ``fast``, which are the same for both finer ones."""
+    return next(iter(tables.values()))[0]
 
 
 def _start(profile: pd.DataFrame) -> pd.Series:
@@ -109,7 +114,7 @@ def _table(
     for title, _, _ in QUANTITIES.values():
         header += [f"{title} at `fast`", "scatter", *(f"change at `{finer}`" for finer in tables)]
     for start in starts:
-        feed = _along(next(iter(tables.values()))[0], policy, start, "feed_speed").mean()
+        feed = _along(_coarse(tables), policy, start, "feed_speed").mean()
         cells = [f"{start:.0f}", f"{feed:.2f}"]
         for quantity, (_, factor, decimals) in QUANTITIES.items():
             row = [change for change in changes[policy, start] if change.quantity == quantity]
