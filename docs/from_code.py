@@ -17,7 +17,7 @@ from sphinx.application import Sphinx
 from sphinx.util.typing import stringify_annotation
 
 from probe_env import Scene
-from probe_env.fidelity import PRESETS
+from probe_env.fidelity import PRESETS, Fidelity, lapse_in_words
 from probe_env.physics.methods import METHODS
 from probe_env.settings import Model
 
@@ -71,10 +71,14 @@ def methods() -> str:
 def presets() -> str:
     """What the names of a fidelity stand for."""
     rows = (
-        (f"`{name}`", f"`{f.method}`", f"{f.time_step:g} s", str(f.nodes_per_pitch), f"{f.time_lapse:g}")
+        (f"`{name}`", f"`{f.method}`", f"{f.time_step:g} s", str(f.nodes_per_pitch), _lapse(f))
         for name, f in PRESETS.items()
     )
     return _table(("preset", "method", "time step", "nodes a pitch", "time-lapse"), rows)
+
+
+def _lapse(fidelity: Fidelity) -> str:
+    return lapse_in_words(fidelity).removeprefix("time-lapse ") or "none"
 
 
 MAKERS: Final[dict[str, Callable[..., str]]] = {f.__name__: f for f in (docstring, fields, methods, presets)}

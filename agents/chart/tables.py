@@ -15,7 +15,7 @@ from agents.chart.errors import OUTPUTS, bound, insertion_cost, pitch_seconds
 from agents.chart.figures import resolved
 from agents.chart.insertions import Insertion
 from agents.chart.smooth import METHODS, REFERENCES, cases
-from probe_env.fidelity import PRESETS
+from probe_env.fidelity import PRESETS, lapse_in_words
 from probe_env.physics.closed_forms.bare_chains import LAPACK
 from probe_env.physics.methods import METHODS as KNOWN
 
@@ -146,8 +146,8 @@ def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame)
         note = "" if nearest.min() == 0.0 else f" (time-lapse {rows[0]['time_lapse']:g})"
         cells += [_interval(_plain(row)) + note for row in rows]
         cost = insertion_cost(Insertion(method, step, preset.time_lapse, nodes).key, costs)
-        lapse = f", time-lapse {preset.time_lapse:g}" if preset.time_lapse > 1.0 else ""
-        label = f"`{name}` | {preset.method}, {preset.time_step:g} s{lapse}"
+        what = ", ".join(filter(None, (preset.method, f"{preset.time_step:g} s", lapse_in_words(preset))))
+        label = f"`{name}` | {what}"
         lines.append(f"| {label} | " + " | ".join(cells) + f" | {cost:.2g} s |")
     return "\n".join(lines) + f"\n\n{_against_newmark(constant)}"
 

@@ -161,8 +161,9 @@ def _motion(play: _Play, at: float, look: Look) -> Motion:
     watch = Watch(episodes.batch.simulators[0], look.length, *(before or (np.zeros(0), np.zeros(0))))
     while left > 0.5 * SAMPLE_PERIOD and not play.ended:
         action = play.decide()
-        period = episodes.config.period / episodes.time_lapse[0]  # of the dynamics
-        feed_speed, air_supply_rate = episodes.config.targets(action[None])[0] * episodes.passes.way[0]
+        targets = episodes.config.targets(action[None]) * episodes.passes.way[:, None]
+        period = episodes.config.period / episodes.time_lapse(targets)[0]  # of the dynamics
+        feed_speed, air_supply_rate = targets[0]
         watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(left, period))
         play.step(action)
         left -= period

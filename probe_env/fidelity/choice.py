@@ -16,7 +16,7 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Final, NamedTuple
 
-from probe_env.fidelity.settings import Fidelity, _words
+from probe_env.fidelity.settings import Fidelity, in_words
 from probe_env.physics.methods import METHODS
 from probe_env.scene import Scene
 
@@ -112,11 +112,11 @@ def choose_fidelity(
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
         least = min(rated, default=None)
-        closest = f"the least measured is {least[0]:.2g} ({_words(least[2])})" if least else "nothing measured fits it"
-        raise ValueError(f"tolerance = {tolerance:g} is not kept by any setting for this scene: {closest}")
+        known = f"the least measured is {least[0]:.2g} ({in_words(least[2])})" if least else "nothing measured fits it"
+        raise ValueError(f"tolerance = {tolerance:g} is not kept by any setting for this scene: {known}")
     error, cost, chosen = min(within, key=lambda entry: (entry[1], entry[0]))
     reason = (
-        f"{_words(chosen)}: {', '.join(needed)} within {error:.2g} where measured (tolerance {tolerance:g}),"
+        f"{in_words(chosen)}: {', '.join(needed)} within {error:.2g} where measured (tolerance {tolerance:g}),"
         f" the cheapest of {len(within)} of {len(rated)} settings"
     )
     LOGGER.info("fidelity auto: %s", reason)

@@ -8,9 +8,10 @@ from functools import lru_cache
 from typing import Any, Final
 
 from probe_env.fidelity.choice import LOGGER, TOLERANCE, choose_fidelity
-from probe_env.fidelity.settings import BOTH_WAYS, PRESETS, Fidelity, _words
+from probe_env.fidelity.settings import BOTH_WAYS, PRESETS, Fidelity, in_words
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.scene import Scene
+from probe_env.settings import in_one_line
 
 AUTO: Final = re.compile(r"auto(?::(?P<tolerance>[^:]+))?")
 ON_MESH: Final = {"superelement": "imex", "superelement32": "imex32"}
@@ -59,7 +60,7 @@ def with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
             "time_step": min(fidelity.time_step, MESH_STEP),
         }
     )  # fmt: skip
-    _say_nodes(fidelity.method, _words(taken))
+    _say_nodes(fidelity.method, in_words(taken))
     return taken
 
 
@@ -80,7 +81,8 @@ def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: 
     if isinstance(fidelity, Fidelity):
         return fidelity
     if not isinstance(fidelity, str):
-        return Fidelity.model_validate(dict(fidelity))
+        with in_one_line():
+            return Fidelity.model_validate(dict(fidelity))
     if fidelity in PRESETS:
         return PRESETS[fidelity]
     auto = AUTO.fullmatch(fidelity)

@@ -76,6 +76,8 @@ def looked_ahead(
         )
     count = tried.shape[1]
     copies = episodes.batch.branch(np.repeat(which, count).tolist(), estimate.scenes)
+    for simulator in copies.simulators:
+        simulator.feed_length()  # a look ahead is in time-lapse throughout
     blur_states(copies, estimate.blur, entropy)
     feed, air = tried[..., 0].ravel(), tried[..., 1].ravel()
     length = np.array([s.scene.tube.helix_length for s in copies.simulators])

@@ -83,7 +83,7 @@ class Episodes:
         whole_steps(
             "config.period / fidelity.time_lapse", config.period / self.fidelity.time_lapse, self.fidelity.time_step
         )
-        if config.returns:
+        if config.returns or self.fidelity.steady_feed is not None:
             whole_steps("config.period", config.period, self.fidelity.time_step)
         scenes = [self.starts.build(Context(), {})] * count
         self.batch = SimulatorBatch(
@@ -108,14 +108,14 @@ class Episodes:
         """(N, d) what is observed now; of episodes that diverged what was before."""
         return self.gauges.observation
 
-    @property
-    def time_lapse(self) -> FloatArray:
-        """(N,) how many times faster than the motion's clock the length changes.
+    def time_lapse(self, targets: FloatArray) -> FloatArray:
+        """(N,) how many times faster than the motion's clock the length changes in a period with targets (N, 2).
 
         What rings on the way in is nearly steady, so metres may be left out. On the way back the motion is what the
         turn or a change of the feed has left; time-lapse would spread it over so many times as many metres.
         """
-        return np.where(self.passes.way > 0.0, self.fidelity.time_lapse, 1.0)
+        now = [simulator.feed_speed for simulator in self.batch.simulators]
+        return np.where(self.passes.way > 0.0, self.fidelity.time_lapse_of(now, targets[:, 0]), 1.0)
 
     def fork(self, which: Sequence[int]) -> Episodes:
         """Copies of some episodes in their present state, each as often as it is named: what a controller tries out.
@@ -201,14 +201,16 @@ class Episodes:
         self.actions = actions
         before, air_before = self.gauges.inserted(), self.gauges.air_supply_rate()
         self._set_friction(np.flatnonzero(chosen).tolist())
-        seconds = self.config.period / self.time_lapse
+        lapse = self.time_lapse(targets)
+        for k in np.flatnonzero(chosen):
+            simulator = self.batch.simulators[k]
+            (simulator.feed_length if lapse[k] > 1.0 else simulator.follow_length)()
+        seconds = self.config.period / lapse
         window = self._advance(targets, seconds, chosen)
         motion = self._motion(chosen, before, air_before, seconds, change, window)
         verdict = self.judge.judge(motion)
         for judge in self.beside.values():
             judge.judge(motion)
-        for k in np.flatnonzero(chosen & (self.passes.way < 0.0)):
-            self.batch.simulators[k].follow_length()
         self.gauges.read(self._measured(window), motion.good, self.rng)
         self.running &= ~verdict.end.over
         self.window = window

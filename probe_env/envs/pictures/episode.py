@@ -68,7 +68,9 @@ class Renderer:
         figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
         helix = Helix(halves[0], simulator)
-        period = config.period / (1.0 if config.returns else self.episodes.fidelity.time_lapse)  # the longer of both
+        fidelity = self.episodes.fidelity
+        everywhere = fidelity.steady_feed is None and not config.returns
+        period = config.period / (fidelity.time_lapse if everywhere else 1.0)  # the longest there is
         traces = Traces(halves[1], config, period, simulator.scene.tube.helix_length)
         return Plate(figure, (*helix.moving, *traces.moving)), helix, traces
 

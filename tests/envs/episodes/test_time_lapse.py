@@ -1,0 +1,116 @@
+"""Time-lapse where the feed is slow and steady: there it is `fast`, elsewhere `standard`, to the last bit."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agents.policies.planning.outlook import Estimate, looked_ahead
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
+from probe_env.fidelity.settings import STEADY_CHANGE
+
+CONFIG = TaskConfig()
+STEADY = PRESETS["fast-steady"]
+AIR = 0.02
+
+
+def inserted(fidelity, feeds, config=CONFIG):
+    """Inserted lengths (periods + 1, N) [m] and observations (periods, N, d) with feeds (periods, N) [m/s]."""
+    count = len(feeds[0])
+    episodes = Episodes(count, config, threads=1, fidelity=fidelity, feed_speed=0.2)
+    episodes.reset(range(count), {k: np.random.default_rng(k) for k in range(count)})
+    lengths, seen = [episodes.gauges.inserted()], []
+    for row in feeds:
+        step = episodes.step(config.actions(np.array(row), np.full(count, AIR)).astype(np.float32))
+        lengths.append(episodes.gauges.inserted())
+        seen.append(step.observation)
+    return np.array(lengths), np.array(seen)
+
+
+def moved(fidelity, *feeds):
+    """Length fed in by each period of one probe [m]."""
+    return np.diff(inserted(fidelity, [[feed] for feed in feeds])[0][:, 0])
+
+
+def test_where_the_feed_is_slow_and_steady_it_is_fast_to_the_last_bit():
+    feeds = [[0.2], [0.16], [0.12], [0.12]]
+    for one, other in zip(inserted("fast-steady", feeds), inserted("fast", feeds), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_where_it_is_fast_or_changes_it_is_standard_to_the_last_bit():
+    feeds = [[0.4], [0.4], [0.3], [0.1]]
+    for one, other in zip(inserted("fast-steady", feeds), inserted("standard", feeds), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_probes_side_by_side_have_each_their_own():
+    feeds = np.array([[0.4, 0.1, 0.2], [0.4, 0.1, 0.2], [0.1, 0.4, 0.2], [0.1, 0.4, 0.2]])
+    together = inserted("fast-steady", feeds)[0]
+    for k in range(3):
+        episodes = Episodes(1, CONFIG, threads=1, fidelity="fast-steady", feed_speed=0.2)
+        episodes.reset([0], {0: np.random.default_rng(k)})
+        for row in feeds[:, k]:
+            episodes.step(CONFIG.actions(np.array([row]), np.array([AIR])).astype(np.float32))
+        assert episodes.gauges.inserted()[0] == together[-1, k]
+
+
+def test_the_metres_of_a_period_are_those_of_its_clock_either_way():
+    steady = moved("fast-steady", 0.2, 0.2)
+    np.testing.assert_allclose(steady, CONFIG.period * 0.2, rtol=1e-6)  # the action is of single precision
+    ramped = 0.5 * (0.4**2 - 0.2**2) / CONFIG.ramp + 0.4 * (CONFIG.period - 0.2 / CONFIG.ramp)
+    np.testing.assert_allclose(moved("fast-steady", 0.4)[0], ramped, rtol=1e-3)  # 2000 steps of the ramp
+
+
+def test_a_change_that_counts_as_steady_mistakes_no_more_metres_than_is_said():
+    said = (STEADY.time_lapse - 1.0) * STEADY_CHANGE**2 / (2.0 * CONFIG.ramp)
+    (lapsed,), (true,) = moved("fast-steady", 0.2 - STEADY_CHANGE), moved("standard", 0.2 - STEADY_CHANGE)
+    steps = STEADY.time_lapse * STEADY_CHANGE * STEADY.time_step  # a step of the ramp, at either end
+    assert lapsed - true == pytest.approx(said, abs=2.0 * steps)
+    assert said == pytest.approx(7.5e-3)
+
+
+def test_a_look_ahead_is_in_time_lapse_throughout():
+    episodes = Episodes(1, CONFIG, threads=1, fidelity="fast-steady", feed_speed=0.2)
+    episodes.reset([0], {0: np.random.default_rng(0)})
+    episodes.step(CONFIG.actions(np.array([0.4]), np.array([AIR])).astype(np.float32))
+    begun = episodes.gauges.inserted()[0]
+    outlook = looked_ahead(episodes, [0], np.array([[[0.4, AIR]]]), 3, Estimate(), [0])
+    assert outlook.inserted[0, 0] - begun == pytest.approx(3.0 * CONFIG.period * 0.4, rel=1e-6)
+
+
+def test_settings_without_it_are_written_as_before_there_was_one():
+    assert "steady_feed" not in PRESETS["fast"].model_dump()
+    assert Fidelity.model_validate(PRESETS["fast"].model_dump()) == PRESETS["fast"]
+    assert STEADY.model_dump()["steady_feed"] == 0.2
+    assert Fidelity.model_validate_json(STEADY.model_dump_json()) == STEADY
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"steady_feed": 0.2}, "^steady_feed needs a time_lapse above 1"),
+        ({"time_lapse": 4.0, "steady_feed": 0.0}, "^steady_feed: 0.0 m/s is outside the accepted range 0.001 to 2 m/s"),
+        ({"time_lapse": 4.0, "steady_feed": float("nan")}, "^steady_feed: nan m/s is outside"),
+    ],
+)
+def test_what_is_not_valid_is_refused_by_name(given, message):
+    with pytest.raises(ValueError, match=message):
+        resolve_fidelity(given)
+
+
+def test_a_period_without_time_lapse_is_a_whole_number_of_steps():
+    config = TaskConfig(period=1.0001)
+    given = {"time_lapse": 1.0001 / 0.25, "steady_feed": 0.2}
+    with pytest.raises(ValueError, match=r"config\.period = 1\.0001"):
+        Episodes(1, config, threads=1, fidelity=given)
+
+
+def test_more_feed_never_has_more_time_lapse():
+    feeds = np.linspace(0.02, 0.4, 39)
+    lapses = STEADY.time_lapse_of(feeds, feeds)
+    assert all(one >= other for one, other in pairwise(lapses))
+    assert set(lapses) == {1.0, STEADY.time_lapse}
+    np.testing.assert_array_equal(STEADY.time_lapse_of(feeds, feeds[::-1]), STEADY.time_lapse_of(feeds[::-1], feeds))
