@@ -1,5 +1,7 @@
 """Seeds that a run can shift, rounding of another processor, and what is left out unless asked for or installed."""
 
+import os
+import shutil
 import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from importlib.util import find_spec
@@ -14,6 +16,10 @@ NUDGE = 1e-15
 """[m], far below what a float sinks into a wall: after a step it is a change of the last digits."""
 AGENT_LIBRARIES = frozenset({"torch", "stable_baselines3", "sb3_contrib"})
 
+MEMORY, ROOM = Path("/dev/shm"), 2e9
+"""Where temporary files lie if there is so much room [B]: what is stored is synced, for which tests of kills wait more
+than they compute."""
+
 Seeds = Callable[[int], Sequence[int]]
 
 
@@ -26,6 +32,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure() -> None:
     """A script that starts the tests in its background, or under nohup, has these ignored; tests send them."""
+    if os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > ROOM:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:

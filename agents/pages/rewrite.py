@@ -107,6 +107,8 @@ def _pages() -> dict[Path, tuple[str, ...]]:
             "hearing",
             "hearing_fresh",
             "hearing_along",
+            "steady_along",
+            "hearing_steady",
             "replays",
         ),
         DOCS / "inspection" / "passes.md": ("passes", "turning", "passes_search", "passes_acting"),

@@ -7,21 +7,28 @@ import pytest
 
 from agents.pages.signal import along
 
+BLOCKS = {"fast": along.hearing_along, "fast-steady": along.steady_along}
 
+
+@pytest.mark.parametrize("fidelity", list(BLOCKS))
 @pytest.mark.parametrize("change", ["none", "of_one_sign"])
-def test_stretches_that_differ_are_named(tmp_path, monkeypatch, change):
+def test_stretches_that_differ_are_named(tmp_path, monkeypatch, change, fidelity):
     """With the coarse metres in place of the finer ones nothing differs; with more noise in a stretch that one does."""
+    stages = {"fast": next(iter(along.TRIALS)), "fast-steady": "steady-fresh"}
+    coarse = along.RESULTS / stages[fidelity] / "profile.parquet"
+    (tmp_path / stages[fidelity]).mkdir()
+    shutil.copy(coarse, tmp_path / stages[fidelity])
     for name in along.TRIALS:
         folder = tmp_path / name / "finer-acting"
-        folder.mkdir(parents=True)
-        shutil.copy(along.RESULTS / name / "profile.parquet", folder.parent)
-        table = pd.read_parquet(folder.parent / "profile.parquet")
+        folder.mkdir(parents=True, exist_ok=True)
+        table = pd.read_parquet(coarse)
         if change == "of_one_sign":
             stretch = (table["policy"] == "best-schedule") & table["inserted_length"].between(20.0, 25.0)
             table.loc[stretch, "noise_rms_m"] *= 1.25
         table.to_parquet(folder / "profile.parquet")
     monkeypatch.setattr(along, "RESULTS", tmp_path)
-    text = along.hearing_along()
+    text = BLOCKS[fidelity]()
+    assert f"S/N at `{fidelity}`" in text
     if change == "none":
         assert "none differs by more than chance" in text
     else:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from agents.pages.signal.hearing import TRIALS, UNHEARING
+from agents.pages.signal.hearing import STEADY, TRIALS, UNHEARING
 from agents.pages.sources import RESULTS, markdown
 from agents.records.tables import PROFILE, PROFILE_HEARD, read_parquet
 from agents.rollouts.bootstrap import Interval, chance_of_mean
@@ -27,7 +28,7 @@ class Change(NamedTuple):
     Attributes:
         quantity: of ``QUANTITIES``.
         finer: the fidelity.
-        coarse: mean over the tubes at ``fast``.
+        coarse: mean over the tubes at the coarser one.
         scatter: standard deviation between the tubes there.
         interval: of the change, paired by tube.
         chance: of so large a mean change, see ``chance_of_mean``.
@@ -41,11 +42,31 @@ class Change(NamedTuple):
     chance: float
 
 
+Changes = dict[tuple[str, float], list[Change]]
+"""Policy and where the stretch begins [m] -> what finer fidelities change there."""
+
+
 def hearing_along() -> str:
     """Where along the tube S/N and vibration differ between ``fast``, ``standard`` and ``reference``."""
-    tables = {finer: tuple(map(_profile, (name, f"{name}/finer-acting"))) for name, finer in TRIALS.items()}
-    starts = np.unique(_start(_coarse(tables))).tolist()
-    changes = {place: _changes(tables, *place) for place in product(UNHEARING, starts)}
+    return _along_at("fast", next(iter(TRIALS)), UNHEARING)
+
+
+def steady_along() -> str:
+    """The same for ``fast-steady``; a table of the policy that feeds faster than that takes for steady."""
+    return _along_at(STEADY, "steady-fresh", UNHEARING[1:])
+
+
+def _along_at(fidelity: str, name: str, shown: Sequence[str]) -> str:
+    """Metres of a stage at a coarse fidelity beside those at the finer ones, the same for all.
+
+    Args:
+        fidelity: the coarse one.
+        name: of the stage.
+        shown: policies that have a table; all are judged.
+    """
+    coarse, fine = _profile(name), {finer: _profile(f"{of}/finer-acting") for of, finer in TRIALS.items()}
+    starts = np.unique(_start(coarse)).tolist()
+    changes = {place: _changes(coarse, fine, *place) for place in product(UNHEARING, starts)}
     count = sum(map(len, changes.values()))
     least = 0.05 / count  # Bonferroni
     differ = [
@@ -57,12 +78,13 @@ def hearing_along() -> str:
     heard = [(place, change) for place, row in changes.items() for change in row if change.quantity == "snr"]
     (policy, start), most = max(heard, key=lambda entry: abs(entry[1].interval.mean) / entry[1].coarse)
     said = f"these differ by more than chance: {'; '.join(differ)}" if differ else "none differs by more than chance"
+    tables = (f"`{policy}`:\n\n{_table(fidelity, coarse, changes, policy, least)}" for policy in shown)
     return "\n\n".join(
         (
             f"**S/N changes the most with `{policy}` at `{most.finer}` from {start:.0f} m on, by"
             f" {100.0 * most.interval.mean / most.coarse:.2g} %, where the tubes' standard deviation is"
             f" {100.0 * most.scatter / most.coarse:.2g} %. Of {count} changes {said}.**",
-            *(f"`{name}`:\n\n{_table(tables, changes, name, starts, least)}" for name in UNHEARING),
+            *tables,
             f"The tubes and stages above, a row for {STRETCH:.0f} m; scatter is the standard deviation between tubes,"
             f" changes have 95 % intervals and are bold where p is under 0.05 / {count}.",
         )
@@ -71,11 +93,6 @@ def hearing_along() -> str:
 
 def _profile(folder: str) -> pd.DataFrame:
     return read_parquet(RESULTS / folder / "profile.parquet", {**PROFILE, **PROFILE_HEARD})
-
-
-def _coarse(tables: dict[str, tuple[pd.DataFrame, ...]]) -> pd.DataFrame:
-    """Metres at ``fast``, which are the same for both finer ones."""
-    return next(iter(tables.values()))[0]
 
 
 def _start(profile: pd.DataFrame) -> pd.Series:
@@ -91,30 +108,24 @@ def _along(profile: pd.DataFrame, policy: str, start: float, quantity: str) -> p
     return Sensor().equivalent_rms(np.array(1.0)) / mean if quantity == "snr" else mean
 
 
-def _changes(tables: dict[str, tuple[pd.DataFrame, ...]], policy: str, start: float) -> list[Change]:
+def _changes(coarse: pd.DataFrame, fine: Mapping[str, pd.DataFrame], policy: str, start: float) -> list[Change]:
     changes = []
-    for quantity, (finer, (coarse, fine)) in product(QUANTITIES, tables.items()):
+    for quantity, (finer, profile) in product(QUANTITIES, fine.items()):
         before = _along(coarse, policy, start, quantity)
-        change = (_along(fine, policy, start, quantity) - before).to_numpy()
+        change = (_along(profile, policy, start, quantity) - before).to_numpy()
         changes.append(
             Change(quantity, finer, before.mean(), before.std(), mean_interval(change), chance_of_mean(change))
         )
     return changes
 
 
-def _table(
-    tables: dict[str, tuple[pd.DataFrame, ...]],
-    changes: dict[tuple[str, float], list[Change]],
-    policy: str,
-    starts: list[float],
-    least: float,
-) -> str:
+def _table(fidelity: str, coarse: pd.DataFrame, changes: Changes, policy: str, least: float) -> str:
     """A row a stretch of a policy."""
     header, rows = ["from [m]", "feed [m/s]"], []
     for title, _, _ in QUANTITIES.values():
-        header += [f"{title} at `fast`", "scatter", *(f"change at `{finer}`" for finer in tables)]
-    for start in starts:
-        feed = _along(_coarse(tables), policy, start, "feed_speed").mean()
+        header += [f"{title} at `{fidelity}`", "scatter", *(f"change at `{finer}`" for finer in TRIALS.values())]
+    for start in (start for of, start in changes if of == policy):
+        feed = _along(coarse, policy, start, "feed_speed").mean()
         cells = [f"{start:.0f}", f"{feed:.2f}"]
         for quantity, (_, factor, decimals) in QUANTITIES.items():
             row = [change for change in changes[policy, start] if change.quantity == quantity]
