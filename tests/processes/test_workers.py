@@ -98,7 +98,7 @@ def writing(folder):
 def test_workers_that_nobody_waits_for_end_and_leave_no_half_files(tmp_path):
     stream = TWO.stream(writing, [str(tmp_path)])
     _, process = next(stream)
-    while not list(tmp_path.iterdir()):
+    while not any(path.stat().st_size for path in tmp_path.iterdir()):  # it is in the middle once something is written
         time.sleep(0.01)
     stream.close()
     assert not alive(process)
