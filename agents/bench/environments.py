@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial, wraps
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -17,19 +18,36 @@ from agents.vec_env import ProbeVecEnv
 from probe_env import Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
+from probe_env.inspection.meter import Meter
 
 ENV_ID, LENGTH = "probe_env/Snapshot-v1", 27.5  # carrier length [m]: half of an insertion
 WORKERS, BATCHES = 8, (1, 8, 16, 64)
 EPISODE_PROBES = 16
+FIDELITIES = ("standard", "fast")
+
+
+class Episode(NamedTuple):
+    """Cost of an insertion.
+
+    Attributes:
+        seconds: wall time a probe.
+        listening: share of it in which signal-to-noise is measured.
+    """
+
+    seconds: float
+    listening: float
 
 
 def bench_environments() -> dict[str, Any]:
-    """Steps per second of every way to run the environment, share of time outside the kernel, cost of an episode."""
+    """Steps per second of every way to run the environment, shares outside the kernel, cost of an episode."""
+    together, alone = ({name: _episode(name, count) for name in FIDELITIES} for count in (EPISODE_PROBES, 1))
     return {
         "steps_per_second": _steps_per_second(),
         "share_outside_kernel": _share_outside_kernel(),
-        "episode_s_per_probe": {name: _episode(name, EPISODE_PROBES) for name in ("standard", "fast")},
-        "episode_s_alone": {name: _episode(name, 1) for name in ("standard", "fast")},
+        "episode_s_per_probe": {name: episode.seconds for name, episode in together.items()},
+        "episode_s_alone": {name: episode.seconds for name, episode in alone.items()},
+        "share_listening": {name: episode.listening for name, episode in together.items()},
+        "share_listening_alone": {name: episode.listening for name, episode in alone.items()},
         "carrier_length_m": LENGTH,
     }
 
@@ -83,16 +101,37 @@ def _share_outside_kernel() -> float:
     return 1.0 - (batch.kernel_seconds - inside) / total
 
 
-def _episode(fidelity: str, count: int) -> float:
-    """Wall time [s] of a whole insertion at 0.2 m/s and 63 m3/h, per probe, in a batch of ``count`` on all cores."""
+def _episode(fidelity: str, count: int) -> Episode:
+    """A whole insertion at 0.2 m/s and 63 m3/h, in a batch of ``count`` on all cores."""
     config = TaskConfig()
     episodes = Episodes(count, config, fidelity=fidelity)
     rngs = {k: np.random.default_rng(k) for k in range(count)}
     start = time.perf_counter()
     episodes.reset(range(count), rngs)
     action = np.tile(config.action(0.2, 63.0 / 3600.0), (count, 1))
-    with tqdm(total=275, desc=f"episode, {fidelity}, {count}", unit="s") as bar:
+    with tqdm(total=275, desc=f"episode, {fidelity}, {count}", unit="s") as bar, clocked(Meter, "listen") as spent:
         while episodes.running.any():
             episodes.step(action, episodes.running.copy())
             bar.update()
-    return (time.perf_counter() - start) / count
+    total = time.perf_counter() - start
+    return Episode(total / count, sum(spent) / total)
+
+
+@contextmanager
+def clocked(kind: type, method: str) -> Iterator[list[float]]:
+    """Wall times [s] of every call of a method, as long as the context lasts."""
+    spent, plain = list[float](), getattr(kind, method)
+
+    @wraps(plain)
+    def timed(*args: Any, **named: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return plain(*args, **named)
+        finally:
+            spent.append(time.perf_counter() - start)
+
+    setattr(kind, method, timed)
+    try:
+        yield spent
+    finally:
+        setattr(kind, method, plain)

@@ -212,7 +212,13 @@ def _print(results: dict[str, Any]) -> None:
     print(f"share of a step outside the kernel, batch of 16: {100.0 * environments['share_outside_kernel']:.1f} %")
     for name, seconds in environments["episode_s_per_probe"].items():
         alone = environments["episode_s_alone"][name]
-        print(f"an episode of fidelity {name}: batch of 16, all cores {seconds:.2f} s a probe; alone {alone:.2f} s")
+        heard = ", ".join(
+            f"{100.0 * environments[key][name]:.1f} %" for key in ("share_listening", "share_listening_alone")
+        )
+        print(
+            f"an episode of fidelity {name}: batch of 16, all cores {seconds:.2f} s a probe; alone {alone:.2f} s; of it"
+            f" signal-to-noise {heard}"
+        )
     scaling = results["scaling"]
     costs = ", ".join(f"{cost:.0f}" for cost in scaling["ns_per_node_step"])
     span = f"{SCALING_NODES[0]} to {SCALING_NODES[-1]} nodes"

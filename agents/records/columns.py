@@ -48,8 +48,9 @@ OF_DESIGNS: Final[Kpis] = {
     **{name: KPIS[name] for name in ("reward", "radial_rms_m", "share_within_limit", "inspection_time_s")},
     "inspected_m": ("inspected", 1.0, "m"),
     "drive_margin_n": ("drive margin", 1.0, "N"),
+    **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }
-"""What tables of designs show, in their order."""
+"""What tables of designs show, in their order; what would be found only of whole insertions."""
 
 
 def label_of(failure: str) -> str:

@@ -73,7 +73,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
     ## Episode End
     Terminated after one step. `info` then has `design` (as built), `kpis` (radial rms, share within the limit,
-    inspection time, air, inspected length, drive margin: least mean root tension less the required one, ...).
+    inspection time, air, inspected length, drive margin: least mean root tension less the required one, ...). Of whole
+    insertions also what would be found: a50 and a90, length with a signal-to-noise over 3, noise peak to peak.
 
     ## Arguments
     * `config`, `scene`, `contexts`, `tube`: as for `Insertion-v1`.

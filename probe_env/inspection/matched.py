@@ -13,7 +13,7 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.inspection.flaw import energy_above, power
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY, SPAN, STEP
+from probe_env.inspection.spectrum import AVERAGED, COUNT, FREQUENCY, SPAN
 
 SLOWEST: Final = 0.01
 """[m/s]: below it a flaw's band has no line of the spectrum, and the figures of this speed are given."""
@@ -44,9 +44,19 @@ def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Float
         feed: (N,) feed speed [m/s]; its sign does not matter.
         motion: (N, m) one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
     """
-    passing = sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST)
+    passing = _passing(sensor, feed)
     noise = sensor.seen_gain**2 * motion + sensor.noise_density
-    inner = (power(FREQUENCY * passing[:, None]) / noise).sum(axis=1) * LINE
+    return _snr(sensor, passing, power(FREQUENCY * passing[:, None]) / noise)
+
+
+def _passing(sensor: Sensor, feed: FloatArray) -> FloatArray:
+    """(N,) time in which a flaw is passed [s]."""
+    return np.asarray(sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))
+
+
+def _snr(sensor: Sensor, passing: FloatArray, weights: FloatArray) -> FloatArray:
+    """(N,) signal-to-noise of the groove by the flaw's power over the noise (N, m) at ``FREQUENCY``."""
+    inner = weights.sum(axis=1) * LINE
     above = energy_above((FREQUENCY[-1] + 0.5 * LINE) * passing) / (passing * sensor.noise_density)
     return np.asarray(2.0 * sensor.groove_signal * passing * np.sqrt(inner + above))
 
@@ -77,22 +87,20 @@ def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatA
         spectrum: (N, m) its mean density [m2/Hz].
         inverse: the mean of its inverse over the inverse of its mean, see ``spectrum.inverse``.
     """
-    weighed = unbiased(sensor, spectrum, inverse)
-    snr = snr_of_groove(sensor, feed, weighed)
-    passing = (sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))[:, None]
-    moved = sensor.seen_gain**2 * spectrum
-    noise = sensor.seen_gain**2 * weighed + sensor.noise_density
-    weights = power(FREQUENCY * passing) / noise
+    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, _passing(sensor, feed)
+    noise = gain**2 * unbiased(sensor, spectrum, inverse) + electronics
+    flaw = power(FREQUENCY * passing[:, None])
+    weights, moved = flaw / noise, gain**2 * spectrum
     variance = (weights * moved / noise).sum(axis=1)
-    all_of_it = np.maximum((weights * (moved + sensor.noise_density) / noise).sum(axis=1), 1e-300)
-    share = np.asarray(variance / all_of_it)
+    all_of_it = np.maximum((weights * (moved + electronics) / noise).sum(axis=1), 1e-300)
     response = np.zeros((len(motion), COUNT // 2 + 1), dtype=complex)
     # the filter's response: conjugate of the flaw's spectrum i v exp(-v^2 / 2), over the noise
-    response[:, 1:-1] = -1j * np.sqrt(power(FREQUENCY * passing)) / noise / np.sinc(FREQUENCY * STEP)
-    filtered = sensor.seen_gain * np.fft.irfft(np.fft.rfft(motion, axis=1) * response, COUNT, axis=1)
+    response.imag[:, 1:-1] = -np.sqrt(flaw) * (1.0 / noise) * (1.0 / AVERAGED)
+    filtered = gain * np.fft.irfft(np.fft.rfft(motion, axis=1) * response, COUNT, axis=1)
     # variance is a sum of one-sided densities over lines: times their distance it is that of ``filtered``
     excursions = filtered / np.sqrt(np.maximum(variance * LINE, 1e-300))[:, None]
-    return Heard(snr, share, np.abs(sensor.seen_gain) * np.ptp(motion, axis=1), excursions)
+    peak_to_peak = np.abs(gain) * (motion.max(axis=1) - motion.min(axis=1))
+    return Heard(_snr(sensor, passing, weights), variance / all_of_it, peak_to_peak, excursions)
 
 
 def response_of(

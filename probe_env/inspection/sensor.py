@@ -38,7 +38,8 @@ class Sensor(Model):
     """Signal-to-noise of that groove at 0.2 m/s without vibration; published: 6 to 9 for outer flaws of 20 to 30 % in
     such tubes."""
     shaken_snr: Annotated[float, quantity(0.1, 1000.0, "")] = 3.0
-    """The same at a radial rms of 0.1 mm in the flaw's band; assumption: what is called is 3 times the noise."""
+    """The same at a radial rms of 0.1 mm in the flaw's band, for a flaw in the motion's direction; assumption: what is
+    called is 3 times the noise."""
     motion_gain: Annotated[float, quantity(0.0, 1e15, "V/m")] | None = None
     """k1 [V/m], where it was measured; default: what ``shaken_snr`` says."""
     square_gain: Annotated[float, quantity(-1e12, 1e12, "V")] = 35.5
@@ -46,7 +47,8 @@ class Sensor(Model):
     angle: Annotated[float, quantity(-math.pi, math.pi, "rad")] = 0.6
     """Of coil X from the radial direction; assumption: X and Y opposite and unequal, as in the study's figure 3(b)."""
     flaw_angle: Annotated[float, quantity(-math.pi, math.pi, "rad")] = 0.0
-    """Of the flaw from the radial direction; assumption, the worst: motion and flaw look alike."""
+    """Of the flaw from the radial direction; assumption, the worst: motion and flaw look alike. Another angle leaves k1
+    as it is, and the motion's part along the flaw is less by its cosine: that is what turning the phase gains."""
     support_signal: Annotated[float, quantity(0.0, 1e12, "V")] = 3.0
     """Amplitude of a support of the tube [V]; assumption. Drawn, and told apart from flaws by its place."""
     support_width: Annotated[float, quantity(1e-3, 1.0, "m")] = 0.04
@@ -89,4 +91,5 @@ class Sensor(Model):
 
     def equivalent_rms(self, noise_to_signal: FloatArray) -> FloatArray:
         """Radial rms [m] in the flaw's band that alone would make this noise over the 20 % groove's signal."""
-        return np.asarray(self.groove_signal * math.sqrt(2.0 * ENERGY * BAND) / max(self.gain, 1e-12) * noise_to_signal)
+        gain = max(abs(self.seen_gain), 1e-12)
+        return np.asarray(self.groove_signal * math.sqrt(2.0 * ENERGY * BAND) / gain * noise_to_signal)

@@ -27,6 +27,8 @@ counts for less the more of the mean it is itself, so that what is called hangs 
 control period and time-lapse."""
 FREQUENCY: Final = np.arange(1, COUNT // 2) / SPAN
 """(m,) lines of a spectrum [Hz]; neither the mean nor the end of the band."""
+AVERAGED: Final = np.sinc(FREQUENCY * STEP)
+"""(m,) what means over ``STEP`` leave of an amplitude there."""
 
 
 @lru_cache
@@ -85,8 +87,9 @@ def _line() -> FloatArray:
 def straightened(samples: FloatArray, sample_period: float) -> FloatArray:
     """(N, COUNT) means over ``STEP`` of the last ``SPAN`` of samples (N, k), without their straight line."""
     each = round(STEP / sample_period)
-    means = samples[:, -COUNT * each :].reshape(len(samples), COUNT, each).mean(axis=2)
-    level = means - means.mean(axis=1, keepdims=True)
+    # sums: ``mean`` costs as much again as its sum
+    means = samples[:, -COUNT * each :].reshape(len(samples), COUNT, each).sum(axis=2) / each
+    level = means - means.sum(axis=1, keepdims=True) / COUNT
     slope = _line()
     # no matrix product: it would round a row otherwise in another company
     return np.asarray(level - (level * slope).sum(axis=1, keepdims=True) * slope)
@@ -98,5 +101,5 @@ def density(motion: FloatArray) -> FloatArray:
     What the means over ``STEP`` take from it is given back. The resolution is (TAPERS + 1) / SPAN, 5 Hz.
     """
     spectra = np.fft.rfft(motion[:, None, :] * _tapers(), axis=2)[:, :, 1 : COUNT // 2]
-    powers = (spectra.real**2 + spectra.imag**2).mean(axis=1)
-    return np.asarray(2.0 * STEP * powers / np.sinc(FREQUENCY * STEP) ** 2)
+    powers = (spectra.real**2 + spectra.imag**2).sum(axis=1) / TAPERS
+    return np.asarray(2.0 * STEP * powers / AVERAGED**2)

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import binom
 
 from agents.detection import pictures
 from agents.detection.signal import draw_curves
@@ -41,6 +42,24 @@ def test_the_bound_is_above_and_narrows_with_tubes():
     away = [row["a90_95_percent_wall"] - row["a90_percent_wall"] for row in (few, many)]
     assert away[0] > away[1] > 0.0
     assert away[1] / away[0] == pytest.approx(0.5, abs=0.125)
+
+
+def test_the_bound_is_the_95th_percentile_in_closed_form():
+    """12 tubes of either of two kinds: of 24 that are drawn anew a binomial number is good, and few of them are deep.
+
+    Fewer than 8 good ones are drawn with a chance of 3.2 %, at most 8 with 7.6 %: of 2,000 draws the 5 % in between are
+    4.4 deviations from both, a chance of 1e-5. Bounds of 90 and 97.5 % would be those of 9 and 7 good ones.
+    """
+    tubes, kinds = 24, np.array([9.0, 5.0])
+    bound = depths_of(table(p=np.repeat(kinds, tubes // 2))).iloc[0]["a90_95_percent_wall"]
+    good, bad = pod_gaussian(snr_at(Sensor(), kinds), 4.6)
+
+    def drawn(count):
+        return 100.0 * depth_found((count * good + (tubes - count) * bad) / tubes, 0.9)
+
+    assert binom.ppf([0.025, 0.05, 0.1], tubes, 0.5).tolist() == [7.0, 8.0, 9.0]
+    assert bound == pytest.approx(drawn(8), rel=1e-9)
+    assert drawn(7) > 1.005 * bound > 1.01 * drawn(9)
 
 
 def test_the_mean_curve_counts_and_not_the_mean_depth():

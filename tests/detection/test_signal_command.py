@@ -47,6 +47,20 @@ def test_motion_stands_in_both_channels_opposite_and_unequal():
     assert np.ptp(x) == pytest.approx(2 * 2900.0 * 1e-4 * np.cos(sensor.angle), rel=0.1)
 
 
+def test_the_square_of_the_motion_stands_in_both_channels_alike():
+    """The same noise with and without it: what differs is k2 (y/R)^2 without its mean, to rounding."""
+    motion, bore = 2e-3 * np.sin(2 * np.pi * 14.0 * quiet(0.2, 2).time), 0.0242
+    both = []
+    for gain in (35.5, 0.0):
+        sensor, still = Sensor(square_gain=gain), quiet(0.2, 2)
+        moved = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
+        both.append(channels(sensor, moved, bore, [], NONE, np.random.default_rng(0)))
+    square = ((motion - motion.mean()) / (0.5 * bore)) ** 2
+    wanted = 35.5 * (square - square.mean())
+    assert np.ptp(wanted) > 0.9
+    assert both[0] - both[1] == pytest.approx(np.column_stack([wanted, wanted]), abs=1e-11)
+
+
 def test_supports_are_where_they_were_put():
     sensor, passage = Sensor(quiet_snr=1000.0), quiet(0.2, 20)
     supports = support_places(0.8, passage.place[-1])

@@ -12,7 +12,9 @@ from agents.policies.fixed import Constant
 from probe_env import Context, Design, Fidelity, Scene, SimulatorBatch, TaskConfig, Tube
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
-from probe_env.envs.trials import Candidate, Trial, judge, stretch_of, try_insertions, try_sections
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.trials import Candidate, Trial, judge, periods_of, stretch_of, try_insertions, try_sections
+from probe_env.envs.trials.candidates import FOUND_KPIS
 from probe_env.envs.trials.sections import AIR_LAG, GENTLE, MEASURE, PERTURBATION, SETTLE
 from probe_env.schedule import Schedule
 
@@ -205,10 +207,30 @@ def test_whole_insertions_are_judged_over_the_same_span():
     assert kpis["inspected_m"] == pytest.approx([55.0, 47.5], abs=0.01)  # the sensor's own way, not the span
     assert (kpis["drive_margin_n"] > 0.0).all()
     assert set(terms) == {"progress", "vibration", "time", "air", "uninspected", "diverged"}
+    assert (kpis["length_with_snr_over_3_m"] <= kpis["inspected_m"]).all()
+    assert kpis["a90_percent_wall"][0] > kpis["a90_percent_wall"][1] > kpis["a50_percent_wall"][1]  # what rings, hides
+    assert "a90_percent_wall" not in judge([Design()], handmade((5e-5, 5e-4)), CONFIG)[1]
     env = DesignEnv(fidelity=coarse, full=True, feed=STUDY_FEED)
     env.reset(seed=0, options={"context": Context()})
     _, _, _, _, info = env.step(DesignEnv.action_of(Design()))
     assert info["kpis"]["inspection_time_s"] == pytest.approx(SPAN / 0.2, rel=0.01)
+    assert 0.0 < info["kpis"]["a90_percent_wall"] <= 100.0
+
+
+def test_what_a_design_finds_is_what_its_insertion_found():
+    """The same tube, feed and seed in episodes, to the last bit, over what each inspected: guides of 2.5 and 10 m."""
+    coarse, designs = Fidelity(time_lapse=20.0), [Design(), IMPROVED]
+    trial = try_insertions([Candidate(d, Context(), Constant(CONFIG), 3) for d in designs], CONFIG, coarse)
+    episodes = Episodes(2, CONFIG, may_stand=True, fidelity=coarse)
+    options = {k: {"context": Context(), "probe": design.built.model_dump()} for k, design in enumerate(designs)}
+    first, _ = episodes.reset([0, 1], {k: np.random.default_rng(3) for k in range(2)}, options)
+    for _ in periods_of(episodes, [Constant(CONFIG)] * 2, first):
+        pass
+    for k, tally in enumerate(episodes.tally):
+        kpis = tally.detection.kpis(tally.inspected, CONFIG.scene.tube.helix_length)
+        assert {name: values[k] for name, values in trial.detection.items()} == {
+            name: kpis[name] for name in FOUND_KPIS
+        }
 
 
 QUIETER = np.log([0.142, 0.066, 0.183, 0.153])

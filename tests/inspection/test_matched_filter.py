@@ -65,6 +65,29 @@ def test_twice_the_gain_and_twice_the_signal_change_nothing(depth):
     assert two.amplitude(0.37) / one.amplitude(0.37) == pytest.approx(2.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1.0, -2.5])
+def test_noise_is_told_as_the_motion_that_makes_it(angle):
+    """White motion over the flaw's band, with electronics that add 1e-5 of it to the square at most."""
+    sensor, rms = Sensor(quiet_snr=1000.0, motion_gain=2900.0, flaw_angle=angle), 1e-4
+    white = np.full((1, len(FREQUENCY)), rms**2 / (flaw.BAND * 0.2 / 0.02))
+    noise = 1.0 / snr_of_groove(sensor, np.array([0.2]), white)
+    assert sensor.equivalent_rms(noise) == pytest.approx(rms, rel=2e-5)
+
+
+def test_a_filter_weighs_by_the_period_of_its_own_probe():
+    """Two probes in one meter, heard in periods of a second and of a quarter: each as if it were alone."""
+    motion = 1e-4 * np.random.default_rng(0).normal(size=(2000, 2))
+    together, alone = Meter(Sensor(), 2, 1e-3), [Meter(Sensor(), 1, 1e-3) for _ in range(2)]
+    for k, periods in enumerate((2, 8)):
+        for part in motion[:, k : k + 1].reshape(periods, -1, 1):
+            together.listen(np.array([k]), part, np.array([0.2]))
+            alone[k].listen(np.array([0]), part, np.array([0.2]))
+    copies = together.fork([1, 0])
+    for k in range(2):
+        assert (together.of_filter(k) == alone[k].of_filter(0)).all()
+        assert (copies.of_filter(1 - k) == alone[k].of_filter(0)).all()
+
+
 def ringing(rng, count, seconds, level=1.0):
     """(samples, count) of an oscillator at 14 Hz, 5 % damped, in white noise, and its density at ``FREQUENCY``."""
     samples, warm = seconds * 1000, 1000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from probe_env.arrays import BoolArray, FloatArray
@@ -12,6 +12,8 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.trials.players import Controller
 from probe_env.schedule import Schedule
 
+FOUND_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
+"""What whole insertions are told by of what would be found, see ``inspection.tally``."""
 LEAST_SNR: Final = 1e-3
 """What no signal at all counts as, so that its inverse is finite."""
 
@@ -45,6 +47,7 @@ class Trial:
         failed: (N,) whether it ended so, by each of ``FAILURES``.
         inspected: (N,) what the sensor saw to the end, where that was simulated.
         noise: (N, p) over the signal of a 20 % groove, where the task is judged by that.
+        detection: (N,) of each of ``FOUND_KPIS``, over all that a probe inspected; sections are too short to tell.
     """
 
     widths: FloatArray
@@ -56,6 +59,7 @@ class Trial:
     failed: Mapping[str, BoolArray]
     inspected: FloatArray | None = None
     noise: FloatArray | None = None
+    detection: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def seeds_of(candidates: Sequence[Candidate]) -> list[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts
-from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
+from probe_env.envs.trials.candidates import FOUND_KPIS, LEAST_SNR, Candidate, Trial, seeds_of
 from probe_env.envs.trials.players import periods_of
 from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
 from probe_env.fidelity import Fidelity
@@ -66,7 +67,14 @@ def try_insertions(
                 sums["noise"][k, place] += travel / max(info["snr"], LEAST_SNR) ** 2
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
-    return _gathered(sums, failed, guides, inspected, config)
+    trial = _gathered(sums, failed, guides, inspected, config)
+    return replace(trial, detection=_detection(episodes, config.scene.tube.helix_length))
+
+
+def _detection(episodes: Episodes, tube_length: float) -> dict[str, FloatArray]:
+    """What would be found in what was inspected: a guide that inspects less is not charged for it here."""
+    kpis = [tally.detection.kpis(tally.inspected, tube_length) for tally in episodes.tally]
+    return {name: np.array([row[name] for row in kpis]) for name in FOUND_KPIS}
 
 
 def _gathered(

@@ -31,7 +31,7 @@ def judge(
     """Reward terms and KPIs (N,) of designs, by the weights of the insertion task.
 
     Progress is the length that the sensor sees until the guide's tip is at the end of the helix: a long guide inspects
-    less. Vibration, time and air are of the span that all designs share.
+    less. Vibration, time and air are of the span that all designs share; what would be found, of all that is inspected.
 
     Raises:
         ValueError: the task's vibration measure is not one of ``JUDGED``.
@@ -60,6 +60,7 @@ def judge(
         "inspected_m": inspected,
         "missed_m": missed,
         "drive_margin_n": np.where(np.isfinite(margin), margin, -config.required_tension),
+        **trial.detection,
         **{name: trial.failed[name].astype(float) for name in FAILURES},
     }
     return terms, kpis
