@@ -1,4 +1,4 @@
-"""The command for what inspection engineers see: channels, charts, flaws."""
+"""The commands for what inspection engineers see: channels, charts, flaws, calls."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ class Signal:
     """Flaws to put into the tube, PLACE:DEPTH in metres from the helix's entrance and % of the wall: 10:20 30:40.
     Default: 20 % every 5 m."""
     output: Path = Path("output/signal")
-    """Folder of strip.png, flaws.png, channels.csv (X and Y, a row a millisecond), flaws.csv and signal.json."""
+    """Folder of strip.png, flaws.png, channels.csv (X and Y, a row a millisecond), flaws.csv, periods.csv (noise,
+    vibration and S/N) and signal.json."""
     evaluation: Path | None = None
     """Folder of an evaluation (probe-env evaluate) whose policies' curves of detection are drawn as well: pod.png and
     pod.csv."""
@@ -76,3 +77,29 @@ class Anchors:
         place = place_at(self.tube, "test", self.limit)
         run_anchors(self.policies or POLICIES, place, self.fidelity, self.output, self.workers)
         print(f"written: {self.output}/ (anchors.csv, a folder of episodes for each)")
+
+
+@dataclass(frozen=True)
+class FalseCalls:
+    """Count calls where there is no flaw: whether noise is called as seldom as the threshold promises."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Policies and agents as of `evaluate`; default: those of the published table."""
+    limit: int = 12
+    """Tubes of the test list, the first of it, which are balanced; 0: all."""
+    fidelity: str = "standard"
+    """How closely to simulate: standard, reference or settings without time-lapse, which would leave metres out."""
+    tube: Path | None = None
+    """Your own plant (tube.toml): its tubes and its [sensor]."""
+    output: Path = Path("output/false-calls")
+    """Folder of the tables; insertions that are there already are not simulated again."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+
+    def run(self) -> None:
+        """Simulate, count, store, print."""
+        from agents.detection.false_calls import POLICIES, run_false_calls
+        from agents.policies.places import place_at
+
+        place = place_at(self.tube, "test", self.limit)
+        run_false_calls(self.policies or POLICIES, place, self.fidelity, self.output, self.workers)
+        print(f"written: {self.output}/ (false-calls.csv, counts.csv a row an insertion)")

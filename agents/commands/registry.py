@@ -109,6 +109,10 @@ MAKERS: Final = {
         "inspection:Anchors", "which policy finds smaller flaws, whatever the sensor's scale",
         "probe-env anchors constant best-schedule --limit 6",
     ),
+    "false-calls": Entry(
+        "inspection:FalseCalls", "whether noise is called as seldom as was promised",
+        "probe-env false-calls best-schedule --limit 2",
+    ),
     "world": Entry(
         "control:World", "the map as a world to train in, and its error", "probe-env world --limit 12"
     ),

@@ -15,6 +15,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
+from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
@@ -27,11 +28,13 @@ class Insertion:
         passage: what the sensor went through.
         periods: a mapping of a period each: what ``Episodes`` tells of it, SI units.
         detection: figures by name of what would be found in the length that was inspected, see ``inspection.tally``.
+        tally: what they follow from.
     """
 
     passage: Passage
     periods: tuple[dict[str, Any], ...]
     detection: dict[str, float]
+    tally: DetectionTally
 
 
 def insert(
@@ -69,8 +72,10 @@ def insert(
             periods.append(info)
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
-    detection = episodes.tally[0].detection.kpis(episodes.tally[0].inspected, length)
-    return Insertion(_passage(places, periods, radial, spectra), tuple(periods), detection)
+    tally = episodes.tally[0].detection
+    assert isinstance(tally, DetectionTally)  # one way: ``episodes`` have no passes
+    detection = tally.kpis(episodes.tally[0].inspected, length)
+    return Insertion(_passage(places, periods, radial, spectra), tuple(periods), detection, tally)
 
 
 def _passage(

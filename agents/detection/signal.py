@@ -86,7 +86,7 @@ class Look:
 
 
 def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path) -> pd.DataFrame:
-    """Simulate a run under a policy; writes channels.csv, flaws.csv, signal.json, strip.png and flaws.png.
+    """Simulate a run under a policy; writes channels, flaws and periods.csv, signal.json, strip.png and flaws.png.
 
     Returns:
         a row a flaw that was passed.
@@ -175,6 +175,7 @@ def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
     }  # fmt: skip
     write_atomically(output / "channels.csv", pd.DataFrame(columns).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "flaws.csv", chart.table.to_csv(index=False, float_format="%.5g"))
+    write_atomically(output / "periods.csv", by_period(run, chart).to_csv(index=False, float_format="%.5g"))
     marks = pictures.Marks(title, chart.flaws, chart.supports, chart.called, chart.threshold)
     pictures.strip_chart(run, chart.voltages, chart.values, marks, output / "strip.png")
     if chart.flaws:
@@ -194,13 +195,23 @@ def _record(run: Insertion, config: TaskConfig, chart: Chart) -> dict[str, Any]:
 
 def correlation(run: Insertion, chart: Chart) -> float:
     """Of the deviation of X with the radial rms, over the control periods (Spearman); NaN where one does not vary."""
-    each = run.passage.period
-    shown = smoothed(run.passage, chart.voltages[:, 0])
-    noise = shown[: len(run.periods) * each].reshape(-1, each).std(axis=1)
-    vibration = np.array([period["radial_rms_m"] for period in run.periods])
+    table = by_period(run, chart)
+    noise, vibration = table["x_deviation_v"], table["radial_rms_m"]
     if min(np.ptp(noise), np.ptp(vibration)) == 0.0 or len(noise) < 3:
         return float("nan")
     return float(spearmanr(noise, vibration).statistic)
+
+
+def by_period(run: Insertion, chart: Chart) -> pd.DataFrame:
+    """A row a control period: where the sensor was at its end, deviation of each channel as drawn, vibration, S/N."""
+    each = run.passage.period
+    shown = smoothed(run.passage, chart.voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
+    return pd.DataFrame(
+        {
+            "place_m": run.passage.place[each - 1 :: each], "x_deviation_v": shown[:, 0], "y_deviation_v": shown[:, 1],
+            **{name: [period[name] for period in run.periods] for name in ("radial_rms_m", "snr")},
+        }
+    )  # fmt: skip
 
 
 def print_signal(table: pd.DataFrame, output: Path) -> None:
@@ -213,7 +224,7 @@ def print_signal(table: pd.DataFrame, output: Path) -> None:
     ]  # fmt: skip
     print_table("Flaws that were put into the tube", header, rows, left=0)
     print(f"called: {int(table['called'].sum())} of the {len(table)} flaws that were passed")
-    print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, signal.json)")
+    print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
 
 
 def draw_curves(evaluation: Path, output: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,11 +18,13 @@ from agents.policies.on_map import MapPolicy, Privileged, TensionScheduled
 from agents.policies.places import Place
 from agents.records.provenance import write_atomically
 from agents.rollouts.bootstrap import Interval, bootstrap_ends
+from agents.rollouts.depths import a90_95, tells
 from agents.rollouts.plan import Plan, Policy, run_plan
 from agents.rollouts.statistics import by_context, grouped, mean_interval, method_and_seed
 from agents.terminal.tables import print_table
 from probe_env.fidelity import resolve_fidelity
 
+DEPTH: Final = "a90_95_percent_wall"
 REFERENCE: Final = (900.0, 1.0)
 """Time limit [s] and all of the length out of the limit: the corner that the hypervolume is measured from."""
 
@@ -86,7 +88,8 @@ def run_tradeoff(
 def front_of(table: pd.DataFrame, names: Sequence[str], singles: Iterable[str] = ()) -> pd.DataFrame:
     """Mean time [s] and share of length out of the limit of every member, with 95 % intervals over the contexts.
 
-    A single policy is a family of its own, of value NaN; NAME@K of all K are one.
+    Of episodes that have curves of detection also a90/95 over the contexts [% of the wall]. A single policy is a family
+    of its own, of value NaN; NAME@K of all K are one.
     """
     members = [(name, value, f"{name} {value:g}") for name in names for value in FAMILIES[name].values]
     members += [(name, float("nan"), name) for name in dict.fromkeys(method_and_seed(single)[0] for single in singles)]
@@ -96,7 +99,19 @@ def front_of(table: pd.DataFrame, names: Sequence[str], singles: Iterable[str] =
         out = mean_interval(1.0 - by_context(table, policy, "share_within_limit").to_numpy())
         rows.append((name, value, time.mean, time.low, time.high, out.mean, out.low, out.high))
     columns = ["family", "value", "time_s", "time_low", "time_high", "out_share", "out_low", "out_high"]
-    return pd.DataFrame(rows, columns=columns)
+    front = pd.DataFrame(rows, columns=columns)
+    return front.assign(**{DEPTH: [a90_95(table, policy) for *_, policy in members]}) if tells(table) else front
+
+
+def unbeaten(front: pd.DataFrame) -> pd.DataFrame:
+    """The members that no other one beats both in time and in a90/95, the fastest first."""
+    ordered = front.sort_values(["time_s", DEPTH])
+    return ordered[moocore.is_nondominated(ordered[["time_s", DEPTH]].to_numpy(), keep_weakly=False)]
+
+
+def member_of(row: Mapping[Hashable, Any]) -> str:
+    """What a row of a front is called: family and value, or a single policy."""
+    return str(row["family"]) if pd.isna(row["value"]) else f"{row['family']} {row['value']:g}"
 
 
 def hypervolumes(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
@@ -130,8 +145,12 @@ def _print(front: pd.DataFrame, volumes: pd.DataFrame) -> None:
     for row in front.to_dict("records"):
         time = Interval(row["time_s"], row["time_low"], row["time_high"])
         out = Interval(row["out_share"], row["out_low"], row["out_high"])
-        rows.append((row["family"], f"{row['value']:g}", time.text(), out.text(100.0)))
-    header = ("family", "value", "time [s]", "out of limit [%]")
+        depth = (f"{row[DEPTH]:.1f}",) if DEPTH in row else ()
+        rows.append((row["family"], f"{row['value']:g}", time.text(), out.text(100.0), *depth))
+    header = ("family", "value", "time [s]", "out of limit [%]", *(("a90/95 [% wall]",) if DEPTH in front else ()))
     print_table("Time against length out of the limit, 95 % intervals", header, rows, left=0)
     for row in volumes.to_dict("records"):
         print(f"{row['family']}: hypervolume {Interval(row['hypervolume'], row['low'], row['high']).text()}")
+    if DEPTH in front:
+        best = ", ".join(member_of(row) for row in unbeaten(front).to_dict("records"))
+        print(f"no other is both faster and finds smaller flaws: {best}")

@@ -14,7 +14,7 @@ MAKERS: dict[str, Callable[[], str]] = {
     maker.__name__: maker
     for maker in (
         control.agents, control.any_probe, control.evaluation, control.fidelity, control.headline,
-        control.map_quality, control.tradeoff,
+        control.map_quality, control.tradeoff, control.tradeoff_found,
         headroom.headroom, headroom.headroom_finely, headroom.planner_settings, headroom.world,
         plc.plc_constants, plc.plc_finely, plc.plc_fresh, plc.plc_reached, plc.plc_text, plc.trim,
         detection.anchors, detection.snr, detection.snr_agent,

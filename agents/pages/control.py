@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from agents.evaluation import tradeoff as fronts
 from agents.evaluation.fidelity_check import words
 from agents.evaluation.report import compared_with, kpi_cells
 from agents.learning import results as agent_results
 from agents.pages.headroom import SHARE, lead_of, with_law, with_planner, with_student
-from agents.pages.sources import RESULTS, command, source
+from agents.pages.sources import RESULTS, command, markdown, source
 from agents.policies.catalogue import DATA
 from agents.records.columns import KPIS, sentence_of, shown_of
 from agents.records.models import Quality, Record, Setting
@@ -181,6 +182,30 @@ def tradeoff() -> str:
     return (
         f"Hypervolume (share of the box from nothing to 900 s and all of the length out of the limit that a front"
         f" dominates): {', '.join(parts)}; {contexts} tubes. {_simulated(folder)} {source(folder / 'provenance.json')}"
+    )
+
+
+def tradeoff_found() -> str:
+    """Which feeds no other one beats both in time and in what is found."""
+    folder = RESULTS / "tradeoff"
+    table, stored = grouped(read_episodes(folder / "episodes.csv")), read_csv(folder / "front.csv")
+    families = [name for name in dict.fromkeys(stored["family"]) if name in fronts.FAMILIES]
+    singles = [name for name in dict.fromkeys(stored["family"]) if name not in fronts.FAMILIES]
+    front = fronts.front_of(table, families, singles)
+    best, in_millimetres = fronts.unbeaten(front), fronts.unbeaten(front.assign(**{fronts.DEPTH: front["out_share"]}))
+    rows = [
+        (
+            f"`{fronts.member_of(row)}`", f"{row['time_s']:.0f}", f"{row[fronts.DEPTH]:.1f}",
+            f"{100.0 * row['out_share']:.1f}", "yes" if index in in_millimetres.index else "no",
+        )
+        for index, row in zip(best.index, best.to_dict("records"), strict=True)
+    ]  # fmt: skip
+    header = ("feed", "time [s]", "a90/95 [% wall]", "out of the limit [%]", "nor in time and length out of the limit")
+    return (
+        f"**Of {len(front)} feeds {len(best)} are beaten by no other one both in time and in a90/95;"
+        f" {len(set(best.index) & set(in_millimetres.index))} of them are among the {len(in_millimetres)} that are"
+        f" beaten by none in time and length out of the limit.**\n\n{markdown(header, rows)}\n\n"
+        f"The episodes above; no intervals. {source(folder / 'provenance.json')}"
     )
 
 

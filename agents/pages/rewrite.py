@@ -90,7 +90,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         results / "evaluation.md": ("map_quality", "evaluation", "any_probe"),
         results / "agents.md": ("agents", "student", "student_fresh", "student_finely", "student_scheme", "scratch"),
         results / "designs.md": ("search", "designs", "codesign"),
-        results / "fronts.md": ("tradeoff", "fidelity"),
+        results / "fronts.md": ("tradeoff", "tradeoff_found", "fidelity"),
         results / "study.md": ("study", "back"),
         results / "speed.md": ("bench", "environments", "presets"),
         DOCS / "accuracy.md": ("smooth", "outputs", "choices", "timelapse", "stability", "energy", "peers"),

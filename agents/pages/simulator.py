@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pandas as pd
 
 from agents.bench import scaling as portioned
@@ -120,8 +122,15 @@ def environments() -> str:
         f" batch of 16 spends {100.0 * rows['share_outside_kernel']:.0f} % of its time. A whole `Insertion-v1` episode"
         f" at 0.2 m/s costs {episode['standard']:.1f} s a probe with `standard`, {episode['fast']:.1f} s with `fast`"
         f" (batch of 16, all cores); alone {alone['standard']:.1f} s and {alone['fast']:.1f} s."
+        f" Of that, signal-to-noise takes {_percent(rows['share_listening'])}, alone"
+        f" {_percent(rows['share_listening_alone'])} (`standard` and `fast`)."
     )
     return "\n".join(lines) + f"\n\n{note} {source(path)}"
+
+
+def _percent(shares: Mapping[str, float]) -> str:
+    """Two shares in words."""
+    return f"{100.0 * shares['standard']:.1f} and {100.0 * shares['fast']:.1f} %"
 
 
 def _chart_errors(converged: bool) -> tuple[pd.DataFrame, pd.DataFrame]:

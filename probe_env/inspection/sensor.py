@@ -35,8 +35,8 @@ class Sensor(Model):
     depth_exponent: Annotated[float, quantity(0.2, 4.0, "")] = 1.0
     """p of A(a) = A20 (a / 20 %)^p; assumption: as the metal that is missing."""
     quiet_snr: Annotated[float, quantity(0.1, 1000.0, "")] = 7.5
-    """Signal-to-noise of that groove at 0.2 m/s without vibration; published: 6 to 9 for outer flaws of 20 to 30 % in
-    such tubes."""
+    """Signal-to-noise of that groove at 0.2 m/s without vibration; published: 6 to 9 for outer flaws of 20 % all
+    round, or of part of the circumference up to 30 %, in such tubes (doi 10.3233/JAE-171237)."""
     shaken_snr: Annotated[float, quantity(0.1, 1000.0, "")] = 3.0
     """The same at a radial rms of 0.1 mm in the flaw's band, for a flaw in the motion's direction; assumption: what is
     called is 3 times the noise."""

@@ -7,9 +7,12 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from probe_env.inspection.channels import Flaw, Passage, along, calls, channels, filtered, support_places
+from agents.detection.passage import Insertion
+from agents.detection.signal import Chart, by_period, correlation
+from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import FREQUENCY
+from probe_env.inspection.tally import DetectionTally
 
 NONE = np.zeros(0)
 
@@ -73,6 +76,27 @@ def test_supports_are_where_they_were_put():
     assert np.abs(x - y).max() < 0.05 * sensor.support_signal
 
 
+def test_noise_is_told_by_period_and_follows_the_vibration():
+    """A tone of 14 Hz, louder every second: X has it times k1 cos(angle), less what means over 10 ms take, 3.2 %."""
+    sensor, still = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 20)
+    amplitude = 1e-5 * np.arange(1, 21)
+    motion = np.repeat(amplitude, 1000) * np.sin(2 * np.pi * 14.0 * still.time)
+    passage = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
+    periods = tuple({"radial_rms_m": value / np.sqrt(2.0), "snr": 7.5} for value in amplitude)
+    voltages = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(0))
+    run = Insertion(passage, periods, {}, DetectionTally())
+    chart = Chart(voltages, NONE, (), NONE, NONE, 4.6, pd.DataFrame(), 0)
+    table = by_period(run, chart)
+    assert table["place_m"].tolist() == pytest.approx((2.5 + 0.2 * np.arange(1, 21)).tolist())
+    wanted = np.sinc(14.0 * SHOWN) * 2900.0 * amplitude / np.sqrt(2.0)
+    loud = slice(9, None)  # there electronics, 1 % of a groove's signal a second, add less than 1 %
+    assert table["x_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.cos(0.6), rel=0.02)
+    assert table["y_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.sin(0.6), rel=0.02)
+    assert correlation(run, chart) == 1.0
+    even = Insertion(passage, tuple({"radial_rms_m": 1e-5, "snr": 7.5} for _ in periods), {}, DetectionTally())
+    assert np.isnan(correlation(even, chart))
+
+
 def test_one_call_a_flaw():
     place = np.linspace(0.0, 1.0, 1001)
     values = 6.0 * np.exp(-(((place - 0.3) / 0.01) ** 2)) + 5.0 * np.exp(-(((place - 0.309) / 0.002) ** 2))
@@ -93,6 +117,7 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert flaws["place_m"].tolist() == [3.0, 4.0, 4.2]
     assert flaws["called"].tolist() == [True, True, False]  # 30 deviations, and less than one
     record = json.loads((output / "signal.json").read_text())
+    assert len(pd.read_csv(output / "periods.csv")) == 10  # of a second, 0.2 m each
     assert record["found"]["length_with_snr_over_3_m"] == pytest.approx(2.0, abs=0.01)
     assert record["found"]["a50_percent_wall"] == pytest.approx(20.0 * record["threshold"] / 7.5, rel=0.02)
     assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}

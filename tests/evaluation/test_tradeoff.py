@@ -4,8 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.tradeoff import FAMILIES, front_of, hypervolumes, run_tradeoff
+from agents.evaluation.tradeoff import FAMILIES, front_of, hypervolumes, member_of, run_tradeoff, unbeaten
 from agents.policies.places import place_of
+from probe_env.inspection.detection import pod_gaussian, snr_at
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.tally import POD_NAMES
 
 
 def table_of(points, contexts=6, scatter=0.0):
@@ -37,6 +40,20 @@ def test_scatter_widens_the_intervals():
     rows = front_of(table, ["constant"])
     assert (rows["time_low"] < rows["time_s"]).all()
     assert (rows["out_share"] < rows["out_high"]).all()
+
+
+def test_a_feed_that_is_beaten_in_time_and_depth_is_left_out():
+    """One signal-to-noise in every tube: a90 in closed form, the bound the same. The third is slower and finds less."""
+    table = table_of([(100.0, 0.5), (200.0, 0.4), (300.0, 0.1), (400.0, 0.6), (400.0, 0.6)])
+    assert "a90_95_percent_wall" not in front_of(table, ["constant"])  # of episodes before there was a sensor
+    grooves = dict(zip((f"constant {value:g}" for value in FAMILIES["constant"].values), (5, 8, 7, 12, 9), strict=True))
+    curves = [pod_gaussian(snr_at(Sensor(), np.array([grooves[name]])), 4.6)[0] for name in table["policy"]]
+    front = front_of(table.assign(**dict(zip(POD_NAMES, np.array(curves).T, strict=True))), ["constant"])
+    wanted = [20.0 * (4.6 + 1.2816) / groove for groove in grooves.values()]
+    assert front["a90_95_percent_wall"].tolist() == pytest.approx(wanted, rel=5e-3)
+    best = [member_of(row) for row in unbeaten(front).to_dict("records")]
+    assert best == ["constant 0.07", "constant 0.1", "constant 0.2"]
+    assert member_of({"family": "ppo", "value": float("nan")}) == "ppo"
 
 
 @pytest.mark.parametrize(

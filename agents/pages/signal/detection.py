@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from scipy.stats import kendalltau
 
 from agents.detection import anchors as anchor_runs
+from agents.detection import false_calls as false_call_runs
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.catalogue import DATA
 from agents.records.models import Record
-from agents.records.reading import read_json
+from agents.records.reading import read_csv, read_json
 from agents.records.tables import read_episodes
 from agents.rollouts.depths import depths_of
 from agents.rollouts.statistics import failures, grouped, paired_difference
@@ -25,6 +27,7 @@ HEADER: Final = (
     "policy", "reward in S/N", "against millimetre-schedule", "time [s]", "a90/95 [%]", "S/N over 3 [m]",
     "radial rms [mm]", "air [m³]",
 )  # fmt: skip
+NOISE: Final = "x_deviation_v"
 PLACES: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)
 """Lengths [m] at which both schedules are shown: the searches' own."""
 
@@ -85,6 +88,43 @@ def anchors() -> str:
         f"{markdown(anchor_runs.HEADER, anchor_runs.cells(summary))}\n\n{lines}\n\n"
         f"Over {record['tubes']} held-out tubes at `fast`; a90/95 is the depth found with 90 % over the tubes, with"
         f" 95 % confidence. Made by `{command(record)}` at commit {record['commit']}."
+    )
+
+
+def as_seen() -> str:
+    """Noise and vibration along one insertion, beside what the study says of its figure 4."""
+    folder = RESULTS / "signal"
+    periods, flaws = read_csv(folder / "periods.csv"), read_csv(folder / "flaws.csv")
+    record = read_json(folder / "signal.json", Record).model_dump()
+    middle = 0.5 * periods["place_m"].max()
+    half, quiet = periods["place_m"] > middle, flaws[flaws["place_m"] < middle]
+    noise, vibration = (periods[name][half].mean() / periods[name][~half].mean() for name in (NOISE, "radial_rms_m"))
+    return (
+        f"Past the middle of the helix the noise in X is {noise:.1f} times what it is before, the radial rms"
+        f" {vibration:.1f} times; their rank correlation over {len(periods)} s is"
+        f" {record['noise_and_vibration_correlation']:.2f}. Of {len(flaws)} flaws {flaws['called'].sum()} are called,"
+        f" {quiet['called'].sum()} of the {len(quiet)} in the first half; {record['false_calls']} calls are false."
+        f" {source(folder / 'signal.json')}"
+    )
+
+
+def false_calls() -> str:
+    """Calls where there is no flaw, counted on whole traces."""
+    folder = RESULTS / "false-calls"
+    summary = stored_table(folder / "false-calls.csv", "policy", "calls", "promised", "rise")
+    record = read_json(folder / "provenance.json", Record).model_dump()
+    kept = [str(row["policy"]) for row in summary.to_dict("records") if row["calls_low"] <= row["promised"]]
+    calls, promised = summary["calls"].mean(), summary["promised"].mean()
+    more = summary["a90_95_risen_percent_wall"] / summary["a90_95_percent_wall"] - 1.0
+    order = kendalltau(summary["a90_95_percent_wall"], summary["a90_95_risen_percent_wall"]).statistic
+    return (
+        f"**In noise alone {calls:.2f} calls a tube are counted where {promised:.2f} were promised; the promise is"
+        f" within the interval for {', '.join(f'`{name}`' for name in kept) or 'none'}. Thresholds that keep it make"
+        f" depths larger by {100.0 * more.min():.0f} to {100.0 * more.max():.0f} %; of the ranking by a90/95"
+        f" Kendall's tau with the one as it is is {order:.2f}.**\n\n"
+        f"{markdown(false_call_runs.HEADER, false_call_runs.cells(summary))}\n\n"
+        f"Means over {record['tubes']} held-out tubes at `standard` with 95 % intervals, {record['draws']} draws of the"
+        f" electronic noise over each motion. {source(folder / 'provenance.json')}"
     )
 
 
