@@ -2,13 +2,15 @@
 
 A threshold is raised by what an episode's meter hears of the motion: a quarter of every second, over the spectrum of
 that second. The filter's output goes on from period to period, and a spike at the seam of two is seen by neither. So
-calls are counted on whole traces, and the threshold is told at which they would be as many as was promised.
+calls are counted on whole traces, the square of the motion in them included, and the threshold is told at which they
+would be as many as was promised.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -27,7 +29,9 @@ from agents.records.code_hash import code_hash
 from agents.records.journal import Journal
 from agents.records.models import Key, Stored
 from agents.records.provenance import commit, provenance, write_atomically, write_json
-from agents.rollouts.depths import depths_of
+from agents.rollouts.bootstrap import PERCENTILES, Interval
+from agents.rollouts.bootstrap import redrawn as redrawn_places
+from agents.rollouts.depths import a90_95
 from agents.rollouts.plan import Plan
 from agents.rollouts.statistics import mean_interval
 from agents.terminal.tables import print_table
@@ -43,7 +47,7 @@ DRAWS: Final = 40
 """Of the electronic noise over one and the same motion."""
 FIELDS: Final = ("lengths", "snr", "shares", "peaks", "singles", "counts")
 """Of ``DetectionTally``."""
-CODE: Final = ("agents.detection.false_calls:count_calls", "probe_env.inspection.detection:threshold_as_seen")
+CODE: Final = ("agents.detection.false_calls:count_calls",)
 
 
 class Count(Stored):
@@ -51,6 +55,7 @@ class Count(Stored):
 
     key: Key
     commit: str
+    diverged: bool = False
     heights: list[FiniteFloat]
     """Of the calls over the threshold for Gaussian noise, below which none is, of all draws [deviations]."""
     heard: dict[str, list[float]]
@@ -71,15 +76,14 @@ def heights(
 
 
 def count_calls(plan: Plan, unit: tuple[str, int, int]) -> dict[str, Any]:
-    """Play an episode of a plan with every sample kept, and count.
-
-    Raises:
-        RuntimeError: the simulation diverged.
-    """
+    """Play an episode of a plan with every sample kept, and count: fields of ``Count``."""
     name, k, seed = unit
     config, tube = plan.config, plan.config.scene.tube
-    run = insert(plan.policies[name], config, plan.contexts[k], plan.fidelity, seed)
-    rng, least = np.random.default_rng([seed, k]), threshold(config.sensor, tube.helix_length)
+    try:
+        run = insert(plan.policies[name], config, plan.contexts[k], plan.fidelity, (seed, k))
+    except RuntimeError:
+        return {"diverged": True, "heights": [], "heard": {}}
+    rng, least = np.random.default_rng([seed, k, 1]), threshold(config.sensor, tube.helix_length)
     return {
         "heights": heights(config.sensor, run.passage, tube.inner_diameter, least, DRAWS, rng),
         "heard": {field: list(map(float, getattr(run.tally, field))) for field in FIELDS},
@@ -96,10 +100,13 @@ def run_false_calls(names: Sequence[str], place: Place, fidelity: str, output: P
     """Insertions of policies in all tubes, stored one by one; a row a policy: calls promised and counted, depths.
 
     Raises:
-        ValueError: a policy or a fidelity is not known, or has time-lapse, which leaves metres out; nothing was run.
-        RuntimeError: a simulation diverged; what was stored before stays.
+        ValueError: a policy or a fidelity is not known, or has time-lapse, which leaves metres out, or the task is of
+            both ways; nothing was run.
+        RuntimeError: all insertions of a policy diverged; what was stored stays.
     """
     config = place.config.all_shown
+    if config.passes != "in":
+        raise ValueError(f"task.passes = {config.passes!r}: false calls are counted on the way in")
     settings = resolve_fidelity(fidelity, config.scene)
     if settings.time_lapse != 1.0:
         raise ValueError(f"fidelity.time_lapse = {settings.time_lapse:g} leaves out metres in which calls are counted")
@@ -113,13 +120,17 @@ def run_false_calls(names: Sequence[str], place: Place, fidelity: str, output: P
                 append(json.dumps({"key": keys[unit], "commit": commit()} | counted) + "\n")
                 bar.update()
     done = journal.read()
-    counts = pd.DataFrame([_row(plan, unit, done[key]) for unit, key in keys.items()])
-    summary = summarise(plan, {unit: done[key] for unit, key in keys.items()})
+    kept = {unit: done[key] for unit, key in keys.items() if not done[key]["diverged"]}
+    counts = pd.DataFrame([_row(plan, unit, counted) for unit, counted in kept.items()])
+    summary = summarise(plan, kept)
     write_atomically(output / "counts.csv", counts.to_csv(index=False, float_format="%.5g"))
     write_atomically(output / "false-calls.csv", summary.to_csv(index=False, float_format="%.5g"))
     record = {"fidelity": settings.model_dump(), "tubes": len(place.contexts), "draws": DRAWS}
+    record |= {"diverged": len(keys) - len(kept)}
     write_json(output / "provenance.json", provenance(commits=list(counts["commit"])) | record)
     print_table(f"Calls where there is no flaw, {len(place.contexts)} tubes", HEADER, cells(summary), left=1)
+    if len(kept) < len(keys):
+        print(f"{len(keys) - len(kept)} of {len(keys)} insertions diverged and are left out")
     return summary
 
 
@@ -148,19 +159,25 @@ def raised(above: Sequence[np.ndarray], promised: float, draws: int) -> float:
         draws: of which each tube's heights are.
     """
     ordered = np.sort(np.concatenate(above))[::-1]
-    allowed = int(promised * draws * len(above))
+    allowed = math.floor(promised * draws * len(above) + 1e-9)
     return max(float(ordered[allowed]), 0.0) if len(ordered) > allowed else 0.0
 
 
 def summarise(plan: Plan, done: Mapping[tuple[str, int, int], Mapping[str, Any]]) -> pd.DataFrame:
     """A row a policy: calls a tube, promised and counted, the rise of the thresholds that keeps the promise, depths.
 
-    Calls have 95 % intervals over tubes; depths are those with the thresholds as they are, and risen.
+    Calls and rise have 95 % intervals over tubes: over few of them the rise hangs on a spike or two. Depths are those
+    with the thresholds as they are, and risen, the ends of the rise's interval included.
+
+    Raises:
+        RuntimeError: there is no insertion of a policy.
     """
     sensor, length = plan.config.sensor, plan.config.scene.tube.helix_length
     rows = []
     for name in plan.policies:
         counted = [record for unit, record in done.items() if unit[0] == name]
+        if not counted:
+            raise RuntimeError(f"policy {name}: all insertions diverged")
         tallies = [tally_of(sensor, record["heard"]) for record in counted]
         z = np.array([tally.threshold(length) for tally in tallies])
         above = [np.array(record["heights"], dtype=float) - own for record, own in zip(counted, z, strict=True)]
@@ -168,28 +185,33 @@ def summarise(plan: Plan, done: Mapping[tuple[str, int, int], Mapping[str, Any]]
         inspected = np.array([sum(tally.lengths) for tally in tallies])
         promised = sensor.false_calls * float(inspected.mean()) / length
         rise = raised(above, promised, DRAWS)
-        depths = [_depths(tallies, z + more) for more in (0.0, rise)]
+        redrawn = [raised([above[k] for k in drawn[0]], promised, DRAWS) for drawn in redrawn_places(len(above))]
+        low, high = (float(value) for value in np.percentile(redrawn, PERCENTILES))
+        depths = {end: _depths(tallies, z + more) for end, more in
+                  {"": 0.0, "_risen": rise, "_risen_low": low, "_risen_high": high}.items()}  # fmt: skip
         rows.append(
             {
                 "policy": name, "tubes": len(counted), "call_threshold": z.mean(), "gaussian_threshold":
                 threshold(sensor, length), "promised": promised, "calls": calls_of.mean, "calls_low": calls_of.low,
                 "calls_high": calls_of.high, "rise": rise,
-                **{f"a90{end}_percent_wall": depths[0][f"a90{end}_percent_wall"] for end in ("", "_95")},
-                **{f"a90{end}_risen_percent_wall": depths[1][f"a90{end}_percent_wall"] for end in ("", "_95")},
+                "rise_low": low, "rise_high": high,
+                **{f"inspected_a90_95{end}_percent_wall": depth for end, depth in depths.items()},
             }
         )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def _depths(tallies: Sequence[DetectionTally], z: np.ndarray) -> pd.Series:
-    """Depths found over the tubes with these thresholds, in what each inspected."""
+def _depths(tallies: Sequence[DetectionTally], z: np.ndarray) -> float:
+    """a90/95 over the tubes with these thresholds, in what each inspected [% of the wall]."""
     rows = []
     for k, (tally, own) in enumerate(zip(tallies, z, strict=True)):
         mean = curve(np.array(tally.lengths), tally.pod(float(own)), sum(tally.lengths))
         rows.append({"policy": "", "context": k, "seed": 0} | dict(zip(POD_NAMES, mean, strict=True)))
-    return depths_of(pd.DataFrame(rows)).iloc[0]
+    return a90_95(pd.DataFrame(rows), "")
 
 
+DEPTH: Final = "inspected_a90_95_percent_wall"
+DEPTH_OF: Final = {end: f"inspected_a90_95_{end}_percent_wall" for end in ("risen", "risen_low", "risen_high")}
 HEADER: Final = (
     "policy", "mean threshold", "calls a tube promised", "counted", "rise that keeps the promise", "a90/95 [%]",
     "a90/95 with it [%]",
@@ -201,8 +223,10 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
     return [
         (
             str(row["policy"]), f"{row['call_threshold']:.2f}", f"{row['promised']:.2g}",
-            f"{row['calls']:.2f} [{row['calls_low']:.2f}, {row['calls_high']:.2f}]", f"{row['rise']:.2f}",
-            f"{row['a90_95_percent_wall']:.1f}", f"{row['a90_95_risen_percent_wall']:.1f}",
+            f"{row['calls']:.2f} [{row['calls_low']:.2f}, {row['calls_high']:.2f}]",
+            f"{row['rise']:.2f} [{row['rise_low']:.2f}, {row['rise_high']:.2f}]",
+            f"{row[DEPTH]:.1f}",
+            Interval(*(row[DEPTH_OF[end]] for end in ("risen", "risen_low", "risen_high"))).text(),
         )
         for row in summary.to_dict("records")
     ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
+from probe_env.inspection.either import EitherTally
 from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
@@ -34,11 +36,16 @@ class Insertion:
     passage: Passage
     periods: tuple[dict[str, Any], ...]
     detection: dict[str, float]
-    tally: DetectionTally
+    tally: DetectionTally | EitherTally
 
 
 def insert(
-    policy: Policy, config: TaskConfig, context: Context, fidelity: Fidelity, seed: int, until: float | None = None
+    policy: Policy,
+    config: TaskConfig,
+    context: Context,
+    fidelity: Fidelity,
+    seed: int | Sequence[int],
+    until: float | None = None,
 ) -> Insertion:
     """Feed a probe in until the episode ends or a length [m] is inserted; the settling before is not kept.
 
@@ -73,7 +80,6 @@ def insert(
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
     tally = episodes.tally[0].detection
-    assert isinstance(tally, DetectionTally)  # one way: ``episodes`` have no passes
     detection = tally.kpis(episodes.tally[0].inspected, length)
     return Insertion(_passage(places, periods, radial, spectra), tuple(periods), detection, tally)
 

@@ -23,6 +23,7 @@ from agents.rollouts.plan import Plan, Policy, run_plan
 from agents.rollouts.statistics import by_context, grouped, mean_interval, method_and_seed
 from agents.terminal.tables import print_table
 from probe_env.fidelity import resolve_fidelity
+from probe_env.inspection.detection import WORST
 
 DEPTH: Final = "a90_95_percent_wall"
 REFERENCE: Final = (900.0, 1.0)
@@ -103,10 +104,14 @@ def front_of(table: pd.DataFrame, names: Sequence[str], singles: Iterable[str] =
     return front.assign(**{DEPTH: [a90_95(table, policy) for *_, policy in members]}) if tells(table) else front
 
 
-def unbeaten(front: pd.DataFrame) -> pd.DataFrame:
-    """The members that no other one beats both in time and in a90/95, the fastest first."""
-    ordered = front.sort_values(["time_s", DEPTH])
-    return ordered[moocore.is_nondominated(ordered[["time_s", DEPTH]].to_numpy(), keep_weakly=False)]
+def unbeaten(front: pd.DataFrame, by: str = DEPTH) -> pd.DataFrame:
+    """The members that no other one beats both in time and by another column, the fastest first.
+
+    Those with which not even a hole is found are left out.
+    """
+    ordered = front[front[DEPTH] < 100.0 * WORST].sort_values(["time_s", by])
+    best: np.ndarray = moocore.is_nondominated(ordered[["time_s", by]].to_numpy(), keep_weakly=False)
+    return ordered[best]
 
 
 def member_of(row: Mapping[Hashable, Any]) -> str:

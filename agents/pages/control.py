@@ -192,7 +192,7 @@ def tradeoff_found() -> str:
     families = [name for name in dict.fromkeys(stored["family"]) if name in fronts.FAMILIES]
     singles = [name for name in dict.fromkeys(stored["family"]) if name not in fronts.FAMILIES]
     front = fronts.front_of(table, families, singles)
-    best, in_millimetres = fronts.unbeaten(front), fronts.unbeaten(front.assign(**{fronts.DEPTH: front["out_share"]}))
+    best, in_millimetres = fronts.unbeaten(front), fronts.unbeaten(front, by="out_share")
     rows = [
         (
             f"`{fronts.member_of(row)}`", f"{row['time_s']:.0f}", f"{row[fronts.DEPTH]:.1f}",
@@ -200,11 +200,11 @@ def tradeoff_found() -> str:
         )
         for index, row in zip(best.index, best.to_dict("records"), strict=True)
     ]  # fmt: skip
-    header = ("feed", "time [s]", "a90/95 [% wall]", "out of the limit [%]", "nor in time and length out of the limit")
+    header = ("feed", "time [s]", "a90/95 [% wall]", "out of the limit [%]", "unbeaten in millimetres")
     return (
         f"**Of {len(front)} feeds {len(best)} are beaten by no other one both in time and in a90/95;"
         f" {len(set(best.index) & set(in_millimetres.index))} of them are among the {len(in_millimetres)} that are"
-        f" beaten by none in time and length out of the limit.**\n\n{markdown(header, rows)}\n\n"
+        f" unbeaten in millimetres, in time and length out of the limit.**\n\n{markdown(header, rows)}\n\n"
         f"The episodes above; no intervals. {source(folder / 'provenance.json')}"
     )
 

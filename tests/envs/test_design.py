@@ -218,7 +218,7 @@ def test_whole_insertions_are_judged_over_the_same_span():
 
 
 def test_what_a_design_finds_is_what_its_insertion_found():
-    """The same tube, feed and seed in episodes, to the last bit, over what each inspected: guides of 2.5 and 10 m."""
+    """The same tube, feed and seed in episodes, to the last bit, over what guides of 2.5 and 10 m let them inspect."""
     coarse, designs = Fidelity(time_lapse=20.0), [Design(), IMPROVED]
     trial = try_insertions([Candidate(d, Context(), Constant(CONFIG), 3) for d in designs], CONFIG, coarse)
     episodes = Episodes(2, CONFIG, may_stand=True, fidelity=coarse)
@@ -226,11 +226,22 @@ def test_what_a_design_finds_is_what_its_insertion_found():
     first, _ = episodes.reset([0, 1], {k: np.random.default_rng(3) for k in range(2)}, options)
     for _ in periods_of(episodes, [Constant(CONFIG)] * 2, first):
         pass
-    for k, tally in enumerate(episodes.tally):
-        kpis = tally.detection.kpis(tally.inspected, CONFIG.scene.tube.helix_length)
+    for k, (tally, reach) in enumerate(zip(episodes.tally, (55.0, 47.5), strict=True)):
+        assert tally.inspected == pytest.approx(reach, abs=0.01)
+        kpis = tally.detection.kpis(max(tally.inspected, reach), CONFIG.scene.tube.helix_length)
         assert {name: values[k] for name, values in trial.detection.items()} == {
             name: kpis[name] for name in FOUND_KPIS
         }
+
+
+def test_a_probe_that_loses_its_drive_finds_nothing_in_the_rest():
+    """With 20 m3/h small floats and a fast feed have hardly any pull left: it is charged for what it does not reach."""
+    weak = Constant(CONFIG, feed_speed=0.4, air_supply_rate=20.0 / 3600.0)
+    trial = try_insertions([Candidate(IMPROVED, Context(), weak)], CONFIG, Fidelity(time_lapse=20.0))
+    _, kpis = judge([IMPROVED], trial, CONFIG)
+    assert kpis["lost_drive"][0] == 1.0
+    assert 0.0 < kpis["inspected_m"][0] < 40.0
+    assert kpis["a90_percent_wall"][0] == 100.0
 
 
 QUIETER = np.log([0.142, 0.066, 0.183, 0.153])

@@ -47,7 +47,8 @@ class Trial:
         failed: (N,) whether it ended so, by each of ``FAILURES``.
         inspected: (N,) what the sensor saw to the end, where that was simulated.
         noise: (N, p) over the signal of a 20 % groove, where the task is judged by that.
-        detection: (N,) of each of ``FOUND_KPIS``, over all that a probe inspected; sections are too short to tell.
+        detection: (N,) of each of ``FOUND_KPIS``, over all that its guide lets a probe inspect; sections are
+            too short to tell.
     """
 
     widths: FloatArray

@@ -68,12 +68,22 @@ def try_insertions(
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
     trial = _gathered(sums, failed, guides, inspected, config)
-    return replace(trial, detection=_detection(episodes, config.scene.tube.helix_length))
+    return replace(trial, detection=_detection(episodes, config.scene.tube.helix_length, guides))
 
 
-def _detection(episodes: Episodes, tube_length: float) -> dict[str, FloatArray]:
-    """What would be found in what was inspected: a guide that inspects less is not charged for it here."""
-    kpis = [tally.detection.kpis(tally.inspected, tube_length) for tally in episodes.tally]
+def _detection(episodes: Episodes, tube_length: float, guides: FloatArray) -> dict[str, FloatArray]:
+    """What would be found where a probe gets to if nothing ends it: what it misses by its guide is not charged here.
+
+    Args:
+        episodes: that have ended.
+        tube_length: of the helix [m].
+        guides: (N,) lengths of the guides [m].
+    """
+    reach = tube_length - guides - SENSOR_START
+    kpis = [
+        t.detection.kpis(max(t.inspected, float(own)), tube_length)
+        for t, own in zip(episodes.tally, reach, strict=True)
+    ]
     return {name: np.array([row[name] for row in kpis]) for name in FOUND_KPIS}
 
 

@@ -31,7 +31,8 @@ def judge(
     """Reward terms and KPIs (N,) of designs, by the weights of the insertion task.
 
     Progress is the length that the sensor sees until the guide's tip is at the end of the helix: a long guide inspects
-    less. Vibration, time and air are of the span that all designs share; what would be found, of all that is inspected.
+    less. Vibration, time and air are of the span that all designs share; what would be found, of what its guide lets a
+    probe inspect.
 
     Raises:
         ValueError: the task's vibration measure is not one of ``JUDGED``.
