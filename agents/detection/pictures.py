@@ -69,7 +69,7 @@ def strip_chart(run: Insertion, voltages: FloatArray, behind: FloatArray, marks:
     axes[3].plot(places, [MM * period["radial_rms_m"] for period in run.periods], color=GREY, label="radial rms [mm]")
     axes[3].plot(places, [0.1 * period["snr"] for period in run.periods], color=BLUE, label="S/N of a 20 % groove / 10")
     axes[3].set(xlabel="sensor from the entrance of the helix [m]", ylim=(0.0, None))
-    axes[3].legend(frameon=False, ncols=2)
+    axes[3].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     for axis in axes:
         axis.grid(**GRID)
         marks.draw(axis)
