@@ -101,9 +101,12 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "inspection" / "calibration.md": ("calibrations", "recommendations"),
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_fresh", "plc_finely", "plc_constants", "trim", "plc_text"),
         DOCS / "inspection" / "signal.md": (
+            "as_seen",
             "anchors",
             "snr",
             "snr_agent",
+        ),
+        results / "heard.md": (
             "hearing",
             "hearing_fresh",
             "hearing_along",

@@ -104,8 +104,8 @@ def as_seen() -> str:
     return (
         f"Past the middle of the helix the noise in X is {noise:.1f} times what it is before, the radial rms"
         f" {vibration:.1f} times; their rank correlation over {len(periods)} s is"
-        f" {record['noise_and_vibration_correlation']:.2f}. Of {len(flaws)} flaws {flaws['called'].sum()} are called,"
-        f" {quiet['called'].sum()} of the {len(quiet)} in the first half; {record['false_calls']} calls are false."
+        f" {record['noise_and_vibration_correlation']:.2f}. Called are {flaws['called'].sum()} of {len(flaws)} flaws,"
+        f" in the first half {quiet['called'].sum()} of {len(quiet)}; {record['false_calls']} calls are false."
         f" {source(folder / 'signal.json')}"
     )
 
