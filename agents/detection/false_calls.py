@@ -80,7 +80,7 @@ def count_calls(plan: Plan, unit: tuple[str, int, int]) -> dict[str, Any]:
     name, k, seed = unit
     config, tube = plan.config, plan.config.scene.tube
     try:
-        run = insert(plan.policies[name], config, plan.contexts[k], plan.fidelity, (seed, k))
+        run = insert(plan.policies[name], config, plan.contexts[k], plan.fidelity, (seed, k), progress=False)
     except RuntimeError:
         return {"diverged": True, "heights": [], "heard": {}}
     rng, least = np.random.default_rng([seed, k, 1]), threshold(config.sensor, tube.helix_length)

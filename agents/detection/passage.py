@@ -46,8 +46,11 @@ def insert(
     fidelity: Fidelity,
     seed: int | Sequence[int],
     until: float | None = None,
+    progress: bool = True,
 ) -> Insertion:
     """Feed a probe in until the episode ends or a length [m] is inserted; the settling before is not kept.
+
+    ``progress`` shows where the sensor is.
 
     Raises:
         ValueError: a length that is not in the helix, or time-lapse, which leaves three of four metres out.
@@ -65,7 +68,8 @@ def insert(
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     places, periods, radial, spectra = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), [], []
-    with tqdm(desc="sensor at", initial=places[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
+    shown = "{desc} {n:.1f} {unit} [{elapsed}]"
+    with tqdm(desc="sensor at", initial=places[0], unit="m", bar_format=shown, disable=not progress) as bar:
         for step, _ in periods_of(episodes, [policy], observation):
             info = step.infos[0]
             if info["diverged"]:

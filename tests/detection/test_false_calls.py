@@ -119,10 +119,10 @@ def test_a_summary_of_spiky_tubes():
 
 
 def test_insertions_that_diverge_are_left_out_and_counted(monkeypatch, tmp_path, capsys):
-    def diverging(policy, config, context, *left):
+    def diverging(policy, config, context, *left, **named):
         if context == PLACE.contexts[1]:
             raise RuntimeError("the simulation diverged at 12 m")
-        return insert(policy, config, context, *left, until=5.6)
+        return insert(policy, config, context, *left, **named, until=5.6)
 
     monkeypatch.setattr(false_calls, "insert", diverging)
     summary = run_false_calls(("constant",), PLACE, "standard", tmp_path, HERE)
@@ -130,7 +130,7 @@ def test_insertions_that_diverge_are_left_out_and_counted(monkeypatch, tmp_path,
     assert json.loads((tmp_path / "provenance.json").read_text())["diverged"] == 1
     assert "1 of 2 insertions diverged and are left out" in capsys.readouterr().out
     monkeypatch.setattr(
-        false_calls, "insert", lambda *_: (_ for _ in ()).throw(RuntimeError("the simulation diverged"))
+        false_calls, "insert", lambda *_, **__: (_ for _ in ()).throw(RuntimeError("the simulation diverged"))
     )
     with pytest.raises(RuntimeError, match="policy constant: all insertions diverged"):
         run_false_calls(("constant",), PLACE, "standard", tmp_path / "none", HERE)
@@ -141,9 +141,9 @@ def short(monkeypatch):
     """Insertions that end at 5.6 m; how many were simulated."""
     played = []
 
-    def counted(*args):
+    def counted(*args, **named):
         played.append(args)
-        return insert(*args, until=5.6)
+        return insert(*args, **named, until=5.6)
 
     monkeypatch.setattr(false_calls, "insert", counted)
     return played
