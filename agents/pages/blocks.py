@@ -17,7 +17,7 @@ MAKERS: dict[str, Callable[[], str]] = {
         control.map_quality, control.tradeoff, control.tradeoff_found,
         headroom.headroom, headroom.headroom_finely, headroom.planner_settings, headroom.world,
         plc.plc_constants, plc.plc_finely, plc.plc_fresh, plc.plc_reached, plc.plc_text, plc.trim,
-        detection.anchors, detection.as_seen, detection.snr, detection.snr_agent,
+        detection.anchors, detection.as_seen, detection.false_calls, detection.snr, detection.snr_agent,
         along.hearing_along, along.steady_along, hearing.hearing, hearing.hearing_fresh, hearing.hearing_steady,
         hearing.replays,
         passes.feed_changes, passes.passes, passes.passes_acting, passes.passes_search, passes.turning,

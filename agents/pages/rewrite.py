@@ -102,6 +102,7 @@ def _pages() -> dict[Path, tuple[str, ...]]:
         DOCS / "inspection" / "plc.md": ("plc_reached", "plc_fresh", "plc_finely", "plc_constants", "trim", "plc_text"),
         DOCS / "inspection" / "signal.md": (
             "as_seen",
+            "false_calls",
             "anchors",
             "snr",
             "snr_agent",
