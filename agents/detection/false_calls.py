@@ -1,9 +1,8 @@
 """Whether noise is called as seldom as the threshold promises: counted behind the filter, where there is no flaw.
 
 A threshold is raised by what an episode's meter hears of the motion: a quarter of every second, over the spectrum of
-that second. The filter's output goes on from period to period, and a spike at the seam of two is seen by neither. So
-calls are counted on whole traces, the square of the motion in them included, and the threshold is told at which they
-would be as many as was promised.
+that second. Calls are counted on whole traces, the square of the motion in them included, and the threshold is told at
+which they would be as many as was promised.
 """
 
 from __future__ import annotations

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from tqdm import tqdm
 
 from agents.rollouts.plan import Policy
 from probe_env import Context, Fidelity
+from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
 from probe_env.inspection.either import EitherTally
+from probe_env.inspection.meter import Meter
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import SPAN
 from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
+
+STRETCH: Final = round(0.25 * SPAN / SAMPLE_PERIOD)
+"""Samples that the filter weighs by one spectrum: as many as a tally counts of every second."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,11 @@ class Insertion:
     periods: tuple[dict[str, Any], ...]
     detection: dict[str, float]
     tally: DetectionTally | EitherTally
+
+    @property
+    def period(self) -> int:
+        """Samples in a control period."""
+        return len(self.passage.radial) // len(self.periods)
 
 
 def insert(
@@ -67,7 +80,7 @@ def insert(
     episodes = Episodes(1, config, threads=1, may_stand=True, fidelity=fidelity)
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
     guide = episodes.batch.simulators[0].scene.probe.guide_length
-    places, periods, radial, spectra = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), [], []
+    places, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
     shown = "{desc} {n:.1f} {unit} [{elapsed}]"
     with tqdm(desc="sensor at", initial=places[0], unit="m", bar_format=shown, disable=not progress) as bar:
         for step, _ in periods_of(episodes, [policy], observation):
@@ -77,7 +90,6 @@ def insert(
             assert episodes.window is not None
             assert episodes.window.radial is not None
             radial.append(episodes.window.radial[:, 0])
-            spectra.append(episodes.gauges.meter.of_filter(0))
             bar.update(info["inserted_length"] - guide - places[-1])
             places.append(info["inserted_length"] - guide)
             periods.append(info)
@@ -85,20 +97,41 @@ def insert(
                 break
     tally = episodes.tally[0].detection
     detection = tally.kpis(episodes.tally[0].inspected, length)
-    return Insertion(_passage(places, periods, radial, spectra), tuple(periods), detection, tally)
+    return Insertion(_passage(config.sensor, places, periods, radial), tuple(periods), detection, tally)
 
 
-def _passage(
-    places: list[float], periods: list[dict[str, Any]], radial: list[np.ndarray], spectra: list[np.ndarray]
-) -> Passage:
+def _passage(sensor: Sensor, places: list[float], periods: list[dict[str, Any]], radial: list[np.ndarray]) -> Passage:
     """Samples of all periods; the sensor goes evenly within one."""
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
+    motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
     return Passage(
         time=SAMPLE_PERIOD * np.arange(1, each * len(radial) + 1),
         place=np.concatenate([begin + share * (end - begin) for begin, end in itertools.pairwise(places)]),
-        feed=np.repeat([period["feed_speed"] for period in periods], each),
-        radial=np.concatenate(radial),
-        spectrum=np.array(spectra),
-        period=each,
+        feed=feed,
+        radial=motion,
+        spectrum=centred_spectra(sensor, motion, feed),
+        stretch=STRETCH,
     )
+
+
+def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
+    """(p, m) densities by which the filter of each ``STRETCH`` weighs, of seconds that have it in their middle.
+
+    So an episode's tally counts excursions. An instrument that filters as it goes knows the past alone, and a burst
+    that sets in stands out more behind its filter.
+
+    Args:
+        sensor: its constants.
+        radial: (k,) motion [m].
+        feed: (k,) feed speed [m/s].
+    """
+    meter, one = Meter(sensor, 1, SAMPLE_PERIOD), np.zeros(1, dtype=np.int64)
+    ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
+    heard = []
+    for begin, end in itertools.pairwise([0, *ends]):
+        meter.listen(one, radial[begin:end, None], feed[begin : begin + 1])
+        heard.append(meter.of_filter(0))
+    # a second that ends half a stretch after the one that follows: the last ones have what there is
+    last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(heard) - 1)
+    return np.array(heard)[last]

@@ -65,7 +65,7 @@ def strip_chart(run: Insertion, voltages: FloatArray, behind: FloatArray, marks:
     axes[2].axhline(marks.threshold, color=RED, linewidth=0.8)
     axes[2].plot(marks.called, np.full(len(marks.called), marks.threshold), "v", color=RED, markersize=6)
     axes[2].set_ylabel("behind the filter\n[deviations of its noise]")
-    places = passage.place[passage.period - 1 :: passage.period]
+    places = passage.place[run.period - 1 :: run.period]
     axes[3].plot(places, [MM * period["radial_rms_m"] for period in run.periods], color=GREY, label="radial rms [mm]")
     axes[3].plot(places, [0.1 * period["snr"] for period in run.periods], color=BLUE, label="S/N of a 20 % groove / 10")
     axes[3].set(xlabel="sensor from the entrance of the helix [m]", ylim=(0.0, None))

@@ -204,7 +204,7 @@ def correlation(run: Insertion, chart: Chart) -> float:
 
 def by_period(run: Insertion, chart: Chart) -> pd.DataFrame:
     """A row a control period: where the sensor was at its end, deviation of each channel as drawn, vibration, S/N."""
-    each = run.passage.period
+    each = run.period
     shown = smoothed(run.passage, chart.voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
     return pd.DataFrame(
         {

@@ -44,9 +44,9 @@ class Passage:
         place: (k,) of the sensor from the helix's entrance [m].
         feed: (k,) feed speed [m/s].
         radial: (k,) displacement [m].
-        spectrum: (p, m) density of the motion by whose inverse the filter of each of p control periods weighs, at
+        spectrum: (p, m) density of the motion by whose inverse the filter of each of p stretches weighs, at
             ``spectrum.FREQUENCY`` [m2/Hz].
-        period: samples in a control period.
+        stretch: samples in one of them.
     """
 
     time: FloatArray
@@ -54,7 +54,7 @@ class Passage:
     feed: FloatArray
     radial: FloatArray
     spectrum: FloatArray
-    period: int
+    stretch: int
 
     @property
     def sample_period(self) -> float:
@@ -131,15 +131,15 @@ def smoothed(passage: Passage, values: FloatArray) -> FloatArray:
 
 
 def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray:
-    """(k,) the signal (k,) along the flaw behind the filter of each control period, over its noise's deviation."""
+    """(k,) the signal (k,) along the flaw behind the filter of each stretch, over its noise's deviation."""
     around = round(SPAN / passage.sample_period)
     padded = np.pad(signal, around)
     values = np.zeros(len(signal))
-    for number, begin in enumerate(range(0, len(signal), passage.period)):
-        part = padded[begin : begin + passage.period + 2 * around]
+    for number, begin in enumerate(range(0, len(signal), passage.stretch)):
+        part = padded[begin : begin + passage.stretch + 2 * around]
         feed, spectrum = float(passage.feed[begin]), passage.spectrum[number]
         out = response_of(sensor, feed, spectrum, part, passage.sample_period)
-        values[begin : begin + passage.period] = out[around : around + passage.period]
+        values[begin : begin + passage.stretch] = out[around : around + passage.stretch]
     return values
 
 

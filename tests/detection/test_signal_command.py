@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.detection.passage import Insertion
+from agents.detection.passage import STRETCH, Insertion, centred_spectra
 from agents.detection.signal import Chart, by_period, correlation
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
 from probe_env.inspection.sensor import Sensor
@@ -141,3 +141,23 @@ def test_what_is_wrong_is_named_before_anything_is_done(asked, message, tmp_path
     assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_filter_knows_a_burst_in_its_own_stretch():
+    """Silence but for a quarter of a second of 14 Hz: the second with the burst in its middle is that of its stretch.
+
+    Seconds that end before the burst tell nothing of it; one that has it in its middle tells the most that any can.
+    """
+    motion, feed = np.zeros(6000), np.full(6000, 0.2)
+    motion[3000:3250] = 1e-4 * np.sin(2 * np.pi * 14.0 * 1e-3 * np.arange(250))
+    power = centred_spectra(Sensor(), motion, feed).sum(axis=1)
+    assert len(power) == 24
+    assert (power[:10] == 0.0).all()  # the last of these is of the second to 2.875 s
+    assert power[12] > 0.5 * power.max()
+    assert (np.diff(power[9:13]) > 0.0).all()
+
+
+@pytest.mark.parametrize("samples", [100, 125, 250, 1001])
+def test_every_stretch_has_a_spectrum(samples):
+    motion = 1e-4 * np.random.default_rng(0).normal(size=samples)
+    assert len(centred_spectra(Sensor(), motion, np.full(samples, 0.2))) == -(-samples // STRETCH)

@@ -56,7 +56,7 @@ def passed(sensor: Sensor, shape: Shape, before: float, depth: float) -> Passed 
         feed=np.full(len(time), feed),
         radial=shape.signal_radial,
         spectrum=shape.spectrum[None],
-        period=len(time),
+        stretch=len(time),
     )
     flaw = Flaw(-feed * before, depth)
     voltages = channels(sensor, passage, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
