@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
+from agents.detection.stretches import STRETCH, centred_spectra
 from agents.rollouts.plan import Policy
 from probe_env import Context, Fidelity
-from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
 from probe_env.inspection.either import EitherTally
-from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import SPAN
 from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
-
-STRETCH: Final = round(0.25 * SPAN / SAMPLE_PERIOD)
-"""Samples that the filter weighs by one spectrum: as many as a tally counts of every second."""
 
 
 @dataclass(frozen=True)
@@ -113,25 +107,3 @@ def _passage(sensor: Sensor, places: list[float], periods: list[dict[str, Any]],
         spectrum=centred_spectra(sensor, motion, feed),
         stretch=STRETCH,
     )
-
-
-def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
-    """(p, m) densities by which the filter of each ``STRETCH`` weighs, of seconds that have it in their middle.
-
-    So an episode's tally counts excursions. An instrument that filters as it goes knows the past alone, and a burst
-    that sets in stands out more behind its filter.
-
-    Args:
-        sensor: its constants.
-        radial: (k,) motion [m].
-        feed: (k,) feed speed [m/s].
-    """
-    meter, one = Meter(sensor, 1, SAMPLE_PERIOD), np.zeros(1, dtype=np.int64)
-    ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
-    heard = []
-    for begin, end in itertools.pairwise([0, *ends]):
-        meter.listen(one, radial[begin:end, None], feed[begin : begin + 1])
-        heard.append(meter.of_filter(0))
-    # a second that ends half a stretch after the one that follows: the last ones have what there is
-    last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(heard) - 1)
-    return np.array(heard)[last]

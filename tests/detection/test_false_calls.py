@@ -9,24 +9,23 @@ from scipy.stats import poisson
 
 from agents.cli import main
 from agents.detection import false_calls
-from agents.detection.false_calls import (
+from agents.detection.false_calls import Count, heights, run_false_calls
+from agents.detection.passage import insert
+from agents.detection.promise import (
     DEPTH,
-    DEPTH_OF,
     DRAWS,
-    Count,
+    FIELDS,
+    KEPT_DEPTH,
+    SHARES,
     cells,
-    heights,
-    raised,
-    run_false_calls,
+    keeping,
+    set_for,
     summarise,
     tally_of,
 )
-from agents.detection.passage import insert
-from agents.policies.catalogue import make_policy
 from agents.policies.places import place_of
 from agents.processes.workers import HERE
 from agents.records.journal import Journal
-from agents.rollouts.plan import Plan
 from probe_env import TaskConfig
 from probe_env.inspection.channels import Passage
 from probe_env.inspection.detection import threshold
@@ -66,56 +65,81 @@ def test_a_spike_that_the_meter_missed_is_called_in_every_draw():
     assert (seen > 15.0).sum() == 5
 
 
-def test_the_rise_that_keeps_a_promise():
-    """Two tubes of ten draws: 0.25 calls a tube are five, so the sixth highest of those above must not be called."""
-    above = [np.array([0.9, 0.8, 0.7, -0.5]), np.array([0.6, 0.5, 0.4, 0.3])]
-    rise = raised(above, 0.25, 10)
-    assert rise == 0.4
-    assert sum((part > rise).sum() for part in above) == 5
-    assert raised(above, 1.0, 10) == 0.0  # fewer were counted than promised
-    assert raised([np.array([-0.2, 0.1]), np.array([])], 0.05, 10) == 0.0  # the second is below its threshold anyway
+def test_the_share_that_keeps_a_promise():
+    """The first share with no more calls than were promised, in the mean over tubes; the last where none has so few."""
+    falling = np.linspace(1.0, 0.0, len(SHARES))
+    calls = np.array([falling, 3.0 * falling])  # 2 falling in the mean
+    assert keeping(calls, 2.0) == 0
+    index = keeping(calls, 0.5)
+    assert 2.0 * falling[index] <= 0.5 < 2.0 * falling[index - 1]
+    assert keeping(calls + 1.0, 0.5) == len(SHARES) - 1
+
+
+def test_a_tally_set_for_fewer_calls_has_the_threshold_for_them():
+    """Of still sensors it is the closed form; of spiky ones it rises, from the tally's own on."""
+    still_one = DetectionTally(Sensor(), [0.2] * 30, [5.0] * 30, [0.0] * 30, [0.0] * 30, [0.0] * 30)
+    expected = [threshold(Sensor(false_calls=0.1 * share), 60.0) for share in SHARES]
+    np.testing.assert_allclose(set_for(still_one, 60.0), expected)
+    spiky = tally_of(Sensor(), record_of((), np.random.default_rng(0), 0.6)["heard"])
+    own = set_for(spiky, 60.0)
+    assert own[0] == spiky.threshold(60.0)
+    assert (np.diff(own) > 0.0).all()
+    assert (own > expected).all()
 
 
 def test_a_tally_is_that_which_was_stored():
     rng, tally = np.random.default_rng(0), DetectionTally(Sensor())
     for _ in range(200):
         tally.add(0.2, rng.uniform(2.0, 9.0), 0.6, 0.1, rng.standard_t(3, COUNT))
-    stored = {name: list(map(float, getattr(tally, name))) for name in false_calls.FIELDS}
+    stored = {name: list(map(float, getattr(tally, name))) for name in FIELDS}
     same = tally_of(Sensor(), json.loads(json.dumps(stored)))
     assert not same.gaussian
     assert same.kpis(60.0, 60.0) == tally.kpis(60.0, 60.0)
 
 
-def record_of(spikes, rng, snr=6.0):
-    """A tube of 200 places with spiky motion, and spikes that rise above its own threshold in every draw."""
+def record_of(spikes, rng, share):
+    """A tube of 200 places with spiky motion as a share of the noise.
+
+    In every draw spikes lie between the thresholds for these of ``SHARES`` and the next.
+    """
     tally = DetectionTally(Sensor())
     for _ in range(200):
-        tally.add(0.25, snr, 0.6, 0.1, rng.standard_t(3, COUNT))
-    z = tally.threshold(60.0)
-    heard = {name: list(map(float, getattr(tally, name))) for name in false_calls.FIELDS}
-    return z, {"heights": [z + spike for spike in spikes for _ in range(DRAWS)], "heard": heard}
+        tally.add(0.25, 6.0, share, 0.1, rng.standard_t(3, COUNT))
+    z = set_for(tally, 60.0)
+    heard = {name: list(map(float, getattr(tally, name))) for name in FIELDS}
+    seen = [0.5 * (z[index] + z[index + 1]) for index in spikes for _ in range(DRAWS)]
+    return {"heights": seen, "heard": heard, "threshold_of_all": z[20]}
 
 
 def test_a_summary_of_spiky_tubes():
     """Four tubes of 50 m, of which two have a spike in every draw: half a call a tube, where 1 / 12 were promised.
 
-    So both must go: the rise is that of the higher one, and depths grow with the thresholds: a90 of one place is
-    (z + what the spikes hide), of which z goes up by the rise.
+    So both must go: the share that keeps the promise is the first whose threshold is above the higher of them, and
+    depths grow with the thresholds. Spikes of no share leave the noise Gaussian: a90 is 0.2 (z + 1.28) / 6.
     """
     config, rng = TaskConfig(), np.random.default_rng(0)
-    plan = Plan({"slow": make_policy("slow", config)}, PLACE.contexts * 2, config=config)
-    tubes = [record_of(spikes, rng) for spikes in ((0.5,), (1.5,), (), ())]
-    (row,) = summarise(plan, {("slow", k, 0): record for k, (_, record) in enumerate(tubes)}).to_dict("records")
+    tubes = [record_of(spikes, rng, 0.0) for spikes in ((5,), (15,), (), ())]
+    z = np.array([set_for(tally_of(config.sensor, tube["heard"]), 60.0) for tube in tubes])
+    (row,) = summarise(config, {"slow": tubes}).to_dict("records")
     assert row["promised"] == pytest.approx(0.1 * 50.0 / 60.0)
     assert row["calls"] == 0.5
     assert row["calls_low"] < 0.5 < row["calls_high"]
-    assert row["call_threshold"] == pytest.approx(np.mean([z for z, _ in tubes]))
-    assert row["call_threshold"] > row["gaussian_threshold"]
-    assert row["rise"] == pytest.approx(1.5)
-    assert row["rise_low"] == 0.0
-    assert row["rise_high"] == pytest.approx(1.5)
-    grown = row[DEPTH_OF["risen"]] - row[DEPTH]
-    assert grown == pytest.approx(100.0 * 0.2 * 1.5 / 6.0, rel=0.1)  # the interpolation between depths
+    assert row["call_threshold"] == pytest.approx(z[:, 0].mean())
+    assert row["gaussian_threshold"] == threshold(config.sensor, 60.0)
+    assert row["threshold_of_all"] == pytest.approx(z[:, 20].mean())
+    assert row["calls_of_all"] == row["calls_of_all_low"] == row["calls_of_all_high"] == 0.0
+    assert row["kept_false_calls"] == pytest.approx(0.1 * SHARES[16])
+    assert row["kept_false_calls_low"] == pytest.approx(0.1 * SHARES[16])
+    assert row["kept_false_calls_high"] == pytest.approx(0.1)  # tubes without a spike alone: 1 draw of 16
+    for figure, index in ((DEPTH, 0), (KEPT_DEPTH, 16)):
+        assert row[figure] == pytest.approx(100.0 * 0.2 * (z[0, index] + 1.2816) / 6.0, rel=1e-4)
+    assert row[f"{KEPT_DEPTH}_low"] == row[DEPTH]
+    assert row[f"{KEPT_DEPTH}_high"] == row[KEPT_DEPTH]
+
+
+def test_what_summaries_are_of_must_be_there():
+    with pytest.raises(RuntimeError, match="policy slow: all insertions diverged"):
+        summarise(TaskConfig(), {"slow": []})
 
 
 def test_insertions_that_diverge_are_left_out_and_counted(monkeypatch, tmp_path, capsys):
@@ -165,6 +189,9 @@ def test_insertions_are_stored_and_not_simulated_again(short, tmp_path, capsys):
         assert row["promised"] == pytest.approx(0.1 * own["inspected_m"].mean() / 60.0, rel=1e-4)
         assert row["calls"] == pytest.approx(own["calls"].mean(), abs=1e-4)
         assert row["call_threshold"] == pytest.approx(threshold(Sensor(), 60.0))  # too short to be told from Gaussian
+        assert row["threshold_of_all"] == pytest.approx(own["threshold_of_all"].mean(), rel=1e-4)
+        assert row["threshold_of_all"] >= row["call_threshold"]
+        assert row["calls_of_all"] == pytest.approx(own["calls_of_all"].mean(), abs=1e-4)
         assert said.count(shown[0]) >= 2
     run_false_calls(("constant", "pi"), PLACE, "standard", tmp_path, HERE)
     assert len(short) == 6  # those of another policy alone

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from agents.detection import anchors as anchor_runs
-from agents.detection import false_calls as false_call_runs
+from agents.detection import promise
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
 from agents.policies.catalogue import DATA
 from agents.records.models import Record
@@ -113,22 +113,22 @@ def as_seen() -> str:
 def false_calls() -> str:
     """Calls where there is no flaw, counted on whole traces."""
     folder = RESULTS / "false-calls"
-    summary = stored_table(folder / "false-calls.csv", "policy", "calls", "promised", "rise")
+    summary = stored_table(folder / "false-calls.csv", "policy", "calls", "promised", "calls_of_all")
     record = read_json(folder / "provenance.json", Record).model_dump()
     kept = [f"`{row['policy']}`" for row in summary.to_dict("records") if row["calls_low"] <= row["promised"]]
-    risen = summary[false_call_runs.DEPTH_OF["risen"]]
-    more = 100.0 * (risen / summary[false_call_runs.DEPTH] - 1.0)
-    tau = kendalltau(summary[false_call_runs.DEPTH], risen).statistic
+    deeper = summary[promise.KEPT_DEPTH]
+    more = 100.0 * (deeper / summary[promise.DEPTH] - 1.0)
+    tau = kendalltau(summary[promise.DEPTH], deeper).statistic
     return (
         f"**In noise alone {summary['calls'].mean():.2f} calls a tube are counted where"
         f" {summary['promised'].mean():.2f} were promised; not clearly more by {', '.join(kept) or 'none'}. With"
-        f" thresholds that keep the promise depths are {more.min():.0f} to {more.max():.0f} % larger, and the ranking"
-        f" by a90/95 has Kendall's tau {tau:.2f} with the one as it is.**\n\n"
-        f"{markdown(false_call_runs.HEADER, false_call_runs.cells(summary))}\n\n"
+        f" thresholds that had heard all of the motion it is {summary['calls_of_all'].mean():.2f}. With the"
+        f" `false_calls` that keeps the promise depths are {more.min():.0f} to {more.max():.0f} % larger, and the"
+        f" ranking by a90/95 has Kendall's tau {tau:.2f} with the one as it is.**\n\n"
+        f"{markdown(promise.HEADER, promise.cells(summary))}\n\n"
         f"Means over {record['tubes']} held-out tubes ({in_words(Fidelity(**record['fidelity']))}) with 95 % intervals"
         f" over tubes, {record['draws']} draws of the electronic noise over each motion; {record['diverged']}"
-        f" insertions diverged. Depths are of what was inspected. The rise hangs on few spikes: where its interval"
-        f" begins at 0 it says nothing. {source(folder / 'provenance.json')}"
+        f" insertions diverged. Depths are of what was inspected. {source(folder / 'provenance.json')}"
     )
 
 
