@@ -76,7 +76,7 @@ class Anchors:
 
         place = place_at(self.tube, "test", self.limit)
         run_anchors(self.policies or POLICIES, place, self.fidelity, self.output, self.workers)
-        print(f"written: {self.output}/ (anchors.csv, a folder of episodes for each)")
+        print(f"written: {self.output}/ (anchors.csv, pairs.csv, a folder of episodes for each)")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Final
 import pandas as pd
 from scipy.stats import kendalltau
 
+from agents.detection.pairs import pairs_of, survival
 from agents.policies.catalogue import named_policies
 from agents.policies.places import Place
 from agents.processes.workers import Workers
@@ -61,13 +62,12 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
     if len(policies) < 2:
         raise ValueError(f"policies = {', '.join(policies)}: a ranking needs two")
     rows: dict[str, dict[str, float]] = {name: {} for name in policies}
-    commits: list[str] = []
+    tables: dict[str, pd.DataFrame] = {}
     for what, factors in ANCHORS.items():
         task = config.model_copy(update={"sensor": scaled(config.sensor, *factors)})
         plan = Plan(named_policies(names, task, place.vibration), place.contexts, config=task,
                     fidelity=resolve_fidelity(fidelity, task.scene))  # fmt: skip
-        table = run_plan(plan, output / what.replace(" ", "-"), workers=workers)
-        commits += list(table["commit"])
+        tables[what] = table = run_plan(plan, output / what.replace(" ", "-"), workers=workers)
         for name, row in rows.items():
             row[f"{A90}, {what}"] = a90_95(table, name)
             if what == USUAL:
@@ -76,9 +76,12 @@ def run_anchors(names: Sequence[str], place: Place, fidelity: str, output: Path,
     summary = pd.DataFrame(rows).T.rename_axis("policy").reset_index()
     record = {"fidelity": plan.fidelity.model_dump(), "tubes": len(place.contexts)}
     write_atomically(output / "anchors.csv", summary.to_csv(index=False, float_format="%.5g"))
+    pairs = pairs_of(tables)
+    write_atomically(output / "pairs.csv", pairs.to_csv(index=False, float_format="%.5g"))
+    commits = [commit for table in tables.values() for commit in table["commit"]]
     write_json(output / "provenance.json", provenance(commits=commits) | record | {"agreement": agreement(summary)})
     print_table(f"What is found, {len(place.contexts)} tubes", HEADER, cells(summary), left=1)
-    for line in sentences(summary):
+    for line in sentences(summary, pairs):
         print(line)
     return summary
 
@@ -112,7 +115,7 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
     ]
 
 
-def sentences(summary: pd.DataFrame) -> list[str]:
+def sentences(summary: pd.DataFrame, pairs: pd.DataFrame) -> list[str]:
     """Where the answer differs from the one in millimetres, and whether it hangs on the anchors."""
     by_reward = summary.sort_values("reward", ascending=False)["policy"].tolist()
     by_depth = summary.sort_values([f"{A90}, {USUAL}", "inspection_time_s"])["policy"].tolist()
@@ -124,4 +127,5 @@ def sentences(summary: pd.DataFrame) -> list[str]:
         f" {', '.join(moved) or 'none'} stand two places or more apart.",
         f"Kendall's tau with the ranking by anchors as they are: {moved_anchors}; with that by the reward in"
         f" millimetres {tau['reward in millimetres']:.2f}.",
+        survival(pairs, USUAL),
     ]

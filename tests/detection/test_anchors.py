@@ -73,7 +73,10 @@ def test_a_table_has_every_policy_with_every_anchor(tmp_path, monkeypatch, capsy
     assert [row[0] for row in cells(summary)] == ["pi", "slow", "constant"]
     others = (*list(ANCHORS)[1:], "reward in millimetres")
     assert agreement(summary) == {what: pytest.approx(1.0) for what in others}
-    assert "none stand two places" in sentences(summary)[0]
+    pairs = pd.read_csv(tmp_path / "pairs.csv")
+    assert len(pairs) == 3 * len(ANCHORS)
+    assert "none stand two places" in sentences(summary, pairs)[0]
+    assert "3 are clearly apart" in sentences(summary, pairs)[2]
     assert "pi" in capsys.readouterr().out
     with pytest.raises(ValueError, match="a ranking needs two"):
         run_anchors(("pi",), place_of(None, "test", 2), "fast", tmp_path / "other", HERE)

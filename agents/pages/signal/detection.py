@@ -85,7 +85,8 @@ def anchors() -> str:
         stored_table(folder / "anchors.csv", "policy", "reward", "inspection_time_s", "share_within_limit"),
         read_json(folder / "provenance.json", Record).model_dump(),
     )
-    lines = "\n".join(f"* {line}" for line in anchor_runs.sentences(summary))
+    pairs = stored_table(folder / "pairs.csv", "first", "second", "anchors", "low", "high")
+    lines = "\n".join(f"* {line}" for line in anchor_runs.sentences(summary, pairs))
     return (
         f"{markdown(anchor_runs.HEADER, anchor_runs.cells(summary))}\n\n{lines}\n\n"
         f"Over {record['tubes']} held-out tubes at `fast`; a90/95 is the depth found with 90 % over the tubes, with"
