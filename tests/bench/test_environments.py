@@ -3,7 +3,7 @@
 import pytest
 
 from agents.bench import environments
-from agents.bench.environments import clocked
+from agents.bench.environments import Episode, clocked
 
 
 class Sleeper:
@@ -35,3 +35,18 @@ def test_a_method_is_given_back_when_the_context_fails():
     with pytest.raises(RuntimeError), clocked(Sleeper, "sleep"):
         raise RuntimeError
     assert Sleeper.sleep is plain
+
+
+def test_an_episode_is_the_middle_one_of_its_rounds(monkeypatch):
+    """One that was held up, and one that was not listened to, do not count."""
+    rounds = iter([Episode(9.0, 0.02), Episode(2.0, 0.0), Episode(2.5, 0.03)])
+    monkeypatch.setattr(environments, "_insertion", lambda *_: next(rounds))
+    assert environments._episode("fast", 1) == Episode(2.5, 0.03)
+    assert next(rounds, None) is None
+
+
+def test_a_share_of_an_insertion_is_heard():
+    """Settling included, which is not nothing and not most of it."""
+    episode = environments._insertion("fast", 1)
+    assert episode.seconds > 0.0
+    assert 0.0 < episode.listening < 0.5
