@@ -33,12 +33,12 @@ def of_all(motion):
 
 
 def of_a_quarter(motion):
-    """The threshold of an episode that hears the same motion in periods of a second."""
+    """The threshold of an episode in periods of a second that does not take its motion for Gaussian."""
     tally, meter = DetectionTally(SENSOR), Meter(SENSOR, 1, 1e-3)
     for begin in range(0, len(motion), 1000):
         meter.listen(np.arange(1), motion[begin : begin + 1000, None], np.array([0.2]))
         tally.add(0.2, *meter.of(0))
-    return tally.threshold(60.0)
+    return threshold_as_seen(GAUSSIAN, np.array(tally.lengths), np.array(tally.shares), tally.counts)
 
 
 def heard_in(motion):
