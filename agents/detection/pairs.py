@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 
-import numpy as np
 import pandas as pd
 
 from agents.rollouts.depths import curves_by_tube, difference_of_a90
@@ -28,8 +27,7 @@ def pairs_of(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 def signs(pairs: pd.DataFrame) -> pd.DataFrame:
     """A row a pair, a column an anchor: 1 or -1 where the first's depth is clearly the larger or smaller, else 0."""
-    clear = np.sign(pairs["low"]) * (np.sign(pairs["low"]) == np.sign(pairs["high"]))
-    table = pairs.assign(sign=clear.astype(int))
+    table = pairs.assign(sign=(pairs["low"] > 0.0).astype(int) - (pairs["high"] < 0.0).astype(int))
     return table.pivot_table(index=["first", "second"], columns="anchors", values="sign", sort=False, aggfunc="first")
 
 
@@ -47,5 +45,5 @@ def survival(pairs: pd.DataFrame, usual: str) -> str:
         f"Of {len(table)} pairs of policies {len(apart)} are clearly apart with the anchors {usual} (95 % intervals,"
         f" paired over tubes). Of these {int((product > 0).all(axis=1).sum())} are so with every one of them,"
         f" {int(((product >= 0).all(axis=1) & (product == 0).any(axis=1)).sum())} are not told apart with some;"
-        f" {len(turned)} turn round: {'; '.join(turned) or 'none'}."
+        f" {len(turned)} turn round{': ' if turned else ''}{'; '.join(turned)}."
     )

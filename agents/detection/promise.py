@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from agents.rollouts.bootstrap import PERCENTILES, Interval, redrawn
+from agents.rollouts.bootstrap import PERCENTILES, redrawn
 from agents.rollouts.depths import a90_95
 from agents.rollouts.statistics import mean_interval
 from probe_env.arrays import FloatArray
@@ -127,12 +127,13 @@ def cells(summary: pd.DataFrame) -> list[tuple[str, ...]]:
             str(row["policy"]), f"{row['call_threshold']:.2f}", f"{row['promised']:.2g}",
             *(_text([row[end] for end in _ends(name)], ".2f") for name in ("calls", "calls_of_all")),
             _text([row[end] for end in _ends("kept_false_calls")], ".2g"),
-            f"{row[DEPTH]:.1f}", Interval(*(row[end] for end in _ends(KEPT_DEPTH))).text(),
+            f"{row[DEPTH]:.1f}", _text([row[end] for end in _ends(KEPT_DEPTH)], ".1f"),
         )
         for row in summary.to_dict("records")
     ]  # fmt: skip
 
 
 def _text(values: Sequence[float], style: str) -> str:
+    """A figure with its interval, which one tube has not."""
     mean, low, high = (f"{value:{style}}" for value in values)
-    return f"{mean} [{low}, {high}]"
+    return mean if values[1] == values[2] else f"{mean} [{low}, {high}]"

@@ -46,6 +46,8 @@ def depths_of(table: pd.DataFrame) -> pd.DataFrame:
 def difference_of_a90(first: FloatArray, second: FloatArray) -> Interval:
     """Depth found with 90 % by one policy less that by another [% of the wall], with its 95 % interval.
 
+    One tube says nothing of the scatter between tubes: the interval's ends are nan.
+
     Args:
         first: (tubes, d) its curves at ``DEPTHS``, see ``curves_by_tube``.
         second: (tubes, d) those of the other in the same tubes: both are drawn anew together.
@@ -53,7 +55,7 @@ def difference_of_a90(first: FloatArray, second: FloatArray) -> Interval:
     mean, drawn = (
         100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, redrawn_means)
     )
-    low, high = np.percentile(drawn, PERCENTILES)
+    low, high = np.percentile(drawn, PERCENTILES) if len(first) > 1 else (np.nan, np.nan)
     return Interval(float(mean[0]), float(low), float(high))
 
 

@@ -137,6 +137,13 @@ def test_a_summary_of_spiky_tubes():
     assert row[f"{KEPT_DEPTH}_high"] == row[KEPT_DEPTH]
 
 
+def test_one_tube_has_no_intervals():
+    config, rng = TaskConfig(), np.random.default_rng(0)
+    tubes = [record_of(spikes, rng, 0.0) for spikes in ((5,), ())]
+    assert "[" not in "".join(cells(summarise(config, {"slow": tubes[:1]}))[0])
+    assert "0.50 [0.00, 1.00]" in cells(summarise(config, {"slow": tubes}))[0]
+
+
 def test_what_summaries_are_of_must_be_there():
     with pytest.raises(RuntimeError, match="policy slow: all insertions diverged"):
         summarise(TaskConfig(), {"slow": []})

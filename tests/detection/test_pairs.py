@@ -45,6 +45,16 @@ def test_tubes_are_drawn_anew_together():
     assert crossed.mean == pytest.approx(paired.mean)
 
 
+def test_one_tube_tells_no_policies_apart():
+    """However far: nothing is known of the scatter between tubes."""
+    pairs = pairs_of({"usual": episodes(a=[5.0], b=[8.0])})
+    assert pairs["difference"].item() > 1.0
+    assert pairs[["low", "high"]].isna().all(axis=None)
+    assert signs(pairs)["usual"].tolist() == [0]
+    assert survival(pairs, "usual").startswith("Of 1 pairs of policies 0 are clearly apart")
+    assert survival(pairs, "usual").endswith("0 turn round.")
+
+
 def test_a_row_for_every_pair_and_anchor():
     alike, table = episodes(a=[5.0] * 4, b=[5.0] * 4, c=[8.0] * 4), episodes(a=[4.0] * 4, b=[5.0] * 4, c=[6.0] * 4)
     pairs = pairs_of({"as they are": alike, "halved": table})
