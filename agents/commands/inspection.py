@@ -41,7 +41,7 @@ class Signal:
 
     def run(self) -> None:
         """Simulate, draw, write, print."""
-        from agents.detection.signal import Look, draw_curves, print_signal, run_signal
+        from agents.evaluation.signal import Look, draw_curves, print_signal, run_signal
         from agents.policies.places import place_at, plant_at
 
         plant = plant_at(self.tube)

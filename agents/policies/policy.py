@@ -1,4 +1,4 @@
-"""What a policy was made for, and where it is used beyond that: nothing fails there, so it is said."""
+"""The protocol of policies, and the domain that a policy was made for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from pydantic import AfterValidator, FiniteFloat
@@ -17,13 +17,21 @@ from probe_env import Context
 from probe_env.envs.contexts import Ranges
 from probe_env.envs.episodes.starts import Contexts, checked_contexts
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.trials import Controller
 from probe_env.scene import Probe
 
 UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
 
 
+class Policy(Controller, Protocol):
+    """SB3's ``predict``, and a description that is equal for equal policies."""
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description."""
+
+
 def check_ranges(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Raise PydanticCustomError if one is of no field of ``Context``, or ends before it begins."""
+    """Raise PydanticCustomError for an unknown field of ``Context`` or a range in descending order."""
     for name, (low, high) in ranges.items():
         if name not in CONTEXT:
             text = f"{name!r} is none of {', '.join(CONTEXT)}"
@@ -36,24 +44,22 @@ def check_ranges(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[floa
 
 
 RangesOfTubes = Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], AfterValidator(check_ranges)]
-"""Least and greatest of fields of ``Context``, as files say them."""
+"""Ranges of fields of ``Context`` in a file."""
 
 
 class OutsideDomain(UserWarning):
-    """A policy is used beyond what it was made for."""
+    """A policy runs outside the domain that it was made for."""
 
 
 @dataclass(frozen=True)
 class Domain:
-    """Tubes that something was made for.
-
-    Other air is none of it: a map takes the supply that pulls as strongly, and drag counts relative to the scene's.
+    """The tubes that a policy was made for.
 
     Attributes:
-        ranges: least and greatest of fields of ``Context``.
+        ranges: of fields of ``Context``.
         inner_diameter: of the tubes [m].
-        helix_length: the longest [m].
-        probe: that was in them; None: any.
+        helix_length: the greatest [m].
+        probe: the probe; None: any.
     """
 
     ranges: dict[str, tuple[float, float]]
@@ -63,14 +69,14 @@ class Domain:
 
     @classmethod
     def of_map(cls, vibration: VibrationMap, any_probe: bool = False) -> Domain:
-        """What a vibration map tells of."""
+        """The domain of a vibration map."""
         low, high = vibration.ranges.tolist()
         ranges = {name: (low[k], high[k]) for k, name in enumerate(CONTEXT)}
         tube = vibration.scene.tube
         return cls(ranges, tube.inner_diameter, tube.helix_length, None if any_probe else vibration.scene.probe)
 
     def outside(self, config: TaskConfig, contexts: Iterable[Context]) -> list[str]:
-        """What of a task and its tubes lies beyond: field, value and range, one each."""
+        """Deviations of a task and its tubes from the domain: field, value and range of each."""
         scene, deviations = config.scene, []
         if not math.isclose(scene.tube.inner_diameter, self.inner_diameter, rel_tol=1e-3):
             deviations.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
@@ -91,7 +97,7 @@ class Domain:
 
 
 def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
-    """Least and greatest of the fields of some tubes, or of those that are drawn from ranges."""
+    """Ranges of the fields of tubes, which may themselves be given as ranges."""
     tubes = checked_contexts(contexts)
     if isinstance(tubes, Ranges):
         listed = {name: np.atleast_1d(getattr(tubes, name)).tolist() for name in CONTEXT}
@@ -102,10 +108,10 @@ def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
 def check_domains(
     domains: dict[str, Domain | None], config: TaskConfig, contexts: Sequence[Context], strict: bool
 ) -> None:
-    """Warn of every policy that is used beyond what it was made for.
+    """Warn about every policy that runs outside its domain.
 
     Raises:
-        ValueError: ``strict``, and there is one.
+        ValueError: ``strict``, and a policy does.
     """
     for name, domain in domains.items():
         deviations = domain.outside(config, contexts) if domain else []

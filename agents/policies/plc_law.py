@@ -1,8 +1,11 @@
-"""The law: fast with little air up to an onset length, then slow with all the air; ten constants.
+"""Feedback laws for a PLC: fast with little air up to an onset length, then slow with all the air; ten constants.
 
-The best schedules of the vibration map all have this form. Where the onset lies and how slow is slow hang on friction,
-which the root tension tells, and on the helix's diameter. The noise that is measured makes the probe act as if more or
-less of it were in the tube.
+The best schedules of the vibration map all have this form. Onset and slow feed depend on the friction, estimated from
+the root tension, and on the helix diameter; measured noise shifts the length that counts.
+
+``TrimmedLaw`` adds integral action: past the onset its feed is trimmed until the noise meets an aim. The feed at which
+a probe begins to ring is a sharp limit, different in every tube, but its ratio to the law's feed varies little along a
+tube. The feed is lowered faster than raised, since ringing costs more than time.
 """
 
 from __future__ import annotations
@@ -10,15 +13,15 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Self
+from typing import Annotated, Any, ClassVar, Final, Self, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
-from agents.policies.domain import Domain
 from agents.policies.fixed import FixedPolicy
 from agents.policies.maps.lookup import least_air
 from agents.policies.maps.vibration_map import stored_map
+from agents.policies.policy import Domain
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_text
@@ -38,7 +41,16 @@ MOST_SHIFT: Final = 0.7
 """Greatest logarithm of the factor by which noise lengthens or shortens the probe: a factor of two."""
 ITERATIONS: Final = 6
 """Newton's, for the friction: enough for 1e-6 of it (a test)."""
-STORED: Final = Path(__file__).parents[1] / "data" / "plc-law.json"
+STORED: Final = Path(__file__).parent / "data" / "plc-law.json"
+NOISE_AVERAGE: Final = 4.0
+"""Time constant of the average of the logarithm of the noise that is compared with the aim [s]."""
+UNKNOWN_NOISE: Final = 1e-5
+"""Noise at the beginning [m]."""
+LOWERED, RAISED = 1.0, 0.5
+"""Greatest logarithm of the ratio of noise and aim that counts, for less feed and for more."""
+MOST_TRIM: Final = 0.5
+"""Greatest logarithm of the factor on the feed, either way."""
+STORED_TRIM: Final = Path(__file__).parent / "data" / "trimmed-law.json"
 
 
 class Constants(Model):
@@ -91,19 +103,40 @@ class PlantData(Model):
         )  # fmt: skip
 
 
+class Trim(Model):
+    """Its two constants, beside the law's ten."""
+
+    aim: Annotated[float, quantity(1e-6, 1e-3, "m")] = 3.5e-5
+    """Noise, as radial rms, at which the feed stays as it is."""
+    time: Annotated[float, quantity(1.0, 10000.0, "s")] = 80.0
+    """In which feed changes by a factor of e where the noise is off by a factor of e."""
+
+
+M = TypeVar("M", bound=Model)
+
+
 def read_constants(path: str | Path = STORED) -> Constants:
-    """Constants from a file (JSON).
+    """The ten constants from a file (JSON).
 
     Raises:
         FileNotFoundError: no such file.
         FileError: not such constants; names every offending field.
     """
+    return _read(path, "constants", Constants, "a law")
+
+
+def read_trim(path: str | Path = STORED_TRIM) -> Trim:
+    """The constants of a trim from a file (JSON); raises as ``read_constants``."""
+    return _read(path, "trim", Trim, "a trim")
+
+
+def _read(path: str | Path, key: str, model: type[M], what: str) -> M:
     try:
-        return Constants.model_validate(tuples(json.loads(read_text(Path(path), MEBI)))["constants"])
+        return model.model_validate(tuples(json.loads(read_text(Path(path), MEBI)))[key])
     except ValidationError as error:
         raise FileError(path, explain(error)) from error
     except (json.JSONDecodeError, RecursionError, KeyError, TypeError) as error:
-        raise FileError(path, f"not the constants of a law: {error}") from error
+        raise FileError(path, f"not the constants of {what}: {error}") from error
 
 
 def friction_of(tension: FloatArray, seen: dict[str, FloatArray], plant: PlantData) -> FloatArray:
@@ -180,3 +213,38 @@ class PlcLaw(FixedPolicy):
     def describe(self) -> dict[str, Any]:
         """With its constants."""
         return {"policy": type(self).__name__, **self.constants.model_dump()}
+
+
+@dataclass
+class TrimmedLaw(PlcLaw):
+    """Acts by the law with its feed trimmed. Memory: the law's, average of the logarithm of the noise, trim."""
+
+    trim: Trim = field(default_factory=read_trim)
+    memory: ClassVar[int] = PlcLaw.memory + 2
+
+    def start(self, memory: FloatArray) -> None:
+        """Memory: the law's, little noise, and no trim."""
+        super().start(memory[:, : PlcLaw.memory])
+        memory[:, PlcLaw.memory :] = np.log(UNKNOWN_NOISE), 0.0
+
+    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By length, tension, noise and helix diameter.
+
+        Raises:
+            ValueError: the task does not show the root tension.
+        """
+        feed, air = super().targets(seen, memory[:, : PlcLaw.memory])
+        noise, trim = memory[:, -2], memory[:, -1]
+        period = self.config.period
+        gain = 1.0 - np.exp(-period / NOISE_AVERAGE)
+        noise += gain * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - noise)
+        past = air > self._plant.air_supply_rates[0]  # the onset
+        short = np.clip(np.log(self.trim.aim) - noise, -LOWERED, RAISED)
+        trim += np.where(past, period / self.trim.time * short, 0.0)
+        np.clip(trim, -MOST_TRIM, MOST_TRIM, out=trim)
+        trimmed = np.clip(feed * np.exp(trim), *self._plant.feed_speeds)
+        return np.where(past, trimmed, feed), air
+
+    def describe(self) -> dict[str, Any]:
+        """With its constants."""
+        return super().describe() | self.trim.model_dump()

@@ -1,4 +1,4 @@
-"""What ``probe-env signal`` does: a run, its channels as a file, its charts, and what would have been found."""
+"""An insertion as inspection software shows it: channels, strip chart, Lissajous figures, calls."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 
-from agents.detection import pictures
-from agents.detection.passage import Insertion, insert
+from agents.evaluation import figures, statistics
+from agents.evaluation.folder import read_episodes
+from agents.evaluation.recording import Insertion, insert
+from agents.evaluation.statistics import grouped
 from agents.policies.catalogue import make_policy
 from agents.policies.places import Place
 from agents.records.atomic import write_atomically
 from agents.records.provenance import provenance, write_json
-from agents.records.tables import read_episodes
-from agents.rollouts import depths
-from agents.rollouts.statistics import grouped
 from agents.terminal.tables import print_table
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
@@ -176,11 +175,11 @@ def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
     write_atomically(output / "channels.csv", pd.DataFrame(columns).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "flaws.csv", chart.table.to_csv(index=False, float_format="%.5g"))
     write_atomically(output / "periods.csv", by_period(run, chart).to_csv(index=False, float_format="%.5g"))
-    marks = pictures.Marks(title, chart.flaws, chart.supports, chart.called, chart.threshold)
-    pictures.strip_chart(run, chart.voltages, chart.values, marks, output / "strip.png")
+    marks = figures.Marks(title, chart.flaws, chart.supports, chart.called, chart.threshold)
+    figures.strip_chart(run, chart.voltages, chart.values, marks, output / "strip.png")
     if chart.flaws:
         kept = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
-        pictures.grooves(run, chart.voltages, [chart.flaws[k] for k in kept], output / "flaws.png")
+        figures.grooves(run, chart.voltages, [chart.flaws[k] for k in kept], output / "flaws.png")
 
 
 def _record(run: Insertion, config: TaskConfig, chart: Chart) -> dict[str, Any]:
@@ -235,15 +234,15 @@ def draw_curves(evaluation: Path, output: Path) -> None:
         ValueError: its episodes were stored before there was a sensor.
     """
     table = grouped(read_episodes(evaluation / "episodes.parquet"))
-    if not depths.tells(table):
+    if not statistics.has_curves(table):
         raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
-    curves = depths.bands(table)
+    curves = statistics.bands(table)
     output.mkdir(parents=True, exist_ok=True)
     write_atomically(output / "pod.csv", curves.to_csv(index=False, float_format="%.5g"))
-    pictures.curves(curves, output / "pod.png")
+    figures.curves(curves, output / "pod.png")
     header = ("policy", "a50 [% wall]", "a90 [% wall]", "a90/95 [% wall]")
     rows = [
-        (str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in depths.depths_of(table).to_numpy().tolist()
+        (str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in statistics.depths_of(table).to_numpy().tolist()
     ]
     print_table(f"Depths found, over {table['context'].nunique()} tubes", header, rows)
     print(f"written: {output}/ (pod.png, pod.csv)")

@@ -1,38 +1,44 @@
-"""One insertion under a policy with every sample of the sensor kept."""
+"""A recording: one insertion under a policy with every sample of the sensor."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from tqdm import tqdm
 
-from agents.detection.stretches import STRETCH, centred_spectra
-from agents.rollouts.plan import Policy
+from agents.policies.policy import Policy
 from probe_env import Context, Fidelity
+from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Passage
 from probe_env.inspection.either import EitherTally
+from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import SPAN
 from probe_env.inspection.tally import DetectionTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
+STRETCH: Final = round(0.25 * SPAN / SAMPLE_PERIOD)
+"""Samples that the filter weighs by one spectrum: as many as a tally counts of every second."""
+
 
 @dataclass(frozen=True)
 class Insertion:
-    """A run, samples and control periods.
+    """Samples and control periods of an insertion.
 
     Attributes:
-        passage: what the sensor went through.
-        periods: a mapping of a period each: what ``Episodes`` tells of it, SI units.
-        detection: figures by name of what would be found in the length that was inspected, see ``inspection.tally``.
-        tally: what they follow from.
+        passage: time, place, feed and motion of every sample.
+        periods: info of every control period, SI units.
+        detection: detection figures by name of the inspected length, see ``inspection.tally``.
+        tally: from which these figures follow.
     """
 
     passage: Passage
@@ -55,12 +61,19 @@ def insert(
     until: float | None = None,
     progress: bool = True,
 ) -> Insertion:
-    """Feed a probe in until the episode ends or a length [m] is inserted; the settling before is not kept.
+    """Record an insertion under a policy until the episode ends or a length is inserted.
 
-    ``progress`` shows where the sensor is.
+    Args:
+        policy: that feeds the probe.
+        config: the task.
+        context: the tube.
+        fidelity: without time-lapse.
+        seed: of sensor noise and start.
+        until: inserted length at which to stop [m]; None: the end.
+        progress: whether to show a progress bar.
 
     Raises:
-        ValueError: a length that is not in the helix, or time-lapse, which leaves three of four metres out.
+        ValueError: a length outside the helix, or a fidelity with time-lapse.
         RuntimeError: the simulation diverged.
     """
     if fidelity.time_lapse != 1.0:
@@ -95,7 +108,7 @@ def insert(
 
 
 def _passage(sensor: Sensor, places: list[float], periods: list[dict[str, Any]], radial: list[np.ndarray]) -> Passage:
-    """Samples of all periods; the sensor goes evenly within one."""
+    """Samples of all periods; within a period the sensor moves at constant speed."""
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
@@ -107,3 +120,36 @@ def _passage(sensor: Sensor, places: list[float], periods: list[dict[str, Any]],
         spectrum=centred_spectra(sensor, motion, feed),
         stretch=STRETCH,
     )
+
+
+def listened(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> Iterator[tuple[int, int, Meter]]:
+    """First and last sample of each ``STRETCH``, and a meter that has processed all samples up to there.
+
+    The first piece is half a stretch, so that each second ends half a stretch after a piece.
+
+    Args:
+        sensor: its constants.
+        radial: (k,) motion [m].
+        feed: (k,) feed speed [m/s].
+    """
+    meter, one = Meter(sensor, 1, SAMPLE_PERIOD), np.zeros(1, dtype=np.int64)
+    ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
+    for begin, end in itertools.pairwise([0, *ends]):
+        meter.listen(one, radial[begin:end, None], feed[begin : begin + 1])
+        yield begin, end, meter
+
+
+def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
+    """(p, m) noise densities for the filter of each ``STRETCH``, of the second that has it in its middle.
+
+    So does an episode's tally. A filter that knows only the past would let a burst that sets in stand out.
+
+    Args:
+        sensor: its constants.
+        radial: (k,) motion [m].
+        feed: (k,) feed speed [m/s].
+    """
+    spectra = [meter.of_filter(0) for _, _, meter in listened(sensor, radial, feed)]
+    # of a second that ends half a stretch after the next one; the last ones have what there is
+    last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(spectra) - 1)
+    return np.array(spectra)[last]
