@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -9,7 +10,7 @@ from typing import Literal
 import pandas as pd
 from pydantic import ValidationError
 
-from agents.evaluation.folder import Compared, holds_evaluation
+from agents.evaluation.folder import holds_evaluation, read_evaluation
 from agents.evaluation.kpis import SCORED_PASSES, shown_of
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.evaluation.report import write_report as write_report
@@ -30,7 +31,6 @@ from agents.policies.policy import check_domains
 from agents.policies.wrappers import BothWays, fidelity_of
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import write_json
-from agents.records.reading import read_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.episodes import Episodes
@@ -172,17 +172,14 @@ def report_again(folder: Path, against: str | None = None) -> Path:
         ValueError: a file is damaged, or there is no such policy to compare with.
     """
     if not holds_evaluation(folder):
-        raise FileNotFoundError(2, "no evaluation is stored there", str(folder / "setting.json"))
-    if against is None:
-        return write_report(folder)
-    path = folder / "report.json"
-    before = read_json(path, Compared) if path.exists() else Compared(against="")
-    write_json(path, {"against": against, "own": before.own})
-    try:
-        return write_report(folder)
-    except ValueError:
-        write_json(path, before.model_dump())
-        raise
+        raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(folder / "setting.json"))
+    if against is not None:
+        done = read_evaluation(folder)
+        policies = list(dict.fromkeys(done.table["policy"]))
+        if against not in policies:
+            raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
+        write_json(folder / "report.json", {"against": against, "own": done.own})
+    return write_report(folder)
 
 
 def print_summary(table: pd.DataFrame, against: str) -> None:
