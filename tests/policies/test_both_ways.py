@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.policies.both_ways import fidelity_of
+from agents.policies.wrappers import fidelity_of
 
 
 def test_unlapsed_is_fast_without_its_time_lapse():

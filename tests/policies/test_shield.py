@@ -7,9 +7,9 @@ import pytest
 
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
 from agents.policies.fixed import Constant
-from agents.policies.shield import Shielded
-from agents.rollouts.plan import Plan
-from agents.rollouts.playing import Playing
+from agents.policies.wrappers import Shielded
+from agents.evaluation.plan import Plan
+from agents.evaluation.plan import Playing
 from probe_env import Context, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import resolve_fidelity

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from agents.policies.catalogue import make_policy
-from agents.policies.planning.inspection import (
+from agents.policies.planner import (
     InspectionPlanner,
     earned,
     tried_both_ways,
     worth_of_rest,
 )
-from agents.policies.planning.planner import BLUR
-from agents.rollouts.plan import Plan, run_plan
+from agents.policies.planner import BLUR
+from agents.evaluation.plan import Plan, run_plan
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
