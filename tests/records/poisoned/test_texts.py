@@ -1,5 +1,6 @@
 """Damaged settings and schedules that people write, and names of files and options."""
 
+import re
 from pathlib import Path
 
 import pytest
