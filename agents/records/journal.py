@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,7 +61,8 @@ class Journal(Generic[S]):
 
 def set_aside(path: Path) -> None:
     """Make a journal ready to be appended to: a line that was cut off goes to ``NAME.cut-off`` beside it."""
-    *_, (_, line, begin) = _lines(path) if path.exists() else [(0, b"\n", 0)]
+    last = deque(_lines(path) if path.exists() else (), maxlen=1)
+    _, line, begin = last[0] if last else (0, b"\n", 0)
     if line.endswith(b"\n"):
         return
     cut_off = _cut_off(line)

@@ -137,6 +137,9 @@ def test_journals(stored):
 def test_a_journal_is_set_aside_only_where_a_line_was_cut_off(tmp_path):
     path = tmp_path / "episodes.jsonl"
     set_aside(path)  # there is none
+    path.touch()
+    set_aside(path)
+    assert path.read_bytes() == b""
     path.write_text('{"key": "a"}\n{"key": "b"}')
     set_aside(path)
     assert path.read_text() == '{"key": "a"}\n{"key": "b"}\n'
