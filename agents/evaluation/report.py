@@ -269,7 +269,7 @@ def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
 
 
 def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
-    row = endings(table).loc[policy]
+    row = _endings(table)[policy]
     missing = row["episodes"] - row["complete"]
     return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
 
@@ -299,7 +299,7 @@ Table = tuple[list[str], list[Row]]
 def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
     """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
-    rows, ends, order = [], endings(table), ranking(table)
+    rows, ends, order = [], _endings(table), ranking(table)
     best = next((name for name in order if name not in informed), order[0])
     for policy in order:
         cells = []
@@ -307,7 +307,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
             row = values[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
         cells.insert(1, _against(table, policy, best))  # the first is the reward
-        complete, _, reasons = ended(ends.loc[policy]).partition(", ")
+        complete, _, reasons = ended(ends[policy]).partition(", ")
         note = "yours" if policy in own else "oracle" if policy in informed else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
@@ -326,6 +326,11 @@ def _against(table: pd.DataFrame, policy: str, best: str) -> Cell:
     cell = _with_ends(difference.mean, difference.low, difference.high, "+")
     unclear = difference.low < 0.0 < difference.high
     return replace(cell, text=f"{cell.text} (unclear)") if unclear else cell
+
+
+def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
+    rows = endings(table).iterrows()
+    return {str(policy): {str(name): int(count) for name, count in row.items()} for policy, row in rows}
 
 
 def ended(row: Mapping[str, int] | pd.Series) -> str:
@@ -360,13 +365,13 @@ def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
 
 def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
     """Mean time and length within the limit of every policy in some tubes; the best by reward is marked."""
-    order, ends = ranking(part), endings(part)
+    order, ends = ranking(part), _endings(part)
     best = next((name for name in order if name not in informed), "")
     cells = {}
     for policy in order:
         time, share = _time_and_share(part, policy)
-        count = ends.loc[policy, "episodes"]
-        failed = count - ends.loc[policy, "complete"]
+        count = ends[policy]["episodes"]
+        failed = count - ends[policy]["complete"]
         stopped = f", {f'{failed} ' if count > 1 else ''}not complete" if failed else ""
         cells[policy] = Cell(time, share + stopped, policy == best)
     return cells
