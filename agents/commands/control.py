@@ -75,9 +75,8 @@ class Plc:
         """Find, or write, or print."""
         from agents.policies.maps.vibration_map import stored_map
         from agents.policies.places import place_at
-        from agents.policies.plc.law import PlantData, read_constants
-        from agents.policies.plc.trimmed import read_trim
         from agents.policies.plc.writing import print_law, write_law
+        from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory to trim with")

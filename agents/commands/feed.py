@@ -20,7 +20,8 @@ class Evaluate:
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
     """Policies and trained agents by name (probe-env agents lists them; ppo@2 is another training seed), schedule files
     (.csv, .toml), feedback laws (.json) or agents' bundles (.npz). NAME=FILE names one, NAME@K=FILE the training seeds
-    of one method. shielded:POLICY blows more where its feed and air would leave too little drive."""
+    of one method. shielded:POLICY blows more where its feed and air would leave too little drive. Alone, the folder
+    of a stored evaluation, also an interrupted one: its report is written again, with --against of another policy."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the study's probe; random: one for every tube and seed, drawn from the design space."""
     against: str | None = None
@@ -38,11 +39,6 @@ class Evaluate:
     with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone. Or settings in
     braces, as errors advise them."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
-    check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
-    """Repeat at half the time step; and with a finer fidelity: what was fed and blown replayed (on the way in alone),
-    the policies themselves acting, or both."""
-    finer: str = "reference"
-    """The finer fidelity of the check. reference costs some sixteen times fast; study hours and more."""
     tube: Path | None = None
     """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list."""
     strict: bool = False
@@ -55,31 +51,31 @@ class Evaluate:
     """What a metre counts for with --passes both: the way in, the way back, or the better of both (default)."""
 
     def run(self) -> None:
-        """Run what is missing, print, write the report."""
-        from agents.evaluation.fidelity_check import Checks
-        from agents.evaluation.report import evaluate, plan_of
-        from agents.policies.both_ways import check_goes_back, fidelity_of, way_in
-        from agents.policies.catalogue import own_policies
-        from agents.policies.places import both_ways, looking, place_at
+        """Run what is missing, print, write the report; of a stored evaluation the report alone."""
+        from agents.evaluation.folder import holds_evaluation
+        from agents.evaluation.run import evaluate, report_again
         from agents.terminal.fidelities import fidelity_given
 
-        place = place_at(self.tube, self.contexts, self.limit)
-        fidelity, finer = fidelity_given(self.fidelity), fidelity_given(self.finer, "finer")
-        passes = self.passes or place.config.passes
-        if passes == "both":
-            place = looking(place, self.inspects) if place.config.returns else both_ways(place, self.inspects or "best")
-            if isinstance(fidelity, str):
-                fidelity = fidelity_of(fidelity)
-            if isinstance(finer, str) and self.check_fidelity in ("replayed", "acting", "all"):
-                check_goes_back("finer", finer)
-                finer = fidelity_of(finer)
-        elif self.inspects:
-            raise ValueError(f"inspects = {self.inspects!r} needs --passes both: the probe is not drawn back")
-        else:
-            place = place._replace(config=way_in(place.config))
-        plan = plan_of(self.policies, place, self.seeds, fidelity, self.probes, self.strict)
-        checks = Checks(self.check_fidelity, finer)
-        evaluate(plan, self.output, checks, self.against, self.workers, own_policies(self.policies))
+        folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
+        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix  # a folder, and no damaged policy file
+        if folder.parts and (named or holds_evaluation(folder)):
+            print(f"written: {report_again(folder, self.against)}")
+            return
+        evaluate(
+            self.policies,
+            self.output,
+            tube=self.tube,
+            contexts=self.contexts,
+            limit=self.limit,
+            seeds=self.seeds,
+            fidelity=fidelity_given(self.fidelity),
+            probes=self.probes,
+            passes=self.passes,
+            inspects=self.inspects,
+            against=self.against,
+            strict=self.strict,
+            workers=self.workers,
+        )
 
 
 @dataclass(frozen=True)
@@ -96,20 +92,6 @@ class Agents:
         print_agents()
         print("Other policies")
         print_terms({"by name": ", ".join(NAMES), "schedules": ", ".join(shipped_names("schedules"))})
-
-
-@dataclass(frozen=True)
-class Report:
-    """Write the report of a stored evaluation again, or of what an interrupted one has stored: one HTML page."""
-
-    folder: tyro.conf.Positional[Path] = Path("output/evaluation")
-    """Folder of the evaluation; by default that of `evaluate`."""
-
-    def run(self) -> None:
-        """Write report.html, and summary.csv beside whole tables."""
-        from agents.evaluation.report import write_report
-
-        print(f"written: {write_report(self.folder)}")
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,6 @@ PLANT: Final = {
 """What a plant of one's own needs, and more."""
 USERS: Final = FIRST | PLANT
 MAKERS: Final = {
-    "report": Entry("feed:Report", "the report of a stored evaluation, again", "probe-env report output/evaluation"),
     "tradeoff": Entry(
         "feed:Tradeoff", "time against vibration, over one parameter of each policy",
         "probe-env tradeoff constant pi --beside ppo --limit 6",

@@ -7,28 +7,26 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
-from pydantic import ValidationError
+from pydantic import FiniteFloat, ValidationError, model_validator
 from tqdm import tqdm
 
 from agents.design.folders import claim
+from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
+from agents.evaluation.statistics import Interval, failures, in_words, mean_interval, short
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec
-from agents.policies.domain import check_domains
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.places import TABLE_2, Named
+from agents.policies.policy import Policy, check_domains
 from agents.records.code_hash import class_hash, code_hash
-from agents.records.columns import CORE, OF_DESIGNS, kpis_of
 from agents.records.journal import Journal
-from agents.records.models import Trial
+from agents.records.models import Key, Stored, require
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.tables import Columns, read_csv
-from agents.rollouts.bootstrap import Interval, short
-from agents.rollouts.plan import Policy
-from agents.rollouts.statistics import failures, in_words, mean_interval
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
@@ -203,6 +201,18 @@ def tube_column(tube: Named) -> dict[str, str]:
 
 def _line(key: str, kpis: dict[str, float]) -> str:
     return json.dumps({"key": key, "commit": commit(), "kpis": kpis}) + "\n"
+
+
+class Trial(Stored):
+    """A line of ``designs.jsonl``."""
+
+    key: Key
+    kpis: dict[str, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        require("kpis", self.kpis, (*CORE, *CORE_FAILURES))
+        return self
 
 
 def trials_of(output: Path) -> Journal[Trial]:

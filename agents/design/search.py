@@ -26,10 +26,10 @@ from agents.design import figures
 from agents.design.compare import tube_column
 from agents.design.folders import claim
 from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
+from agents.evaluation.statistics import bootstrap_ends
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.store import COMMIT
-from agents.rollouts.bootstrap import bootstrap_ends
 from agents.searches.database import open_study
 from agents.terminal.masking import masked
 from agents.terminal.tables import print_table

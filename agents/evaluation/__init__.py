@@ -1,4 +1,1 @@
-"""Judging policies: tables of episodes enter, reports, fronts, checks and films leave.
-
-Imports policies and what is below them.
-"""
+"""Evaluation of policies on the same tubes: KPIs, paired statistics, reports, films and inspection signals."""

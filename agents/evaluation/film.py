@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import gymnasium as gym
+import imageio.v3 as iio
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 from tqdm import tqdm
 
 import probe_env
-from agents.evaluation.film_files import check_format, write_film
 from agents.policies.catalogue import make_policy
+from agents.records.atomic import write_atomically
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.motion import FRAME_PERIOD, Motion, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
@@ -24,18 +28,21 @@ from probe_env.settings import whole_steps, within
 
 FRAMES_PER_SECOND: Final = 10
 LONGEST: Final = 2.0
-"""Of the dynamics in slow motion [s]: 400 pictures."""
+"""Greatest duration in slow motion [s]: 400 pictures."""
 FARTHEST: Final = 1000.0
-"""Behind the tip [m]."""
+"""Greatest distance behind the tip [m]."""
 RESOLVED: Final = 0.5
-"""Of the dynamics from which on a frequency is told [s]: to 2 Hz."""
+"""Least duration from which a frequency is estimated [s]: to 2 Hz."""
 WHERE: Final = 0.75
-"""Of the helix, where slow motion begins if nothing is said."""
+"""Share of the helix at which slow motion begins by default."""
+FORMATS: Final = (".gif", ".mp4", ".png")
+COLOURS: Final = 255
+"""Colours of a GIF, the same in all its pictures."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """What slow motion shows.
+    """The view of a film in slow motion.
 
     Attributes:
         at: inserted length at which it begins [m]; None: three quarters of the helix, for a constant length at once.
@@ -49,7 +56,7 @@ class Look:
 
 
 class _Play:
-    """An episode under a policy, a control period at a time."""
+    """An episode under a policy, step by step."""
 
     def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
         assert probe_env.__all__  # imported for its ids
@@ -191,3 +198,34 @@ def _checked(look: Look, episodes: Episodes) -> float:
             f"at = {at!r} m is outside the accepted range {start:g} m, where it starts, to less than {end:g} m"
         )
     return at
+
+
+def check_format(output: Path) -> None:
+    """Raise ValueError unless a film can be written under this name."""
+    if output.suffix not in FORMATS:
+        raise ValueError(f"output = {str(output)!r} must end in one of {', '.join(FORMATS)}")
+
+
+def write_film(output: Path, frames: Sequence[Any], frames_per_second: int) -> None:
+    """Write RGB pictures (h, w, 3) as a film (.gif, .mp4), or the last of them (.png), atomically."""
+    if output.suffix == ".gif":
+        film = _gif(frames, frames_per_second)
+    elif output.suffix == ".png":
+        film = iio.imwrite("<bytes>", frames[-1], extension=".png")
+    else:
+        options = {"fps": frames_per_second, "codec": "libx264", "macro_block_size": 8}
+        film = iio.imwrite("<bytes>", list(frames), extension=output.suffix, **options)
+    write_atomically(output, film)
+
+
+def _gif(frames: Sequence[Any], frames_per_second: int) -> bytes:
+    """With the colours of the first, the middle and the last picture."""
+    some = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
+    plain = Image.Dither.NONE  # dots would flicker
+    palette = Image.fromarray(some).quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, dither=plain)
+    first, *others = (Image.fromarray(frame).quantize(palette=palette, dither=plain) for frame in frames)
+    buffer = io.BytesIO()
+    first.save(
+        buffer, "GIF", save_all=True, append_images=others, duration=1000 // frames_per_second, loop=0, optimize=False
+    )
+    return buffer.getvalue()

@@ -1,153 +1,377 @@
-"""The evaluation as a command: run it, print it, and write its page."""
+"""The report of an evaluation: one HTML file that needs no network, and JavaScript only for the interactive plots."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+import json
+import tempfile
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pandas as pd
-from pydantic import ValidationError
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
 
-from agents.evaluation.fidelity_check import Checks, run_checks
-from agents.evaluation.page.stored import compared_with as compared_with
-from agents.evaluation.page.writing import write_report as write_report
-from agents.evaluation.passes import LOOKS
-from agents.policies.both_ways import BothWays
-from agents.policies.catalogue import domains_of, named_policies
-from agents.policies.domain import check_domains
-from agents.policies.places import Place
-from agents.processes.workers import HERE, Workers
-from agents.records.columns import shown_of
-from agents.records.provenance import write_json
-from agents.rollouts.bootstrap import Interval, short
-from agents.rollouts.plan import Plan, run_plan, stored_episodes
-from agents.rollouts.statistics import endings, grouped, in_words, method_and_seed, sentences, summarise
-from agents.rollouts.strain import strained
-from agents.terminal.tables import print_table
-from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.starts import Probes, Starts, settling
-from probe_env.fidelity import Fidelity, resolve_fidelity
-from probe_env.settings import explain
+from agents.evaluation import figures
+from agents.evaluation.folder import Evaluation, read_evaluation
+from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, label_of, shown_of
+from agents.evaluation.profiles import Description, deciding, downloads, traces
+from agents.evaluation.statistics import (
+    Interval,
+    bands,
+    by_context,
+    endings,
+    has_curves,
+    method_and_seed,
+    paired_difference,
+    ranking,
+    sentences,
+    short,
+    strained,
+    summarise,
+)
+from agents.policies.fixed import Replayed, Scheduled
+from agents.policies.on_map import Privileged
+from agents.policies.planner import InspectionPlanner, Planner
+from agents.records.drawing import MM
+from agents.records.provenance import write_atomically
+from probe_env.envs.task import FAILURES, Measure, TaskConfig
+from probe_env.fidelity import BOTH_WAYS, PRESETS
 
-
-def plan_of(
-    specs: Sequence[str],
-    place: Place,
-    seeds: int,
-    fidelity: str | Fidelity,
-    probes: Probes = "scene",
-    strict: bool = False,
-) -> Plan:
-    """Named policies in a place, so many seeds each; those that were not made for its tubes are told, or refused.
-
-    Raises:
-        ValueError: an argument is not valid, or ``strict`` and a policy was not made for these tubes.
-    """
-    if not 1 <= seeds <= 1000:
-        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = place.config.all_shown
-    policies = named_policies(specs, config, place.vibration)
-    forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
-    check_domains(domains_of(specs, forth), config, place.contexts, strict)
-    hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
-    chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
-    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes)
-    check_begins(plan, place.tube.name)
-    return plan
-
-
-def check_begins(plan: Plan, tubes: str) -> None:
-    """Raise ValueError if an episode could not even begin, before anything is run or written; ``tubes`` is whose.
-
-    Probes that are drawn anew for every tube and seed are as they come.
-    """
-    if plan.probes == "random":
-        return
-    try:
-        episodes = Episodes(1, plan.config, threads=1, fidelity=plan.fidelity)
-        for context in plan.contexts:
-            episodes.check_tube(context)
-    except ValidationError as error:
-        raise ValueError(f"{tubes}: {explain(error)}") from error
-    except ValueError as error:
-        raise ValueError(f"{tubes}: {error}") from error
+MEASURES: Final[dict[Measure, tuple[str, float, str]]] = {
+    "displacement": ("radial rms", 1e3, "mm"),
+    "velocity": ("radial velocity rms", 1e3, "mm/s"),
+    "acceleration": ("radial acceleration rms", 1.0, "m/s²"),
+    "snr": ("noise in the band of a flaw", 1.0, "of a 20 % groove's signal"),
+}
+"""Vibration measure -> name, factor and unit."""
+TUBE: Final = {
+    "helix diameter [m]": ("helix_diameter", 1.0, 2, " m"),
+    "friction": ("friction", 1.0, 3, ""),
+    "contact stiffness [kN/m]": ("contact_stiffness", 1e-3, 0, " kN/m"),
+    "drag factor": ("drag_factor", 1.0, 2, ""),
+}
+"""Header -> column of a tube, factor, digits and unit."""
+ORACLES: Final = frozenset(kind.__name__ for kind in (Privileged, Planner, InspectionPlanner))
+"""Policies that are given the true tube, which a rig cannot measure."""
+SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
+FEW_TUBES: Final = 10
+"""Number of tubes below which a bootstrap interval is rough."""
+MOST_DIAMETERS: Final = 12
+"""Number of helix diameters beyond which there is no table by diameter."""
+MOST_LISTED: Final = 60
+"""Numbers of a list in the settings of a policy."""
+DRAWN_AT_FIRST: Final = 4
+"""Policies whose traces are visible when the page opens."""
 
 
-NO_CHECKS: Final = Checks()
-
-
-def evaluate(
-    plan: Plan, output: Path, checks: Checks = NO_CHECKS, against: str | None = None, workers: Workers = HERE,
-    own: Sequence[str] = (),
-) -> pd.DataFrame:  # fmt: skip
-    """Evaluate policies; writes the tables, summary.csv and report.html.
-
-    Policies named NAME@K are training seeds of one method and are gathered in what is printed. ``against`` is the
-    policy that the others are compared with; default: the first. ``own`` are those that the report judges first;
-    default: ``against``.
+def write_report(folder: Path) -> Path:
+    """Write report.html from the files of a folder, and summary.csv if the evaluation is finished.
 
     Raises:
-        ValueError: an argument is not valid; nothing was run.
+        FileNotFoundError: no evaluation is stored there.
+        FileError: a file is damaged.
     """
-    if plan.probes == "random" and checks.level in ("replayed", "all"):
-        raise ValueError(
-            f"check_fidelity = {checks.level!r} replays tube by tube, for which other probes are drawn:"
-            " with probes = 'random' it must be no, half-step or acting"
-        )
-    if plan.config.returns and checks.level in ("replayed", "all"):
-        raise ValueError(
-            f"check_fidelity = {checks.level!r} replays what was fed over the inserted length, which is kept for the"
-            " way in alone: with --passes both it must be no, half-step or acting"
-        )
-    reference = claim_folder(plan, output, against, own)
-    table = run_plan(plan, output, workers=workers)
-    write_report(output)
-    if plan.config.returns:
-        print(f"Fed in and drawn back; what counts is {LOOKS[plan.config.inspects]}")
-    print_summary(grouped(table), reference)
-    run_checks(checks, plan, table, output, workers)
-    print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
-    return table
+    done = read_evaluation(folder)
+    summary = summarise(done.table)
+    if done.missing is None:
+        write_atomically(folder / "summary.csv", summary.to_csv(index=False, float_format="%.6g"))
+    path = folder / "report.html"
+    write_atomically(path, _template().render(**_content(done, summary), pictures=_pictures(done, summary)))
+    return path
 
 
-def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[str]) -> str:
-    """Note in a folder what its report is to compare; gives the policy that the others are compared with.
+def _template() -> Any:
+    environment = Environment(undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    parts = {name: Markup(_read(name)) for name in ("report.css", "report.js", "uPlot.iife.min.js", "uPlot.min.css")}
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
+    environment.globals["part"] = parts.__getitem__
+    return environment.from_string(_read("report.html"))
 
-    Raises:
-        ValueError: there is no such policy, or the folder holds another evaluation; nothing was written.
+
+def _read(name: str) -> str:
+    return files("agents.evaluation").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
+    """The variables of the template, except for the pictures."""
+    table, task, oracles, order = done.table, done.setting.task, informed(done), ranking(done.table)
+    described = descriptions(done)
+    kinds = {name: deciding(given).get("policy") for name, given in described.items()}
+    verdicts = [verdict(table, policy, oracles, limit_of(task)) for policy in done.own or (done.against,)]
+    offered, without = downloads(described, table, done.profile, task.returns)
+    best = [name for name in order if name not in oracles]
+    drawn = list(dict.fromkeys([*(v.policy for v in verdicts), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
+    return {
+        "title": "Feed policies compared",
+        "verdicts": verdicts,
+        "own": {name: f"Your {'schedule' if kinds.get(name) in SCHEDULES else 'policy'}" for name in done.own},
+        "missing": done.missing,
+        "facts": _facts(done),
+        "ranked": ranked(table, summary, done.own, oracles),
+        "told": sorted(oracles & set(order), key=order.index),
+        "strained": strained(table),
+        "against": done.against,
+        "sentences": sentences(table, done.against),
+        "by_diameter": by_diameter(table, oracles),
+        "by_tube": by_tube(table, oracles),
+        "downloads": offered,
+        "without": without,
+        "traces": traces(table, done.profile, drawn, _limit_mm(task)),
+        "record": done.record,
+        "fidelity": done.setting.fidelity,
+        "settings": json.dumps(_shortened(done.record.policies), indent=1),
+    }
+
+
+def _limit_mm(task: TaskConfig) -> float | None:
+    return task.limit * MM if task.vibration_measure == "displacement" else None
+
+
+def _facts(done: Evaluation) -> dict[str, str]:
+    """Limit, insertions, tubes, probe and simulation."""
+    table, task, scene = done.table, done.setting.task, done.setting.task.scene
+    tubes = table.drop_duplicates("context")
+    ranges = [f"bore {scene.tube.inner_diameter * MM:g} mm, helix {scene.tube.helix_length:g} m"]
+    for header_, (name, factor, _, unit) in TUBE.items() if (tubes["helix_diameter"] > 0.0).all() else ():
+        low, high = tubes[name].min() * factor, tubes[name].max() * factor
+        ranges.append(f"{header_.partition(' [')[0]} {low:.3g}{f' to {high:.3g}' if low < high else ''}{unit}")
+    probe = scene.probe
+    built = (
+        f"cable {probe.cable_diameter * MM:g} mm, floats {probe.carrier_float_diameter * MM:g} mm every"
+        f" {probe.float_pitch * MM:g} mm, guide cable {probe.guide_length:g} m"
+    )
+    presets = PRESETS | BOTH_WAYS if task.returns else PRESETS
+    stored, measure = done.setting.fidelity, MEASURES[task.vibration_measure][0]
+    return {
+        **({"passes": f"in and back; counted is {SCORED_PASSES[task.inspects]}"} if task.returns else {}),
+        "limit": f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time",
+        "insertions": f"{len(table)}, of {table['policy'].nunique()} policies in the same {len(tubes)} tubes",
+        "tubes": "; ".join(ranges),
+        "probe": "a random one for every tube and seed" if done.setting.probes == "random" else built,
+        "simulated with": next((name for name, v in presets.items() if v.model_dump() == stored), str(stored)),
+    }
+
+
+def _shortened(data: Any) -> Any:
+    """JSON data with long lists cut to ``MOST_LISTED`` items."""
+    if isinstance(data, dict):
+        return {key: _shortened(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        rest = [f"and {len(data) - MOST_LISTED} more"] if len(data) > MOST_LISTED else []
+        return [*map(_shortened, data[:MOST_LISTED]), *rest]
+    return data
+
+
+def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
+    """Title, caption and PNG in base64 of each picture."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        drawn = [
+            (
+                "Time against vibration",
+                "Mean over the tubes of each policy with 95 % intervals. Down and left is better.",
+                figures.trade_off(summary, folder / "trade-off.png"),
+            ),
+            (
+                "Mean over the tubes",
+                "Feed speed, air supply and radial rms over the inserted length; thin lines: 90th percentile.",
+                figures.policy_profiles(done.profile, folder / "profiles.png", _limit_mm(done.setting.task)),
+            ),
+        ]
+        if has_curves(done.table):
+            caption = (
+                "Probability of detection over the depth of a flaw, mean over the tubes, 95 % bands over the tubes."
+                " Depths are relative to the two anchors of the sensor model."
+            )
+            drawn.append(("What is found", caption, figures.curves(bands(done.table), folder / "pod.png")))
+        return [(name, text, base64.b64encode(path.read_bytes()).decode()) for name, text, path in drawn]
+
+
+def descriptions(done: Evaluation) -> dict[str, Description]:
+    """The description of every method, of its first training seed."""
+    methods: dict[str, Description] = {}
+    for name, description in done.record.policies.items():
+        methods.setdefault(method_and_seed(name)[0], description)
+    return methods
+
+
+def informed(done: Evaluation) -> set[str]:
+    """Methods that are oracles: given the true tube parameters, which a rig cannot measure."""
+    return {name for name, given in descriptions(done).items() if deciding(given).get("policy") in ORACLES}
+
+
+def limit_of(task: TaskConfig) -> str:
+    """The vibration limit with its unit."""
+    _, factor, unit = MEASURES[task.vibration_measure]
+    return f"{task.limit * factor:.4g} {unit}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A policy compared with the best other one: a line, and the figures behind it."""
+
+    policy: str
+    headline: str
+    detail: str
+
+
+def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: str) -> Verdict:
+    """A policy compared with the best of the others, oracles excluded.
+
+    Args:
+        table: episodes, all policies on the same tubes.
+        policy: that is judged.
+        informed: the oracles.
+        limit: the vibration limit with its unit.
     """
-    methods = [method_and_seed(name)[0] for name in plan.policies]
-    reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
-    if reference not in methods:
-        raise ValueError(f"against = {reference!r} is not one of the policies: {', '.join(plan.policies)}")
-    stored_episodes(plan, output)  # refuses a folder before anything is written to it
-    mine = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
-    write_json(output / "report.json", {"against": reference, "own": mine})
-    return reference
+    order = [name for name in ranking(table) if name == policy or name not in informed]
+    other = next((name for name in order if name != policy), None)
+    tubes = table["context"].nunique()
+    over = f"over {tubes} tube{'s' if tubes != 1 else ''}"
+    time, share = _time_and_share(table, policy)
+    if other is None:
+        headline = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
+        return Verdict(policy, headline, f"Means {over}; nothing to compare it with.")
+    reward, *others = (paired_difference(table, policy, other, kpi) for kpi in
+                       ("reward", "inspection_time_s", "share_within_limit"))  # fmt: skip
+    unclear = reward.low <= 0.0 <= reward.high
+    judged = "not clearly different from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
+    longer, more = (_signed(*each) for each in zip(others, (1.0, 100.0), (" s", " %"), strict=True))
+    failed = _not_complete(table, policy) + _not_complete(table, other, other)
+    headline = (
+        f"{judged} the {'next ' if order[0] == policy else ''}best here, {other}: reward {_signed(reward)},"
+        f" time {longer}, length within {limit} {more}{failed}."
+    )
+    other_time, other_share = _time_and_share(table, other)
+    rough = ", too few for exact intervals" if 1 < tubes < FEW_TUBES else ", which says nothing about scatter"
+    detail = (
+        f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. Paired differences"
+        f" with 95 % bootstrap intervals {over}{rough if tubes < FEW_TUBES else ''}."
+    )
+    return Verdict(policy, headline, detail)
 
 
-def print_summary(table: pd.DataFrame, against: str) -> None:
-    """KPIs with intervals and the comparison in words, on the terminal."""
-    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown_of(table.columns).values()))
-    rows = ((policy, *cells) for policy, cells in kpi_cells(table))
-    print_table("Means with 95 % intervals over the contexts", header, rows)
-    for name, row in endings(table).iterrows():
-        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
-    for line in (*strained(table), *sentences(table, against)):
-        print(line)
+def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
+    """Mean inspection time and length within the limit of a policy."""
+    time, share = (by_context(part, policy, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit"))
+    return f"{short(time)} s", f"{short(100.0 * share)} %"
 
 
-def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
-    """For every policy its KPIs as text, in the units for people."""
-    summary, rows = summarise(table), []
-    for policy in dict.fromkeys(summary["policy"]):
-        part = summary[summary["policy"] == policy].set_index("kpi")
+def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
+    """Mean and interval with signs and two digits; the mean alone if the interval has no width."""
+    values = [value * factor for value in (difference.mean, difference.low, difference.high)]
+    mean, low, high = (f"{v:{'+' if v else ''}{'.0f' if abs(v) >= 10.0 else '.2g'}}" for v in values)
+    return f"{mean}{unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")
+
+
+def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
+    row = _endings(table)[policy]
+    missing = row["episodes"] - row["complete"]
+    return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A figure, a second one below it, and whether it is the best of its kind."""
+
+    text: str
+    below: str = ""
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table: its head, a note below that, and cells."""
+
+    head: str
+    below: str
+    cells: tuple[Cell, ...]
+
+
+Table = tuple[list[str], list[Row]]
+"""Header and rows."""
+
+
+def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
+    """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
+    values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
+    rows, ends, order = [], _endings(table), ranking(table)
+    best = next((name for name in order if name not in informed), order[0])
+    for policy in order:
         cells = []
         for kpi, (_, factor, _) in shown_of(table.columns).items():
-            row = part.loc[kpi]
-            mean, low, high = row["mean"], row["low"], row["high"]
-            # of no width, as of one tube, an interval says nothing
-            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
-        rows.append((str(policy), cells))
-    return rows
+            row = values[policy, kpi]
+            cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
+        cells.insert(1, _against(table, policy, best))  # the first is the reward
+        complete, _, reasons = ended(ends[policy]).partition(", ")
+        note = "yours" if policy in own else "oracle" if policy in informed else ""
+        rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
+    units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
+    names = [units[kpi] for kpi in shown_of(table.columns)]
+    return ["policy", names[0], f"reward against {best}", *names[1:], "how it ended"], rows
+
+
+def _with_ends(mean: float, low: float, high: float, sign: str = "") -> Cell:
+    return Cell(short(mean, sign), f"{short(low, sign)} to {short(high, sign)}" if low < high else "")
+
+
+def _against(table: pd.DataFrame, policy: str, best: str) -> Cell:
+    if policy == best:
+        return Cell("best")
+    difference = paired_difference(table, policy, best, "reward")
+    cell = _with_ends(difference.mean, difference.low, difference.high, "+")
+    unclear = difference.low < 0.0 < difference.high
+    return replace(cell, text=f"{cell.text} (unclear)") if unclear else cell
+
+
+def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
+    rows = endings(table).iterrows()
+    return {str(policy): {str(name): int(count) for name, count in row.items()} for policy, row in rows}
+
+
+def ended(row: Mapping[str, int] | pd.Series) -> str:
+    """Number of complete insertions, and why the others ended, for a row of ``endings``."""
+    reasons = {label_of(name): row[name] for name in FAILURES}
+    reasons["out of time"] = row["episodes"] - row["complete"] - sum(reasons.values())
+    parts = [f"{count} {reason}" for reason, count in reasons.items() if count]
+    return ", ".join([f"{row['complete']} of {row['episodes']} complete", *parts])
+
+
+def by_diameter(table: pd.DataFrame, informed: Collection[str]) -> Table:
+    """Mean time and length within the limit: a row for each policy, a column for each helix diameter."""
+    groups = list(table.groupby("helix_diameter"))
+    if len(groups) > MOST_DIAMETERS or table["helix_diameter"].min() <= 0.0:
+        return [], []
+    counts = [(diameter, part["context"].nunique()) for diameter, part in groups]
+    names = [f"{diameter:g} m ({count} tube{'s' if count > 1 else ''})" for diameter, count in counts]
+    columns = [_best_marked(part, informed) for _, part in groups]
+    return ["policy", *names], [Row(policy, "", tuple(c[policy] for c in columns)) for policy in ranking(table)]
+
+
+def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
+    """A row for each tube: its parameters, then time and length within the limit of every policy."""
+    order, rows = ranking(table), []
+    known = TUBE if (table["helix_diameter"] > 0.0).all() else {}
+    for number, part in table.groupby("context"):
+        cells = [Cell(f"{part[name].iloc[0] * factor:.{digits}f}") for name, factor, digits, _ in known.values()]
+        judged = _best_marked(part, informed)
+        rows.append(Row(f"{number}", "", (*cells, *(judged[policy] for policy in order))))
+    return ["tube", *known, *order], rows
+
+
+def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
+    """Mean time and length within the limit of every policy in some tubes; the best by reward is marked."""
+    order, ends = ranking(part), _endings(part)
+    best = next((name for name in order if name not in informed), "")
+    cells = {}
+    for policy in order:
+        time, share = _time_and_share(part, policy)
+        count = ends[policy]["episodes"]
+        failed = count - ends[policy]["complete"]
+        stopped = f", {f'{failed} ' if count > 1 else ''}not complete" if failed else ""
+        cells[policy] = Cell(time, share + stopped, policy == best)
+    return cells

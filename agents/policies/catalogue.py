@@ -1,4 +1,4 @@
-"""All policies by name: built-in ones, those found by search, trained agents and schedules that ship, and files."""
+"""Policies by name or file: built-in ones, stored schedules, trained agents, and files of the user."""
 
 from __future__ import annotations
 
@@ -8,19 +8,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from agents.policies.both_ways import BothWays, InSteps, fastest_back, way_in
-from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
 from agents.policies.maps.vibration_map import VibrationMap, check_measure, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
-from agents.policies.planning.inspection import INSPECTION_PLANNERS, InspectionPlanner
-from agents.policies.planning.planner import PLANNERS, Planner
-from agents.policies.plc.law import PlcLaw
-from agents.policies.plc.trimmed import TrimmedLaw
-from agents.policies.shield import PREFIX, Shielded, unshielded
+from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InspectionPlanner, Planner
+from agents.policies.plc_law import PlcLaw, TrimmedLaw
+from agents.policies.policy import Domain, Policy
+from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
-from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
@@ -39,12 +35,10 @@ NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS
 def named_policies(
     specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None
 ) -> dict[str, Policy]:
-    """Policies by the names that tables give them: "NAME=SPEC", or the name or file name in the spec.
-
-    ``vibration`` is the map that some look things up in; default: the shipped one.
+    """Policies by their names in tables: from "NAME=SPEC", or the name or file name in the spec.
 
     Raises:
-        ValueError: none, or one name twice, or what no name may be; and what ``make_policy`` raises.
+        ValueError: no policy, a name twice or not valid, or as ``make_policy``.
     """
     pairs = [name_and_spec(spec) for spec in specs]
     names = [name for name, _ in pairs]
@@ -61,7 +55,7 @@ def named_policies(
 
 
 def name_and_spec(given: str) -> tuple[str, str]:
-    """Name and spec of a policy as it is given. A file that is there wins, whatever its name has in it."""
+    """Name and spec of a policy argument; an existing file wins, whatever characters its name has."""
     if given.startswith(PREFIX):
         name, spec = name_and_spec(unshielded(given))
         return f"shielded-{name}", PREFIX + spec
@@ -83,7 +77,7 @@ def _is_file(spec: str) -> bool:
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
-    """Names of those that are the user's: schedule files, and agents' bundles but those that ship."""
+    """Names of the user's own policies: files, except for agents that ship."""
     shipped = shipped_folder("agents").resolve()
     given = [(name, Path(unshielded(spec))) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
     return [name for name, path in given if path.suffix != ".npz" or not path.resolve().is_relative_to(shipped)]
@@ -92,10 +86,14 @@ def own_policies(specs: Sequence[str]) -> list[str]:
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
     """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.npz).
 
-    ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
-    NAME, which is training seed 0, or NAME@SEED. "shielded:" before any of these keeps a margin of drive. Where the
-    probe is drawn back, too, an agent that was trained so acts both ways; other policies are for the way in, and the
-    way back is in a schedule file's own columns, or as fast as it goes.
+    Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
+    keeps a margin of drive. In a task of both passes agents that were trained in one act on both; other policies are
+    for the insertion, and the withdrawal is in a schedule file's own columns, or as fast as possible.
+
+    Args:
+        spec: name or file.
+        config: the task.
+        vibration: the map of policies that need one; default: the shipped one.
 
     Raises:
         ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
@@ -108,23 +106,21 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
             raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
         return Shielded(config, make_policy(unshielded(spec), config, vibration))
     spec = policy_file(spec)
+    suffix = Path(spec).suffix
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]
         return kind(config, **arguments)
     if spec in (*MAP_POLICIES, *PLANNERS):
-        check_measure(vibration or stored_map(), config)
-    if spec in MAP_POLICIES:
-        on_map, settings = MAP_POLICIES[spec]
-        return on_map(config, vibration=vibration or stored_map(), **settings)
+        known = vibration or stored_map()
+        check_measure(known, config)
+        on_map, settings = MAP_POLICIES[spec] if spec in MAP_POLICIES else (Planner, PLANNERS[spec])
+        return on_map(config, vibration=known, **settings)
     if spec in LAWS:
         return LAWS[spec](config)
-    if spec in PLANNERS:
-        return Planner(config, vibration=vibration or stored_map(), **PLANNERS[spec])
     if spec in STORED:
         return Scheduled(config, Schedule.read(DATA / f"{spec}.csv"))
     if spec == BY_DIAMETER:
         return ByDiameter.read(config, DATA)
-    suffix = Path(spec).suffix
     if suffix in (".csv", ".toml"):
         schedule = Schedule.read(spec)
         _warn_of_limits(spec, schedule, config)
@@ -133,14 +129,16 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return Lawful(config, law=Law.read(spec))
     if suffix == ".npz":
         return _agent(spec, config)
+    names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
+    similar = ", ".join(difflib.get_close_matches(spec, names))
     raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
-        f" schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.npz){_closest(spec)}"
+        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule file (.csv, .toml), a feedback law (.json)"
+        f" nor an agent's bundle (.npz){f'; the closest: {similar}' if similar else ''}"
     )
 
 
 def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) -> Policy:
-    """Of a task of both passes: an agent that was trained in one acts both ways, others are given a way back."""
+    """A policy in a task of both passes, see ``make_policy``."""
     if spec in INSPECTION_PLANNERS:
         return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
     if spec in PLANNERS:
@@ -154,7 +152,8 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
         agent, step = _agent(file, config), trained.feed_speed_step
         return InSteps(config, agent, step) if step > 0.0 else agent
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
-    check_way_back(spec, back, config)
+    if back is not None:
+        _warn_of_limits(f"{spec}, way back", back, config)
     return BothWays(config, make_policy(spec, way_in(config), vibration), back or fastest_back(config))
 
 
@@ -164,14 +163,8 @@ def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:
     return load_bundle(file, config)
 
 
-def _closest(spec: str) -> str:
-    """The names that are most like one that is not known."""
-    similar = difflib.get_close_matches(spec, (*NAMES, *shipped_agents(), *shipped_names("schedules")))
-    return f"; the closest: {', '.join(similar)}" if similar else ""
-
-
 def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str, Domain | None]:
-    """What each of ``named_policies`` was made for; None: nothing in particular."""
+    """The domain of each of ``named_policies``; None: any tube."""
     domains: dict[str, Domain | None] = {}
     for name, spec in map(name_and_spec, specs):
         policy = policies[name]
@@ -180,17 +173,8 @@ def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str
     return domains
 
 
-def check_way_back(spec: str, back: Schedule | None, config: TaskConfig) -> None:
-    """Say what a schedule asks for on the way back that the device does not give."""
-    if back is not None:
-        _warn_of_limits(f"{spec}, way back", back, config)
-
-
 def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
-    """Say what a schedule asks for that the feed device or the air supply do not give: a measured log may.
-
-    A schedule over time may ask for standstills, see ``Replayed``.
-    """
+    """Warn about feed or air of a schedule beyond the task's range; over time standstills are allowed."""
     for name, values, (low, high), factor, unit in (
         ("feed speed", schedule.feed_speed, config.feed_speeds, 1.0, "m/s"),
         ("air supply", schedule.air_supply_rate, config.air_supply_rates, 3600.0, "m3/h"),

@@ -1,7 +1,7 @@
-"""Fixed policies with SB3's ``predict``, so that evaluation treats them and trained agents alike.
+"""Fixed policies with SB3's ``predict``: constants, schedules, simple feedback.
 
-A policy sees the task's observation and nothing else. What it remembers of an episode is the ``state`` that
-``predict`` returns and takes, as with SB3's recurrent policies: one row an environment, the time first.
+The memory of an episode is the ``state`` that ``predict`` returns and takes, as with SB3's recurrent policies: a row
+for each environment, the time first.
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ class FixedPolicy(ABC):
 
     Attributes:
         config: the task that it acts in.
-        memory: numbers that it remembers for each environment, besides the time.
+        memory: size of the memory for each environment, besides the time.
+        stands: whether a feed of 0 is a standstill, and not the slowest feed of the task's device.
     """
 
     config: TaskConfig
     memory: ClassVar[int] = 0
     stands: ClassVar[bool] = False
-    """Whether a feed of 0 is one, and not the slowest that the task's device has."""
 
     @abstractmethod
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Target feed speed [m/s] and air supply [m3/s], each (N,), from what is seen; ``memory`` (N, m) is its own.
+        """Target feed speed [m/s] and air supply [m3/s], (N,) each.
 
-        ``seen`` holds the time [s] since the episode began and what the task lets observe, see ``in_si_units``.
+        Args:
+            seen: time [s] since the episode began, and the observations in SI units, see ``in_si_units``.
+            memory: (N, m), updated in place.
         """
 
     def start(self, memory: FloatArray) -> None:  # noqa: B027 (most policies remember nothing)
@@ -101,14 +103,11 @@ class Scheduled(FixedPolicy):
 
 @dataclass
 class Replayed(FixedPolicy):
-    """A schedule over time, such as a log: feeds so that the inserted length is what the schedule has fed by then.
+    """A schedule over time, such as a log: feeds so that the inserted length follows the schedule's.
 
-    A task's feed device does not creep, but stops: what is slower than half of its slowest feed is a standstill, and
-    slow feeds come out as stops and starts. What is fed too much or too little in a period, by ramps and by the
-    device's range, is made good in the next.
-
-    A schedule that says where it begins is followed from there on, or from where the probe is in as far as the episode
-    has it at its start. Behind its end the last feed goes on, or the slowest.
+    Feeds below half of the device's slowest are standstills, so slow feeds come out as stops and starts. Deviations of
+    a period, by ramps and by the device's range, are corrected in the next one. A schedule with a start length is
+    followed from there on, or from the length at the start of the episode. After its end the last feed continues.
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
@@ -120,7 +119,7 @@ class Replayed(FixedPolicy):
         memory[:] = np.nan
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the coming period, by the length that is in (or was, where observations are late) and ought to be."""
+        """Feed by the difference between the schedule's length and the (delayed) inserted length."""
         schedule, period, late = self.schedule, self.config.period, self.config.delay_periods
         new, inserted = np.isnan(memory[:, 0]), seen["inserted_length"]
         memory[new, 0] = schedule.time_at(inserted[new])

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.domain import Domain, RangesOfTubes
 from agents.policies.fixed import FixedPolicy
+from agents.policies.policy import Domain, RangesOfTubes
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_text

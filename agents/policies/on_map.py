@@ -1,4 +1,4 @@
-"""Policies on the vibration map: told the tube, guessing it from tension, or shifting the map to what is felt."""
+"""Policies on the vibration map: with the true tube, with friction from the tension, or with a shifted map."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from agents.policies.domain import Domain
 from agents.policies.fixed import FixedPolicy
 from agents.policies.maps.lookup import LEAST_AIR, looked_up
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, stored_map
+from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
@@ -67,7 +67,7 @@ class MapPolicy(FixedPolicy):
 
 @dataclass
 class Privileged(MapPolicy):
-    """The best schedule for the true tube, which no rig knows: no bound, for who listens to the probe can earn more."""
+    """Oracle: the best schedule for the true tube, which a rig cannot measure; feedback can earn more."""
 
     vibration_weight: float | None = None
     """Weight that the schedule is best for; default: the task's."""
@@ -129,10 +129,9 @@ class TensionScheduled(MapPolicy):
 
 @dataclass
 class Adaptive(TensionScheduled):
-    """As ``TensionScheduled``, with the map shifted to what is measured: for probes that the map does not know.
+    """``TensionScheduled`` with the map shifted by the measured vibration, for probes that the map does not know.
 
-    How much louder or quieter than the map this probe is in this tube, in decades, is averaged over the run. Where the
-    task shows the probe, the friction estimate knows its floats.
+    The shift in decades is averaged over the run. Where the task shows the probe, its floats enter the friction.
     """
 
     shift_average: float = 15.0

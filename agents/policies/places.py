@@ -1,10 +1,10 @@
-"""Where policies are judged: the task, tubes and vibration map of a plant, or table 2's and the shipped lists."""
+"""Evaluation cases: task, tubes and vibration map of a plant, or of table 2 with the shipped lists of tubes."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from agents.policies.maps.vibration_map import VibrationMap, stored_map
 from agents.records.reading import FileError
@@ -17,17 +17,17 @@ from probe_env.scene import whole_pitches
 
 MAP_SUFFIX: Final = "-map.npz"
 WHOLE_SHIFT: Final = 2.0
-"""Time limit of both passes over that of the way in."""
+"""Time limit of both passes over that of the insertion."""
 SPLITS: Final = tuple(SPLIT_SIZES)
 
 
 class Named(NamedTuple):
-    """Which plant something was tried in.
+    """The plant of a case.
 
     Attributes:
         name: of its file.
-        digest: of all that the file says.
-        title: for tables and pictures; empty for table 2's tubes.
+        digest: hash of the file's content.
+        title: for tables and figures; empty for table 2.
     """
 
     name: str
@@ -39,7 +39,7 @@ TABLE_2: Final = Named("table 2", "", "")
 
 
 class Place(NamedTuple):
-    """Task, tubes and map, and what the plant is called."""
+    """An evaluation case: task, tubes, vibration map, and the plant."""
 
     config: TaskConfig
     contexts: tuple[Context, ...]
@@ -48,12 +48,12 @@ class Place(NamedTuple):
 
 
 def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> Place:
-    """The shipped list of a name, or as many tubes drawn from what is known of a plant, of each list others.
+    """A shipped list of tubes, or as many tubes sampled from the ranges of a plant, others for each list.
 
     Args:
-        plant: default: table 2's, in the shipped lists.
-        split: which tubes.
-        limit: so many of them, the first; 0: all.
+        plant: the plant; None: table 2's, in the shipped lists.
+        split: which list.
+        limit: number of tubes, the first of the list; 0: all.
         vibration: the map; default: the shipped one.
 
     Raises:
@@ -68,7 +68,7 @@ def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibra
 
 
 def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
-    """The place of a plant's file or name, with the map beside it; None: the shipped list.
+    """The case of a plant's file or name, with the map beside it; None: the shipped list.
 
     Raises:
         FileNotFoundError: no such file.
@@ -76,14 +76,12 @@ def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
     """
     plant = plant_at(tube)
     place = place_of(plant, split, limit, map_of(tube, plant))
-    return place if tube is None or plant is None else place._replace(tube=_named(tube, plant))
-
-
-def _named(tube: Path, plant: Plant) -> Named:
+    if tube is None or plant is None:
+        return place
     name = checked_name(name_of(tube), "a tube's file is called")
     bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
     digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
-    return Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)")
+    return place._replace(tube=Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)"))
 
 
 def plant_at(tube: Path | None) -> Plant | None:
@@ -119,19 +117,15 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
     path = None if tube is None or plant is None else own_map(tube)
     if tube is None or plant is None or path is None:
         return stored_map()
-    here = plant.scene
-    known = VibrationMap.load(path)
+    here, known = plant.scene, VibrationMap.load(path)
+    again = "make it anew with `probe-env map`"
     for name in ("inner_diameter", "helix_length"):
         before, now = getattr(known.scene.tube, name), getattr(here.tube, name)
         if before != now:
-            raise FileError(
-                path, f"{name} = {before!r} m, and {tube.name} says {now!r} m: make it anew with `probe-env map`"
-            )
+            raise FileError(path, f"{name} = {before!r} m, and {tube.name} says {now!r} m: {again}")
     for name in ("probe", "air"):
         if getattr(known.scene, name) != getattr(here, name):
-            raise FileError(
-                path, f"made for another [{name}] than {tube.name} has now: make it anew with `probe-env map`"
-            )
+            raise FileError(path, f"made for another [{name}] than {tube.name} has now: {again}")
     return known
 
 
@@ -149,14 +143,40 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
-def looking(place: Place, inspects: str | None) -> Place:
-    """The same place where something else counts, unless that is None."""
-    update = {} if inspects is None else {"inspects": inspects}
+def both_ways(place: Place, inspects: str) -> Place:
+    """The same case with a task of both passes; ``inspects`` as in ``TaskConfig``."""
+    limit = WHOLE_SHIFT * place.config.time_limit
+    update = {"passes": "both", "inspects": inspects, "time_limit": limit}
     return place._replace(config=place.config.model_copy(update=update))
 
 
-def both_ways(place: Place, inspects: str) -> Place:
-    """The same place with a task of both passes; ``inspects`` as in ``TaskConfig``."""
-    limit = WHOLE_SHIFT * place.config.time_limit
-    update = {"passes": "both", "inspects": inspects, "time_limit": limit}
+def load_case(
+    tube: Path | None,
+    split: Split,
+    limit: int = 0,
+    passes: Literal["in", "both"] | None = None,
+    inspects: Literal["in", "back", "best"] | None = None,
+) -> Place:
+    """The task, tubes and map of a plant, or of the shipped lists, for the passes to be made.
+
+    Args:
+        tube: file or name of a plant; None: the shipped lists.
+        split: which tubes.
+        limit: number of tubes, the first of the list; 0: all.
+        passes: "in" or "both"; default: what the plant's file says.
+        inspects: the pass that is scored with both passes; default: what the file says, or the better one.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: an argument or a file is not valid.
+    """
+    place = place_at(tube, split, limit)
+    if (passes or place.config.passes) == "both":
+        if not place.config.returns:
+            return both_ways(place, inspects or "best")
+        update = {"inspects": inspects} if inspects else {}
+    elif inspects:
+        raise ValueError(f"inspects = {inspects!r} needs --passes both: the probe is not drawn back")
+    else:
+        update = {"passes": "in"}
     return place._replace(config=place.config.model_copy(update=update))

@@ -1,13 +1,12 @@
-"""A model of Stable-Baselines3 that was trained on the task itself, as a policy to evaluate or a bundle to keep.
+"""A model of Stable-Baselines3 as a policy or a bundle.
 
-Its zip file is a pickle, which runs whatever somebody put into it, so the command line takes none: load the model in
-Python, where you know where it comes from.
+Its own zip file is a pickle, which can run any code, so commands take bundles alone.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
@@ -70,20 +69,16 @@ def described(model: BaseAlgorithm, config: TaskConfig) -> Description:
             raise ValueError(f"{name} of the model has shape {given.shape}; that of the task is {wanted.shape}")
     if isinstance(model.get_env(), VecNormalize):
         raise ValueError("model was trained with VecNormalize, whose statistics a policy alone does not have")
-    return Description(algorithm=algorithm, network=_network(model), view=view, task=config, trained=_trained(model))
+    trained = {"by": "stable_baselines3", "steps": int(model.num_timesteps), "seed": model.seed}
+    return Description(algorithm=algorithm, network=_network(model), view=view, task=config, trained=trained)
 
 
 def _network(model: BaseAlgorithm) -> Network:
-    given = model.policy_kwargs
-    values: dict[str, Any] = {"log_std_init": given["log_std_init"]} if "log_std_init" in given else {}
+    values = {name: value for name, value in model.policy_kwargs.items() if name == "log_std_init"}
     memory = getattr(model.policy, "lstm_actor", None)
     if memory is not None:
         values["lstm_hidden_size"] = memory.hidden_size
     shape = getattr(model.policy, "net_arch", None)
-    if isinstance(shape, dict):  # SB3 writes networks that are alike so too
+    if isinstance(shape, dict):  # equal networks of actor and critic
         shape = shape.get("pi", shape.get("vf"))
     return Network(net_arch=tuple(shape or ()), **values)
-
-
-def _trained(model: BaseAlgorithm) -> dict[str, Any]:
-    return {"by": "stable_baselines3", "steps": int(model.num_timesteps), "seed": model.seed}

@@ -1,4 +1,4 @@
-"""What is known of the trained agents that ship: read from their bundles and training files, without torch."""
+"""The trained agents that ship, read from their bundles and training files without torch."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ TENSION = "root_tension"
 
 
 class Trained(NamedTuple):
-    """What one agent is, in words.
+    """A trained agent that ships.
 
     Attributes:
-        name: that commands know it by.
+        name: in commands.
         seeds: training seeds, NAME@SEED each.
-        sees: what it observes.
-        trained: for which task, tubes and probes.
-        teacher: the policy that it imitated before it learnt by itself; empty if none.
+        sees: its observations, in words.
+        trained: task, tubes and probes of the training, in words.
+        teacher: policy that it imitated first; empty if none.
     """
 
     name: str
@@ -36,27 +36,24 @@ class Trained(NamedTuple):
 
 
 def trained_agents() -> list[Trained]:
-    """All that ship.
+    """All agents that ship.
 
     Raises:
-        FileError: a bundle or a training file is not what it should be.
+        FileError: a bundle or a training file is not valid.
     """
     return [_trained(name, seeds) for name, seeds in shipped_agents().items()]
 
 
 def print_agents() -> None:
-    """All that ship, one paragraph each."""
+    """Print all agents that ship, a paragraph each."""
     for agent in trained_agents():
         print(agent.name)
-        print_terms(
-            {
-                "seeds": f"{', '.join(map(str, agent.seeds))} of training, as {agent.name}@{agent.seeds[-1]};"
-                f" {agent.name} alone is {agent.name}@{DEFAULT_SEED}",
-                "sees": agent.sees,
-                "trained for": agent.trained,
-                "imitated": f"{agent.teacher} first, then learnt by itself" if agent.teacher else "nothing",
-            }
+        seeds = (
+            f"{', '.join(map(str, agent.seeds))} of training, as {agent.name}@{agent.seeds[-1]};"
+            f" {agent.name} alone is {agent.name}@{DEFAULT_SEED}"
         )
+        imitated = f"{agent.teacher} first, then learnt by itself" if agent.teacher else "nothing"
+        print_terms({"seeds": seeds, "sees": agent.sees, "trained for": agent.trained, "imitated": imitated})
 
 
 def _trained(name: str, seeds: tuple[int, ...]) -> Trained:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.plc.law import Constants, PlcLaw, read_constants
+from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import OBSERVATIONS, in_si_units
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension

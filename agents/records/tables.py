@@ -1,4 +1,4 @@
-"""Tables on disk, CSV and Parquet: the columns that are needed, of the kind that they should be.
+"""Reads CSV and Parquet tables: the required columns, each checked for its kind.
 
 Names stay text whatever they look like (``null``, ``1e5``, ``NA``), and numbers are read exactly.
 """
@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -17,14 +16,11 @@ from typing import Any, Final, Literal
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 
-from agents.records.columns import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.terminal.names import name_problem
-from probe_env.envs.contexts import Context
-from probe_env.envs.task import ENDINGS
 from probe_env.files import MEBI, FileError, read_bytes, read_text
-from probe_env.inspection.tally import POD_NAMES
 
 Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
 """A name (``agents.terminal.names``); any text; a whole number of 0 or more; a finite number; a number or nothing; a
@@ -34,21 +30,6 @@ MOST_CSV: Final = 64 * MEBI
 MOST_PARQUET: Final = 1024 * MEBI
 MOST_ROWS: Final = 20_000_000
 MOST_COLUMNS: Final = 1000
-PLACE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
-EPISODES: Final[Columns] = {
-    **PLACE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
-}  # fmt: skip
-"""``episodes.csv`` and ``episodes.parquet``: what every one has."""
-EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
-PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
-"""What both have that were stored since there is such a figure."""
-PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **PLACE}
-"""``profile.parquet``: metres of episodes; NaN where a probe diverged."""
-FRONT: Final[Columns] = {
-    "family": "name", "value": "maybe",
-    **dict.fromkeys(("time_s", "time_low", "time_high", "out_share", "out_low", "out_high"), "number"),
-}  # fmt: skip
-"""``tradeoff/front.csv``; a single policy has no value."""
 CURVE: Final[Columns] = {
     **dict.fromkeys(("seed", "phase", "steps"), "count"),
     **dict.fromkeys(("reward", "inspection_time_s", "share_within_limit"), "number"),
@@ -59,53 +40,68 @@ COSTS: Final[Columns] = {
     "method": "text", "nodes_per_pitch": "count", "carrier_length_m": "number", "ns_per_node_step": "number"
 }  # fmt: skip
 """``chart/costs.csv``."""
+HASHES: Final = ("code", "commit")
+"""Columns that are text although the digits of a hash may look like a number."""
 _NONE: Final[Columns] = MappingProxyType({})
 _HINT: Final = "restore the file, or make it again"
-
-
-def read_episodes(path: Path) -> pd.DataFrame:
-    """A table of episodes, CSV or Parquet: what every one has, and the KPIs that this one has.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: it is damaged.
-    """
-    return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
-
-
-HASHES: Final = ("code", "commit")
-"""Columns that are text, though the digits of a hash may all be decimal, or one of them an e between decimal ones."""
+_ARROW: Final = {"name": pa.string(), "text": pa.string(), "truth": pa.bool_()}
 
 
 def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd.DataFrame:
-    """A CSV table with a header and the needed columns; those of ``newer`` are of their kind where there are any.
+    """A CSV table with a header; other columns are numbers, truths or text, as their cells allow.
 
-    Columns that are not named are numbers, truths or text, as all of their cells allow.
+    Args:
+        path: of the file.
+        columns: required columns and their kinds.
+        newer: columns that may be absent, and their kinds.
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: not CSV, or a needed column is missing or not of its kind.
+        FileError: not CSV, or a required column is missing or not of its kind.
     """
-    table = csv.reader(re.split("\r\n|\r|\n", read_text(path, MOST_CSV)), strict=True)
-    try:
-        rows = [(table.line_num, row) for row in table if row]
-    except csv.Error as error:
-        raise FileError(path, f"line {table.line_num}: not CSV: {error} - {_HINT}") from error
-    header = rows[0][1] if rows else []
+    text = read_text(path, MOST_CSV)
+    header = next(filter(None, csv.reader(io.StringIO(text))), [])
     columns = _present(columns, newer, header)
     _check_header(path, header, columns)
-    for line, row in rows[1:]:
-        if len(row) != len(header):
-            raise FileError(path, f"line {line}: {len(row)} values for {len(header)} columns - {_HINT}")
-    lines = [line for line, _ in rows[1:]]
-    cells = zip(*(row for _, row in rows[1:]), strict=True) if len(rows) > 1 else ([] for _ in header)
-    converted = {
-        name: _converted(path, name, list(values), lines, columns[name])
-        if name in columns
-        else _inferred(list(values), name in HASHES)
-        for name, values in zip(header, cells, strict=True)
-    }
-    return check_table(path, pd.DataFrame(converted), columns)
+    types: dict[str, Any] = {name: _ARROW.get(kind, pa.float64()) for name, kind in columns.items()}
+    types = dict.fromkeys((name for name in HASHES if name in header), pa.string()) | types
+    table = _parse(path, text, header, types)
+    dates = {field.name: pa.string() for field in table.schema if pa.types.is_temporal(field.type)}
+    frame = (_parse(path, text, header, types | dates) if dates else table).to_pandas()
+    for name, kind in columns.items():
+        values = frame[name]
+        if kind in ("name", "text"):
+            frame[name] = values.fillna("")
+        elif kind == "count" and (values % 1.0 == 0.0).all() and (values.abs() < 2**53).all():
+            frame[name] = values.astype(np.int64)
+    return check_table(path, frame, columns)
+
+
+def _parse(path: Path, text: str, header: Sequence[str], types: Mapping[str, Any]) -> pa.Table:
+    """A CSV text as a table, columns without a type inferred; errors name the column, the row and the value."""
+    convert = pa.csv.ConvertOptions(
+        column_types=types, null_values=[""], strings_can_be_null=True, true_values=["True"], false_values=["False"]
+    )  # fmt: skip
+    if text.count('"') % 2:
+        raise FileError(path, f"not CSV: a quote is not closed - {_HINT}")
+    try:
+        return pa.csv.read_csv(
+            io.BytesIO(text.encode()),
+            read_options=pa.csv.ReadOptions(use_threads=False, block_size=2 * MOST_CSV),
+            parse_options=pa.csv.ParseOptions(newlines_in_values=True),
+            convert_options=convert,
+        )
+    except pa.ArrowException as error:
+        raise FileError(path, f"{_in_words(str(error), header)} - {_HINT}") from error
+
+
+def _in_words(error: str, header: Sequence[str]) -> str:
+    """Arrow's error with the column's name and the row as in ``check_table``: the first below the header is 1."""
+    if match := re.fullmatch(r"In CSV column #(\d+): Row #(\d+): .* invalid value '(.*)'", error, re.DOTALL):
+        return f"row {int(match[2]) - 1}: {header[int(match[1])]} = {match[3][:100]!r} is not a number"
+    if match := re.fullmatch(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+).*", error, re.DOTALL):
+        return f"row {int(match[1]) - 1}: {match[3]} values for {match[2]} columns"
+    return f"not CSV: {error}"
 
 
 def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
@@ -189,38 +185,3 @@ def _check_names(path: Path, column: str, values: list[Any], kind: Kind) -> None
         problem = "not text" if not isinstance(value, str) else name_problem(value) if kind == "name" else ""
         if problem:
             raise FileError(path, f"column {column!r}: {str(value)[:100]!r} {problem} - {_HINT}")
-
-
-def _converted(path: Path, name: str, cells: list[str], lines: list[int], kind: Kind) -> list[Any] | np.ndarray:
-    if kind in ("name", "text", "truth"):
-        return _inferred(cells) if kind == "truth" else cells
-    numbers: list[float] = []
-    for line, cell in zip(lines, cells, strict=True):
-        number = _number(cell) if cell or kind != "maybe" else math.nan
-        if number is None:
-            raise FileError(path, f"line {line}: {name} = {cell[:100]!r} is not a number - {_HINT}")
-        numbers.append(number)
-    if kind == "count" and all(number.is_integer() and abs(number) < 2**53 for number in numbers):
-        return np.array(numbers, dtype=np.int64)
-    return np.array(numbers)
-
-
-def _inferred(cells: list[str], text: bool = False) -> list[Any] | np.ndarray:
-    """A column that nothing is said of: as pandas would take it, but numbers are exact."""
-    if text:
-        return [cell or math.nan for cell in cells]
-    if any(cells) and all(cell in ("True", "False") for cell in cells):
-        return np.array([cell == "True" for cell in cells])
-    if any(cells) and all(re.fullmatch(r"[+-]?\d{1,18}", cell, re.ASCII) for cell in cells):
-        return np.array([int(cell) for cell in cells], dtype=np.int64)
-    numbers = [_number(cell) if cell else math.nan for cell in cells]
-    if all(number is not None for number in numbers):
-        return np.array(numbers, dtype=float)
-    return [cell or math.nan for cell in cells]
-
-
-def _number(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None

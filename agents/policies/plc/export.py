@@ -8,19 +8,24 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from agents.policies.plc.law import (
+from agents.policies.plc_law import (
     CREDIBLE,
     DIAMETER,
     FRICTION,
     ITERATIONS,
     LENGTH,
+    LOWERED,
     MOST_SHIFT,
+    MOST_TRIM,
+    NOISE_AVERAGE,
+    RAISED,
     SHORTEST,
+    UNKNOWN_NOISE,
     Constants,
     PlantData,
+    Trim,
     law_at,
 )
-from agents.policies.plc.trimmed import LOWERED, MOST_TRIM, NOISE_AVERAGE, RAISED, UNKNOWN_NOISE, Trim
 
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5

@@ -16,7 +16,7 @@ from agents.policies.maps.vibration_map import (
 )
 from agents.policies.places import plant_at
 from agents.records.reading import FileError
-from agents.rollouts.plan import per_metre
+from agents.evaluation.plan import per_metre
 from probe_env import Context, Scene
 from probe_env.envs.task import TaskConfig
 

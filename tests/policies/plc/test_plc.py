@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 
 from agents.policies.catalogue import make_policy
-from agents.policies.domain import OutsideDomain
+from agents.policies.policy import OutsideDomain
 from agents.policies.maps.search import MapCost
 from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import place_at
 from agents.policies.plc import search
 from agents.policies.plc.export import structured_text, table
-from agents.policies.plc.law import (
+from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
     Constants,

@@ -1,0 +1,289 @@
+"""The files of an evaluation: the journal of episodes, the tables made of it, and what a report reads of them.
+
+``setting.json`` holds what all episodes share, ``unfinished.json`` the planned episodes until the tables are written,
+``report.json`` what the report compares.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import pandas as pd
+from pydantic import FiniteFloat, NonNegativeInt, model_validator
+from pydantic_core import PydanticCustomError
+
+from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
+from agents.evaluation.statistics import grouped
+from agents.records.journal import Journal
+from agents.records.models import Key, Record, Stored, require
+from agents.records.provenance import write_atomically
+from agents.records.reading import FileError, check_table, read_csv, read_json, read_parquet
+from agents.records.tables import Columns, Kind
+from agents.terminal.names import name_problem
+from probe_env import Context
+from probe_env.design import RANGES
+from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.task import ENDINGS, TaskConfig
+from probe_env.inspection.tally import POD_NAMES
+
+UNFINISHED: Final = "unfinished.json"
+TABLES: Final = ("episodes", "profile")
+CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
+EPISODES: Final[Columns] = {
+    **CASE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
+}  # fmt: skip
+"""Columns of every ``episodes.csv`` and ``episodes.parquet``."""
+EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
+"""Columns that tables of older versions lack."""
+PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **CASE}
+"""Columns of ``profile.parquet``, a row for each metre; NaN where a probe diverged."""
+PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
+"""Columns that profiles of older versions lack."""
+Unit = tuple[str, int, int]
+"""Policy name, context number and seed of an episode."""
+Planned = tuple[str, str, int, int]
+"""Key, policy name, context number and seed of an episode."""
+
+
+class Episode(Stored):
+    """A line of ``episodes.jsonl``. Profiles hold NaN for the period in which a probe diverged."""
+
+    key: Key
+    unit: Unit
+    kpis: dict[str, FiniteFloat]
+    profile: dict[str, list[float]]
+    probe: dict[str, FiniteFloat] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        require("kpis", self.kpis, (*CORE, "complete", *CORE_FAILURES))
+        require("profile", self.profile, CARRIED)
+        require("probe", self.probe or RANGES, RANGES)
+        if len({len(values) for values in self.profile.values()}) > 1:
+            raise PydanticCustomError("profile", "profile: its columns are not of one length")
+        return self
+
+
+class Setting(Stored):
+    """``setting.json``: what all episodes of a folder share."""
+
+    task: TaskConfig
+    fidelity: dict[str, Any]
+    probes: Probes = "scene"
+    version: str = ""
+    commit: str = ""
+
+
+class Evaluated(Record):
+    """``provenance.json`` of an evaluation."""
+
+    policies: dict[str, dict[str, Any]]
+
+
+class Unfinished(Evaluated):
+    """``unfinished.json``: the planned episodes, until the tables are written."""
+
+    contexts: tuple[Context, ...]
+    episodes: tuple[tuple[Key, str, NonNegativeInt, NonNegativeInt], ...]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for _, policy, context, _ in self.episodes:
+            problem = name_problem(policy)
+            if not problem and (context >= len(self.contexts) or policy not in self.policies):
+                problem = f"in tube {context} is of no such policy or tube"
+            if problem:
+                raise PydanticCustomError("episodes", "{text}", {"text": f"episodes: {policy!r} {problem}"})
+        return self
+
+
+class Compared(Stored):
+    """``report.json``: the policy that others are compared with, and those that are files of the user."""
+
+    against: str
+    own: tuple[str, ...] = ()
+
+
+def episodes_of(output: Path) -> Journal[Episode]:
+    """The journal of an evaluation's episodes."""
+    return Journal(output / "episodes.jsonl", Episode)
+
+
+def read_episodes(path: Path) -> pd.DataFrame:
+    """A table of episodes, CSV or Parquet.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: it is damaged.
+    """
+    return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+
+
+def gathered(
+    planned: Sequence[Planned], contexts: Sequence[Context], done: Mapping[str, dict[str, Any]]
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """KPIs with a row for each episode, and profiles with a row for each metre.
+
+    Args:
+        planned: the episodes, all of them done.
+        contexts: the tubes.
+        done: records of episodes by their keys.
+    """
+    rows, profiles = [], []
+    for key, name, k, seed in planned:
+        record = done[key]
+        case: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
+        origin = {"commit": record.get("commit", "unknown")}
+        rows.append(case | contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | origin)
+        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**case))
+    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+
+
+def write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> None:
+    """Write ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet``."""
+    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
+    for name, frame in zip(TABLES, (table, profile), strict=True):
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        write_atomically(output / f"{name}.parquet", buffer.getvalue())
+
+
+@dataclass(frozen=True)
+class Missing:
+    """What an interrupted evaluation has not played yet.
+
+    Attributes:
+        stored: number of stored episodes.
+        planned: number of planned episodes.
+        gaps: policy and its missing episodes, in words.
+        left_out: policies that are not compared, as too few of their tubes are stored.
+        command: that continues the evaluation.
+    """
+
+    stored: int
+    planned: int
+    gaps: tuple[tuple[str, str], ...]
+    left_out: tuple[str, ...]
+    command: str
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A stored evaluation.
+
+    Attributes:
+        table: KPIs with a row for each episode, training seeds under one name (``grouped``).
+        profile: metres of these episodes, grouped too.
+        setting: what all episodes share.
+        record: command, commit, machine, descriptions of the policies.
+        against: policy that the others are compared with.
+        own: policies that are files of the user.
+        missing: of an interrupted evaluation; None: it is finished.
+    """
+
+    table: pd.DataFrame
+    profile: pd.DataFrame
+    setting: Setting
+    record: Evaluated
+    against: str
+    own: tuple[str, ...]
+    missing: Missing | None
+
+
+def holds_evaluation(folder: Path) -> bool:
+    """Whether a path is the folder of an evaluation, finished or not."""
+    return folder.is_dir() and any((folder / name).exists() for name in ("setting.json", UNFINISHED))
+
+
+def read_evaluation(folder: Path) -> Evaluation:
+    """The tables of a folder; of an interrupted evaluation the stored episodes that can be compared.
+
+    Raises:
+        FileNotFoundError: no evaluation is stored there.
+        FileError: a file is damaged, or no episode is stored yet.
+    """
+    if (folder / UNFINISHED).exists():
+        return _interrupted(folder)
+    finished = [folder / name for name in ("episodes.parquet", "profile.parquet", "provenance.json")]
+    for path in finished:
+        if not path.exists():
+            raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
+    table, profile = grouped(read_episodes(finished[0])), grouped(read_parquet(finished[1], PROFILE))
+    if not set(profile["policy"]) <= set(table["policy"]):
+        raise FileError(finished[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
+    against, own = _compared(folder, table, strict=True)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(finished[2], Evaluated)
+    return Evaluation(table, profile, setting, record, against, own, None)
+
+
+def _compared(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
+    """The policy that others are compared with, by default the first, and the user's own ones."""
+    path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
+    compared = read_json(path, Compared) if path.exists() else Compared(against="")
+    own = tuple(name for name in compared.own if name in policies)
+    if compared.against in policies:
+        return compared.against, own
+    if strict and compared.against:
+        raise FileError(path, f"against = {compared.against!r} is not one of the policies: {', '.join(policies)}")
+    return str(policies[0]), own
+
+
+def _interrupted(folder: Path) -> Evaluation:
+    plan, setting = read_json(folder / UNFINISHED, Unfinished), read_json(folder / "setting.json", Setting)
+    journal = episodes_of(folder)
+    done = journal.read()
+    stored = [episode for episode in plan.episodes if episode[0] in done]
+    if not stored:
+        raise FileError(journal.path, f"no episode of the evaluation is stored yet: `{plan.command}` goes on")
+    chosen = comparable(stored)
+    table, profile = gathered(chosen, plan.contexts, done)
+    check_table(journal.path, table, EPISODES, EPISODES_NEWER)
+    check_table(journal.path, profile, PROFILE)
+    table, profile = grouped(table), grouped(profile)
+    compared = {name for _, name, _, _ in chosen}
+    left_out = tuple(dict.fromkeys(name for _, name, _, _ in stored if name not in compared))
+    missing = Missing(len(stored), len(plan.episodes), tuple(_gaps(plan.episodes, done)), left_out, plan.command)
+    return Evaluation(table, profile, setting, plan, *_compared(folder, table, strict=False), missing)
+
+
+def comparable(stored: Sequence[Planned]) -> list[Planned]:
+    """Episodes on the cases that all of some policies have; these are chosen so that the most episodes remain."""
+    cases: dict[str, set[tuple[int, int]]] = {}
+    for _, name, k, seed in stored:
+        cases.setdefault(name, set()).add((k, seed))
+    names = sorted(cases, key=lambda name: -len(cases[name]))
+    groups = [names[: number + 1] for number in range(len(names))]
+    shared = [set.intersection(*(cases[name] for name in group)) for group in groups]
+    best = max(range(len(groups)), key=lambda number: (len(groups[number]) * len(shared[number]), number))
+    return [e for e in stored if e[1] in groups[best] and (e[2], e[3]) in shared[best]]
+
+
+def _gaps(planned: Iterable[Planned], done: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    """Every policy with missing episodes, and which these are."""
+    units: dict[str, list[tuple[int, bool]]] = {}
+    for key, name, k, _ in planned:
+        units.setdefault(name, []).append((k, key in done))
+    for name, episodes in units.items():
+        missing = [k for k, there in episodes if not there]
+        if len(missing) == len(episodes):
+            yield name, f"all of its {len(episodes)} insertions"
+        elif missing:
+            tubes = "tubes" if len(set(missing)) > 1 else "tube"
+            yield name, f"{len(missing)} of {len(episodes)} insertions: {tubes} {spans(missing)}"
+
+
+def spans(numbers: Iterable[int]) -> str:
+    """Whole numbers in words: "0 to 3, 7"."""
+    runs: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(f"{low}" if low == high else f"{low} to {high}" for low, high in runs)

@@ -1,0 +1,73 @@
+"""The KPIs of episodes and designs: their columns, names and units.
+
+Tables that were stored before a KPI existed have no column of it: readers require ``CORE`` alone, and tables show what
+of ``KPIS`` they have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from probe_env.envs.task.safety import COSTS
+
+Kpis = dict[str, tuple[str, float, str]]
+"""Column -> name, factor and unit in tables."""
+
+DETECTION: Final[Kpis] = {
+    "a90_percent_wall": ("a90", 1.0, "% wall"),
+    "length_with_snr_over_3_m": ("length with S/N over 3", 1.0, "m"),
+    "noise_peak_to_peak_v": ("noise peak to peak", 1.0, "V"),
+}
+KPIS: Final[Kpis] = {
+    "reward": ("reward", 1.0, ""),
+    "inspection_time_s": ("inspection time", 1.0, "s"),
+    "share_within_limit": ("length within the limit", 100.0, "%"),
+    "inspected_share": ("length inspected", 100.0, "%"),
+    "radial_rms_m": ("radial rms", 1e3, "mm"),
+    "radial_p99_m": ("radial p99", 1e3, "mm"),
+    "radial_acceleration_rms_m_per_s2": ("radial acceleration rms", 1.0, "m/s2"),
+    "air_m3": ("air used", 1.0, "m3"),
+    **DETECTION,
+}
+"""KPIs of episodes, in the order in which tables show them."""
+CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_m")
+"""KPIs that every table of episodes has."""
+CORE_FAILURES: Final = ("lost_drive", "diverged")
+"""Failures of which every table of episodes has a column."""
+HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
+"""KPIs of which more is better."""
+COST_KPIS: Final = ("cost", *(f"cost_{name}" for name in COSTS))
+"""Unsafe control periods of an episode, in all and by kind."""
+OVER_TUBES: Final[Kpis] = {"a90_95_percent_wall": ("a90/95", 1.0, "% wall")}
+"""Figures of a policy over all tubes, no means."""
+OF_DESIGNS: Final[Kpis] = {
+    **{name: KPIS[name] for name in ("reward", "radial_rms_m", "share_within_limit", "inspection_time_s")},
+    "inspected_m": ("inspected", 1.0, "m"),
+    "drive_margin_n": ("drive margin", 1.0, "N"),
+    **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
+}
+"""KPIs of designs, in the order in which tables show them."""
+CARRIED: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+"""Columns of an episode's profile, SI units."""
+HEARD: Final = ("noise_rms_m",)
+"""Further columns of newer profiles: noise in the band of a flaw, as radial rms [m]."""
+SCORED_PASSES: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "best": "the better of both"}
+"""Values of ``TaskConfig.inspects`` -> label."""
+
+
+def label_of(failure: str) -> str:
+    """Label of a failure in tables."""
+    return failure.replace("_", " ")
+
+
+def kpis_of(columns: Iterable[str], known: Kpis = KPIS) -> Kpis:
+    """The KPIs that a table with these columns has; of designs with ``OF_DESIGNS``."""
+    names = set(columns)
+    return {name: shown for name, shown in known.items() if name in names}
+
+
+def shown_of(columns: Iterable[str]) -> Kpis:
+    """KPIs of a policy that a table of episodes with these columns gives, with those over all tubes."""
+    kpis = kpis_of(columns)
+    return kpis | (OVER_TUBES if "a90_percent_wall" in kpis else {})

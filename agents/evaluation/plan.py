@@ -1,0 +1,350 @@
+"""Plays a plan: policies x contexts x seeds side by side, resumable, into one table of episodes.
+
+An episode depends only on its policy, context and seed, so an interrupted evaluation continues to the same table.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from tqdm import tqdm
+
+from agents.evaluation.folder import UNFINISHED, Setting, Unit, episodes_of, gathered, write_tables
+from agents.evaluation.kpis import CARRIED, HEARD
+from agents.policies.policy import Policy as Policy
+from agents.processes.workers import HERE, Workers
+from agents.records.provenance import commit, provenance, write_json
+from agents.records.reading import FileError, read_json
+from agents.terminal.work import Work, announce
+from probe_env import Context, Fidelity
+from probe_env.arrays import BoolArray
+from probe_env.design import RANGES
+from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.task import SHOWN, TaskConfig, describe
+from probe_env.envs.trials import Players
+from probe_env.fidelity import with_nodes
+
+BATCH: Final = 16
+"""Episodes side by side."""
+COLUMNS: Final = (*CARRIED, *HEARD)
+"""Columns of a profile."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An evaluation: every policy on every context with every seed.
+
+    Attributes:
+        policies: by their names in tables.
+        contexts: the tubes.
+        seeds: of sensor noise and start.
+        config: the task.
+        fidelity: of the simulation; nodes are added where the scene needs them (``fidelity.with_nodes``).
+        probes: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
+    """
+
+    policies: Mapping[str, Policy]
+    contexts: Sequence[Context]
+    seeds: Sequence[int] = (0,)
+    config: TaskConfig = field(default_factory=TaskConfig)
+    fidelity: Fidelity = field(default_factory=Fidelity)
+    probes: Probes = "scene"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
+
+    def setting(self) -> dict[str, Any]:
+        """What all episodes of a folder share, JSON-ready."""
+        code = {"version": version("probe-env"), "commit": commit()}
+        return {**describe(self.config), "fidelity": self.fidelity.model_dump(), "probes": self.probes, **code}
+
+    def units(self) -> list[Unit]:
+        """Policy name, context number and seed of every episode."""
+        return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
+
+    def planned(self) -> list[tuple[str, str, int, int]]:
+        """Key, policy name, context number and seed of every episode."""
+        return [(self.key(unit), *unit) for unit in self.units()]
+
+    def described(self) -> dict[str, Any]:
+        """Contexts and episodes, JSON-ready."""
+        return {"contexts": [context.model_dump() for context in self.contexts], "episodes": self.planned()}
+
+    def policies_described(self) -> dict[str, Any]:
+        """Descriptions of the policies, JSON-ready."""
+        return {"policies": {name: policy.describe() for name, policy in self.policies.items()}}
+
+    def key(self, unit: Unit) -> str:
+        """Identity of an episode: hash of the policy's description, the context, its number and the seed."""
+        name, k, seed = unit
+        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+Source = Callable[[Plan, "deque[Unit]"], Iterator[str]]
+"""Plays episodes of a plan and gives a line of JSON for each, see ``lines_of``."""
+
+
+def run_plan(
+    plan: Plan,
+    output: Path | None,
+    batch: int = BATCH,
+    progress: bool = True,
+    threads: int | None = None,
+    workers: Workers = HERE,
+    source: Source | None = None,
+) -> pd.DataFrame:
+    """Play what is missing in a folder and return the table of all episodes of the plan.
+
+    Each episode is appended to ``episodes.jsonl`` as it ends (with Ray when its portion ends). At the end the tables
+    ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written; until then ``unfinished.json`` lists
+    the episodes of the plan.
+
+    Args:
+        plan: the evaluation.
+        output: the folder; None: nothing is read or written.
+        batch: greatest number of episodes side by side.
+        progress: whether to show a progress bar.
+        threads: greatest number of threads; None: all cores.
+        workers: that play episodes, by default this process.
+        source: plays instead of this process or workers.
+
+    Raises:
+        ValueError: the folder holds episodes of another setting, version or commit; nothing is changed.
+    """
+    if output is None:
+        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
+        return gathered(plan.planned(), plan.contexts, {record["key"]: record for record in map(json.loads, lines)})[0]
+    journal, done = episodes_of(output), stored_episodes(plan, output)
+    units = {plan.key(unit): unit for unit in plan.units()}
+    missing = deque(unit for key, unit in units.items() if key not in done)
+    announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
+    write_json(output / UNFINISHED, provenance() | plan.policies_described() | plan.described())
+    if missing:
+        write_json(output / "setting.json", plan.setting())
+        with (
+            journal.appending() as append,
+            tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
+        ):
+            for line in source(plan, missing) if source else _lines(plan, missing, batch, threads, workers):
+                append(line)
+                bar.update()
+        done = journal.read()
+    table, profile = gathered(plan.planned(), plan.contexts, done)
+    write_tables(table, profile, output)
+    write_json(output / "provenance.json", provenance(commits=table["commit"]) | plan.policies_described())
+    (output / UNFINISHED).unlink(missing_ok=True)
+    return table
+
+
+def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
+    """Records of the episodes that a folder holds, by their keys.
+
+    Raises:
+        ValueError: they are of another task, fidelity, version or commit than the plan's, or a file is damaged.
+    """
+    path, done = output / "setting.json", episodes_of(output).read()
+    if path.exists():
+        before = _shared(read_json(path, Setting))
+        now = _shared(Setting.model_validate_json(json.dumps(plan.setting())))
+        different = [name for name in now if before[name] != now[name]]
+        code = [f"{name} {before[name] or 'unknown'}, now {now[name]}" for name in ("version", "commit")
+                if name in different]  # fmt: skip
+        if different:
+            raise ValueError(
+                f"{output} holds episodes of another setting ({', '.join(different)} differ"
+                f"{''.join(f'; {text}' for text in code)}): choose another folder"
+            )
+    elif done:
+        raise FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
+    return done
+
+
+def check_stored(plan: Plan, output: Path) -> None:
+    """Raise as ``stored_episodes`` does."""
+    stored_episodes(plan, output)
+
+
+def _shared(setting: Setting) -> dict[str, Any]:
+    """What episodes must share; what is only observed may differ, and new fields of the task have their defaults."""
+    shared = ("fidelity", "probes", "version", "commit")
+    return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in shared}
+
+
+def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
+    """A line of JSON for each episode, played here or by workers in portions of a batch."""
+    if workers.here:
+        yield from _play(plan, missing, batch, threads)
+        return
+    size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
+    portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
+    for _, line in workers.stream(partial(_portion, plan), portions):
+        yield line
+
+
+def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
+    """Episodes that a worker plays side by side: a batch, or fewer so that each worker has at least two portions."""
+    return max(min(batch, episodes // (2 * jobs)), 1)
+
+
+def _portion(plan: Plan, units: list[Unit]) -> Iterator[str]:
+    """A worker's task: some episodes side by side on one thread."""
+    return _play(plan, deque(units), len(units), 1)
+
+
+def _play(plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> Iterator[str]:
+    playing = Playing(plan, missing, batch, threads)
+    while not playing.over:
+        yield from lines_of(plan, playing.step())
+
+
+def lines_of(plan: Plan, ended: Iterable[Ended]) -> Iterator[str]:
+    """A line of JSON for each episode that has ended."""
+    for episode in ended:
+        yield _line(plan, episode)
+
+
+def _line(plan: Plan, episode: Ended) -> str:
+    profile = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(episode.profile).items()}
+    record = {"key": plan.key(episode.unit), "unit": episode.unit, "commit": commit(), "kpis": episode.kpis}
+    probe = {"probe": episode.probe} if episode.probe else {}
+    return json.dumps(record | {"profile": profile} | probe) + "\n"
+
+
+def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
+    """Rows of control periods (columns ``COLUMNS``) averaged by metre of inserted length, rms values as squares.
+
+    ``inserted_length`` becomes the middle of the metre, ``time`` that of its last period.
+    """
+    squared = ["radial_rms_m", *HEARD]
+    if not profile:
+        return {name: np.zeros(0) for name in COLUMNS}
+    periods = pd.DataFrame(profile, columns=list(COLUMNS))
+    # a period that ends on a whole metre belongs to the metre before
+    metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0
+    groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
+    means = groups.mean()
+    means[squared] **= 0.5
+    means["time"] = groups["time"].max()
+    means["inserted_length"] = means.index + 0.5
+    return {name: means[name].to_numpy() for name in COLUMNS}
+
+
+class Ended(NamedTuple):
+    """An episode that has ended.
+
+    Attributes:
+        unit: policy name, context number and seed.
+        kpis: by name.
+        profile: a row for each control period of the way in, columns ``COLUMNS``.
+        probe: the random probe; None: the scene's.
+    """
+
+    unit: Unit
+    kpis: dict[str, float]
+    profile: list[tuple[float, ...]]
+    probe: dict[str, float] | None
+
+
+class Playing:
+    """Episodes of a plan side by side, the next one starting wherever one ends.
+
+    Args:
+        plan: the evaluation.
+        missing: units to play; those that have begun are taken out.
+        batch: greatest number side by side.
+        threads: greatest number of threads; None: all cores.
+
+    Attributes:
+        episodes: the running episodes.
+        units: unit of each lane.
+        profile: rows of each lane up to now.
+        decided: whether the actions of the next period are decided.
+        actions: (N, 2) that were decided last.
+        last: the last period; None before the first.
+        active: (N,) lanes that take part in the period that was decided last.
+    """
+
+    def __init__(self, plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> None:
+        self.plan, self.missing = plan, missing
+        count = min(batch, len(missing))
+        self.episodes = Episodes(
+            count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes
+        )
+        self.units: list[Unit | None] = [None] * count
+        self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
+        self.decided = False
+        self.actions = np.zeros((count, 2), dtype=np.float32)
+        self.last: Step | None = None
+        self.active: BoolArray = np.zeros(count, dtype=bool)
+        self._probes: list[dict[str, float] | None] = [None] * count
+        self._players = Players(count)
+        self._observation: npt.NDArray[np.float32] = self.episodes.observation.copy()
+
+    @property
+    def over(self) -> bool:
+        """Whether all episodes have ended."""
+        return not self.missing and not self.episodes.running.any()
+
+    def step(self) -> Iterator[Ended]:
+        """Play a control period; gives the episodes that end with it."""
+        self.decide()
+        yield from self.advance()
+
+    def decide(self) -> None:
+        """Begin episodes in idle lanes, and let the policies decide on the next period."""
+        idle = [k for k in range(len(self.units)) if not self.episodes.running[k]]
+        fresh = idle[: len(self.missing)]
+        for k in fresh:
+            unit = self.units[k] = self.missing.popleft()
+            self.profile[k] = []
+            self._players.begin(k, self.plan.policies[unit[0]])
+        if fresh:
+            self._begin(fresh)
+        self.active = self.episodes.running.copy()
+        self.actions = self._players.act(self._observation, self.active, self.episodes)
+        self.decided = True
+
+    def advance(self) -> Iterator[Ended]:
+        """Play the period that was decided on; gives the episodes that end with it."""
+        direction = self.episodes.passes.way.copy()
+        step = self.last = self.episodes.step(self.actions, self.active)
+        self.decided = False
+        self._observation = step.observation
+        for k in np.flatnonzero(self.active).tolist():
+            info = step.infos[k]
+            if direction[k] > 0.0:
+                self.profile[k].append(tuple(float(info[name]) for name in COLUMNS))
+            if "episode_kpis" in info:
+                yield Ended(self.unit(k), info["episode_kpis"], self.profile[k], self._probes[k])
+
+    def observed(self, k: int) -> npt.NDArray[np.float32]:
+        """(1, d) observation on which the policy of a lane decides next."""
+        return self._observation[k : k + 1]
+
+    def unit(self, k: int) -> Unit:
+        """The unit of a lane."""
+        unit = self.units[k]
+        assert unit is not None
+        return unit
+
+    def _begin(self, fresh: list[int]) -> None:
+        units = {k: self.unit(k) for k in fresh}
+        options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in units.items()}
+        rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in units.items()}
+        self._observation, started = self.episodes.reset(fresh, rngs, options)
+        if self.plan.probes == "random":
+            for k in fresh:
+                self._probes[k] = {name: started[k]["probe"][name] for name in RANGES}

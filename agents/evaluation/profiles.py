@@ -1,0 +1,173 @@
+"""Per-metre profiles in a report: interactive traces, and schedules for download."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+from urllib.parse import quote
+
+import numpy as np
+import pandas as pd
+from matplotlib.colors import to_hex
+
+from agents.evaluation.statistics import ranking
+from agents.records.drawing import colours
+from probe_env.schedule import BACK, Schedule
+
+Description = Mapping[str, Any]
+"""JSON-ready description of a policy."""
+MOST_METRES: Final = 60_000
+"""Number of points in all traces beyond which metres are averaged, to bound the size of the page."""
+MOST_POINTS: Final = 2000
+"""Points of a schedule that is offered for download."""
+FIELDS: Final = {"feed_speed": 1e4, "air_supply_rate": 3.6e4, "radial_rms_m": 1e7}
+"""Column of a trace -> factor of its unit in the page: whole numbers of 0.1 mm/s, 0.1 m3/h and 0.1 um."""
+
+
+def traces(
+    table: pd.DataFrame, profile: pd.DataFrame, shown: Collection[str], limit_mm: float | None
+) -> dict[str, Any]:
+    """Feed, air and vibration of every policy in every tube over the inserted length, JSON-ready; the first seed.
+
+    Args:
+        table: episodes.
+        profile: of them, a row for each metre.
+        shown: policies that are visible at first.
+        limit_mm: of the radial rms [mm]; None: the limit is one of another measure.
+    """
+    order = list(dict.fromkeys(table["policy"]))  # the colours of the other pictures
+    seeds = profile.drop_duplicates(["policy", "context", "seed", "agent"])[["policy", "context", "seed", "agent"]]
+    first = seeds.sort_values(["agent", "seed"], kind="stable").drop_duplicates(["policy", "context"])
+    metres = profile.merge(first).dropna(subset=["inserted_length"])
+    width = 1 + len(metres) // MOST_METRES
+    binned = metres.assign(
+        metre=(metres["inserted_length"] // width) * width + 0.5 * width, radial_rms_m=metres["radial_rms_m"] ** 2
+    )
+    means = binned.groupby(["policy", "context", "metre"], as_index=False)[list(FIELDS)].mean()
+    means["radial_rms_m"] **= 0.5
+    episodes = {case: rows.set_index("metre") for case, rows in means.groupby(["policy", "context"])}
+    grid = sorted(map(float, binned["metre"].unique()))
+    tubes: list[dict[Any, Any]] = table.drop_duplicates("context").sort_values("context").to_dict("records")
+    worst = table.loc[table.groupby("policy")["reward"].idxmin()].set_index("policy")["context"].to_dict()
+    palette = [to_hex(colour) for colour in colours()]
+    label = "helix {helix_diameter:g} m, friction {friction:.3f}"
+    return {
+        "metres": grid,
+        "limit": limit_mm,
+        "tubes": [
+            {"number": tube["context"], "text": label.format(**tube) if tube["helix_diameter"] > 0.0 else ""}
+            for tube in tubes
+        ],
+        "policies": [
+            {
+                "name": policy,
+                "colour": palette[order.index(policy) % len(palette)],
+                "shown": policy in shown,
+                "worst": worst[policy],
+                "tubes": [_columns(episodes.get((policy, tube["context"])), grid) for tube in tubes],
+            }
+            for policy in ranking(table)
+        ],
+    }
+
+
+def _columns(episode: pd.DataFrame | None, grid: list[float]) -> list[list[int | None]]:
+    """Feed, air and vibration on the grid as whole numbers; None where there is no metre."""
+    if episode is None:
+        return []
+    rows = episode.reindex(grid)
+    scaled = (rows[name].to_numpy(dtype=float) * factor for name, factor in FIELDS.items())
+    return [[round(v) if np.isfinite(v) else None for v in values.tolist()] for values in scaled]
+
+
+@dataclass(frozen=True)
+class Download:
+    """A file within the page: policy, note, file name, and its content as an address."""
+
+    policy: str
+    what: str
+    file: str
+    address: str
+
+
+def downloads(
+    policies: Mapping[str, Description], table: pd.DataFrame, profile: pd.DataFrame, returns: bool = False
+) -> tuple[list[Download], list[str]]:
+    """Schedule files that ``probe-env evaluate`` takes, by rank, and the policies that have none.
+
+    A fixed schedule is offered as it was given; of other policies the feed and air in the tube of the median reward.
+    With both passes the withdrawal is beside it; policies that decide on the withdrawal themselves have no schedule.
+
+    Args:
+        policies: their descriptions, see ``descriptions``.
+        table: episodes.
+        profile: of them.
+        returns: whether the task has both passes.
+    """
+    offered, none = [], []
+    for policy in ranking(table):
+        described = policies.get(policy, {})
+        back = described.get("back")
+        known = back is not None or not returns
+        schedules = (_given(deciding(described)) or _fed(policy, table, profile)) if known else {}
+        for what, schedule in schedules.items():
+            file = f"{_file_name(policy)}{'-' + _file_name(what) if len(schedules) > 1 else ''}.csv"
+            address = f"data:text/csv;charset=utf-8,{quote(_csv(schedule, back))}"
+            offered.append(Download(policy, what, file, address))
+        none += [] if schedules else [policy]
+    return offered, none
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "-", name).strip(".-") or "schedule"
+
+
+def _csv(schedule: Schedule, way_back: Description | None) -> str:
+    """A schedule's file, with columns of the withdrawal unless the schedule is over time."""
+    if way_back is None or schedule.over == "time":
+        return schedule.to_csv()
+    back = _schedule({"over": schedule.over, "interpolation": schedule.interpolation, **way_back})
+    position = schedule.position
+    if len(back.position) > 1:
+        position = tuple(sorted({*position, *back.position}))
+    feed, air = (tuple(values.tolist()) for values in schedule.at(position))
+    forth = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
+    comment, header, *rows = forth.to_csv().splitlines()
+    drawn = zip(rows, *back.at(position), strict=True)
+    lines = (comment, ",".join((header, *BACK.values())), *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in drawn))
+    return "\n".join(lines) + "\n"
+
+
+def _given(described: Description) -> dict[str, Schedule]:
+    """The schedules in a policy's description, without those that are too long."""
+    listed = {f"helix of {d} m": s for d, s in described.get("schedules", {}).items()}
+    if "schedule" in described:
+        listed = {"as it was given": described["schedule"]}
+    schedules = {what: _schedule(given) for what, given in listed.items()}
+    return {what: schedule for what, schedule in schedules.items() if len(schedule.position) <= MOST_POINTS}
+
+
+def _schedule(given: Description) -> Schedule:
+    position, feed, air = (tuple(given[name]) for name in ("position", "feed_speed", "air_supply_rate"))
+    return Schedule(given["over"], given["interpolation"], position, feed, air, given.get("start_length"))
+
+
+def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, Schedule]:
+    """Feed and air over inserted length in the episode of the median reward."""
+    part = table[table["policy"] == policy].sort_values("reward", kind="stable")
+    episode = part.iloc[(len(part) - 1) // 2]
+    case, names = ["policy", "context", "seed", "agent"], ["inserted_length", "feed_speed", "air_supply_rate"]
+    metres = profile[(profile[case] == episode[case]).all(axis=1)].dropna(subset=names).iloc[:MOST_POINTS]
+    if metres.empty:
+        return {}
+    length, feed, air = (tuple(metres[name].astype(float)) for name in names)
+    schedule = Schedule("inserted_length", "linear", length, feed, air)
+    return {f"as fed in tube {episode['context']}, its median": schedule}
+
+
+def deciding(description: Description) -> Description:
+    """The description of the policy that decides, inside those that shield it, round its feed or add a withdrawal."""
+    inner = next((description[key] for key in ("forth", "of") if isinstance(description.get(key), Mapping)), None)
+    return description if inner is None else deciding(inner)

@@ -1,0 +1,205 @@
+"""Evaluates policies on the same tubes: plays them, prints means and paired differences, writes tables and a report."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import pandas as pd
+from pydantic import ValidationError
+
+from agents.evaluation.folder import holds_evaluation, read_evaluation
+from agents.evaluation.kpis import SCORED_PASSES, shown_of
+from agents.evaluation.plan import Plan, run_plan, stored_episodes
+from agents.evaluation.report import write_report as write_report
+from agents.evaluation.statistics import (
+    Interval,
+    endings,
+    grouped,
+    in_words,
+    method_and_seed,
+    sentences,
+    short,
+    strained,
+    summarise,
+)
+from agents.policies.catalogue import domains_of, named_policies, own_policies
+from agents.policies.places import Place, load_case
+from agents.policies.policy import check_domains
+from agents.policies.wrappers import BothWays, fidelity_of
+from agents.processes.workers import HERE, Workers
+from agents.records.provenance import write_json
+from agents.terminal.tables import print_table
+from probe_env.envs.contexts import Split
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.starts import Probes, Starts, settling
+from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.settings import explain
+
+
+def evaluate(
+    policies: Sequence[str],
+    output: Path | None = None,
+    *,
+    tube: Path | None = None,
+    contexts: Split = "test",
+    limit: int = 0,
+    seeds: int = 1,
+    fidelity: str | Fidelity = "standard",
+    probes: Probes = "scene",
+    passes: Literal["in", "both"] | None = None,
+    inspects: Literal["in", "back", "best"] | None = None,
+    against: str | None = None,
+    strict: bool = False,
+    workers: Workers = HERE,
+) -> pd.DataFrame:
+    """Play policies on the same tubes and seeds; returns KPIs with a row for each episode.
+
+    Args:
+        policies: names, schedule files, feedback laws or agents' bundles, see ``catalogue.make_policy``.
+        output: folder of the tables and the report, from which an interrupted evaluation continues; None: no files.
+        tube: file or name of a plant; None: the shipped lists of tubes.
+        contexts: which list of tubes.
+        limit: number of tubes, the first of the list; 0: all.
+        seeds: number of seeds of sensor noise and start for every tube.
+        fidelity: preset or settings of the simulation.
+        probes: "scene", or "random" for a random probe in every tube and seed.
+        passes: "in", or "both" for insertion and withdrawal; default: what the tube's file says.
+        inspects: the pass that is scored with both passes; default: the better one in each metre.
+        against: policy that the others are compared with; default: the first.
+        strict: raise if a policy was not made for these tubes, instead of a warning.
+        workers: that play episodes.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was played.
+        FileNotFoundError: no such file.
+    """
+    case = load_case(tube, contexts, limit, passes, inspects)
+    if case.config.returns and isinstance(fidelity, str):
+        fidelity = fidelity_of(fidelity)
+    plan = plan_of(policies, case, seeds, fidelity, probes, strict)
+    if output is None:
+        return run_plan(plan, None, workers=workers)
+    return evaluate_plan(plan, output, against, workers, own_policies(policies))
+
+
+def plan_of(
+    specs: Sequence[str],
+    place: Place,
+    seeds: int,
+    fidelity: str | Fidelity,
+    probes: Probes = "scene",
+    strict: bool = False,
+) -> Plan:
+    """The plan of named policies on the tubes of a case; warns about policies that were not made for them.
+
+    Raises:
+        ValueError: an argument is not valid, or ``strict`` and a policy was not made for these tubes.
+    """
+    if not 1 <= seeds <= 1000:
+        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
+    config = place.config.all_shown
+    policies = named_policies(specs, config, place.vibration)
+    forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
+    check_domains(domains_of(specs, forth), config, place.contexts, strict)
+    hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
+    chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
+    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes)
+    check_begins(plan, place.tube.name)
+    return plan
+
+
+def check_begins(plan: Plan, tubes: str) -> None:
+    """Raise ValueError if an episode could not begin, before anything is played; random probes are not checked."""
+    if plan.probes == "random":
+        return
+    try:
+        episodes = Episodes(1, plan.config, threads=1, fidelity=plan.fidelity)
+        for context in plan.contexts:
+            episodes.check_tube(context)
+    except ValueError as error:
+        raise ValueError(f"{tubes}: {explain(error) if isinstance(error, ValidationError) else error}") from error
+
+
+def evaluate_plan(
+    plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, own: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Play a plan into a folder with tables, summary.csv and report.html, and print the means.
+
+    Args:
+        plan: the evaluation; policies named NAME@K are training seeds of one method.
+        output: the folder.
+        against: policy that the others are compared with; default: the first.
+        workers: that play episodes.
+        own: policies of the user, which the report judges first; default: ``against``.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was played.
+    """
+    reference = claim_folder(plan, output, against, own)
+    table = run_plan(plan, output, workers=workers)
+    write_report(output)
+    if plan.config.returns:
+        print(f"Fed in and drawn back; what counts is {SCORED_PASSES[plan.config.inspects]}")
+    print_summary(grouped(table), reference)
+    print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
+    return table
+
+
+def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[str]) -> str:
+    """Write in report.json what the report compares; returns the policy that the others are compared with.
+
+    Raises:
+        ValueError: there is no such policy, or the folder holds another evaluation; nothing was written.
+    """
+    methods = [method_and_seed(name)[0] for name in plan.policies]
+    reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
+    if reference not in methods:
+        raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
+    stored_episodes(plan, output)
+    mine = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
+    write_json(output / "report.json", {"against": reference, "own": mine})
+    return reference
+
+
+def report_again(folder: Path, against: str | None = None) -> Path:
+    """Write the report of a stored evaluation again, interrupted ones included; returns its path.
+
+    Raises:
+        FileNotFoundError: no evaluation is stored there.
+        ValueError: a file is damaged, or there is no such policy to compare with.
+    """
+    if not holds_evaluation(folder):
+        raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(folder / "setting.json"))
+    if against is not None:
+        done = read_evaluation(folder)
+        policies = list(dict.fromkeys(done.table["policy"]))
+        if against not in policies:
+            raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
+        write_json(folder / "report.json", {"against": against, "own": done.own})
+    return write_report(folder)
+
+
+def print_summary(table: pd.DataFrame, against: str) -> None:
+    """Print KPIs with intervals, how episodes ended and the comparison with a policy."""
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown_of(table.columns).values()))
+    rows = ((policy, *cells) for policy, cells in kpi_cells(table))
+    print_table("Means with 95 % intervals over the contexts", header, rows)
+    for name, row in endings(table).iterrows():
+        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
+    for line in (*strained(table), *sentences(table, against)):
+        print(line)
+
+
+def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
+    """The KPIs of every policy as text: mean and interval, the mean alone where the interval has no width."""
+    rows = []
+    for policy, part in summarise(table).groupby("policy", sort=False):
+        figures, cells = part.set_index("kpi"), []
+        for kpi, (_, factor, _) in shown_of(table.columns).items():
+            mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
+            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
+        rows.append((str(policy), cells))
+    return rows

@@ -1,0 +1,353 @@
+"""Statistics of evaluations: bootstrap intervals, paired differences over tubes, detection curves, summaries."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
+from scipy.stats import t as student
+
+from agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of, label_of
+from probe_env.arrays import FloatArray
+from probe_env.envs.task import ENDINGS, FAILURES
+from probe_env.inspection.detection import DEPTHS, depths_found
+from probe_env.inspection.tally import POD_NAMES
+
+CONFIDENCE: Final = 0.95
+PERCENTILES: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
+"""Ends of an interval among resampled values."""
+RESAMPLES: Final = 2000
+"""Number of bootstrap samples where SciPy does not draw them."""
+A90_BOUND: Final = 95.0
+"""Percentile of the resampled depth that is found with 90 %: a90/95."""
+DEPTH_COLUMNS: Final = ("policy", "a50_percent_wall", "a90_percent_wall", "a90_95_percent_wall")
+BEST: Final = "planner"
+BAR: Final = "best-schedule"
+"""The difference in reward between these two policies is the planner's lead."""
+STRAINS: Final[Mapping[str, str]] = {
+    "cost_tension": "over the tension limit",
+    "cost_buckling": "pressed beyond the buckling load",
+}
+"""Column of a cost, in control periods -> what happened in these periods."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean with its confidence interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    def text(self, factor: float = 1.0) -> str:
+        """Mean and interval, three digits."""
+        return f"{short(self.mean * factor)} [{short(self.low * factor)}, {short(self.high * factor)}]"
+
+
+def short(value: float, sign: str = "") -> str:
+    """Three digits; ``sign`` "+": with a sign, unless it is 0."""
+    sign = sign if value else ""
+    return f"{value:{sign}.0f}" if abs(value) >= 100.0 else f"{value:{sign}.3g}"
+
+
+def bootstrap_ends(
+    statistic: Callable[..., Any], *samples: np.ndarray, method: Literal["BCa", "percentile"] = "BCa", **options: Any
+) -> tuple[Any, Any]:
+    """Ends of a statistic's 95 % bootstrap interval with a fixed seed; BCa falls back to plain percentiles.
+
+    Args:
+        statistic: takes the samples and ``axis``, unless ``vectorized=False``.
+        samples: independent samples (paired with ``paired=True``).
+        method: of ``scipy.stats.bootstrap``.
+        options: of ``scipy.stats.bootstrap``.
+    """
+    for kind in dict.fromkeys((method, "percentile")):
+        rng = np.random.default_rng(0)
+        with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
+            warnings.simplefilter("ignore", DegenerateDataWarning)
+            drawn = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
+        low, high = drawn.confidence_interval
+        if np.isfinite([low, high]).all():
+            break
+    return low, high
+
+
+def redrawn(*counts: int) -> Iterator[tuple[npt.NDArray[np.int64], ...]]:
+    """``RESAMPLES`` tuples of resampled indices with a fixed seed: an array (n,) for each count n."""
+    rng = np.random.default_rng(0)
+    for _ in range(RESAMPLES):
+        yield tuple(rng.integers(count, size=count) for count in counts)
+
+
+def redrawn_means(values: FloatArray) -> FloatArray:
+    """(RESAMPLES, d) means of values (n, d) over resampled rows, with a fixed seed."""
+    rng, count = np.random.default_rng(0), len(values)
+    weights = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
+    return np.asarray(weights @ values / count)
+
+
+def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
+    """Ratio of the means of two independent samples; NaN without two values of each."""
+    values, reference = values[np.isfinite(values)], reference[np.isfinite(reference)]
+    if min(len(values), len(reference)) < 2 or reference.mean() == 0.0:
+        return Interval(*(float("nan"),) * 3)
+    ratio = float(values.mean() / reference.mean())
+    if np.ptp(values) == 0.0 and np.ptp(reference) == 0.0:
+        return Interval(ratio, ratio, ratio)
+
+    def of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
+
+    return Interval(ratio, *map(float, bootstrap_ends(of_means, values, reference)))
+
+
+def nested_interval(statistic: Callable[..., np.ndarray], *arrays: np.ndarray) -> Interval:
+    """A statistic of several methods' interquartile means over training seeds of means over contexts.
+
+    Args:
+        statistic: takes one mean for each method.
+        arrays: (seeds, contexts) of each method; contexts are resampled jointly, seeds for each method.
+    """
+    drawn = [
+        [part[rows][:, contexts].mean(axis=1) for part, rows in zip(arrays, seeds, strict=True)]
+        for contexts, *seeds in redrawn(arrays[0].shape[1], *map(len, arrays))
+    ]
+    means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
+    low, high = np.percentile(statistic(*means), PERCENTILES)
+    measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
+    return Interval(float(measured), float(low), float(high))
+
+
+def mean_interval(values: np.ndarray) -> Interval:
+    """Mean of independent values with a bootstrap interval (BCa); of no width if all are equal.
+
+    Raises:
+        ValueError: no values, or some that are not finite.
+    """
+    values = np.asarray(values, dtype=float)
+    if len(values) == 0 or not np.isfinite(values).all():
+        raise ValueError(f"values = {values!r} must be finite and at least one")
+    mean = float(values.mean())
+    if len(values) == 1 or np.ptp(values) == 0.0:
+        return Interval(mean, mean, mean)
+    return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
+
+
+def student_interval(values: pd.Series) -> Interval:
+    """Mean of normal values with Student's interval; NaN with fewer than two values."""
+    factor = float(student.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
+    mean, half = float(values.mean()), float(factor * values.std() / np.sqrt(len(values)))
+    return Interval(mean, mean - half, mean + half)
+
+
+def interquartile_means(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half of each row."""
+    return np.asarray(trim_mean(np.asarray(values, dtype=float), 0.25, axis=-1))
+
+
+def grouped(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the training seeds of a method under one name: NAME@K becomes NAME, column ``agent`` has K."""
+    parts = {name: method_and_seed(name) for name in table["policy"].unique()}
+    return table.assign(
+        agent=table["policy"].map(lambda name: parts[name][1]), policy=table["policy"].map(lambda name: parts[name][0])
+    )
+
+
+def method_and_seed(policy: str) -> tuple[str, int]:
+    """NAME@K as (NAME, K), anything else as (NAME, 0)."""
+    name, mark, seed = policy.rpartition("@")
+    return (name, int(seed)) if mark and seed.isdecimal() else (policy, 0)
+
+
+def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:
+    """A KPI of a method: a row for each training seed, a column for each context, mean over episode seeds."""
+    return table[table["policy"] == policy].pivot_table(index="agent", columns="context", values=kpi)
+
+
+def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:
+    """A KPI of a policy by context, mean over the seeds: the independent values."""
+    return table[table["policy"] == policy].groupby("context")[kpi].mean()
+
+
+def ranking(table: pd.DataFrame) -> list[str]:
+    """Policies from the highest mean reward to the lowest."""
+    means = table.groupby(["policy", "context"], sort=False)["reward"].mean().groupby("policy", sort=False).mean()
+    return [str(name) for name in means.sort_values(ascending=False, kind="stable").index]
+
+
+def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
+    """Mean of first minus second on the same contexts, with its interval.
+
+    Raises:
+        ValueError: the policies were not run on the same contexts and seeds.
+    """
+    cases = [set(map(tuple, table.loc[table["policy"] == p, ["context", "seed"]].to_numpy())) for p in (first, second)]
+    if cases[0] != cases[1] or not cases[0]:
+        raise ValueError(f"{first} and {second} were not run on the same contexts and seeds: nothing to pair")
+    return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
+
+
+def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
+    """Share of the reward difference ``best`` - ``bar`` that a policy reaches, with its interval over contexts.
+
+    Args:
+        table: episodes, all policies on the same contexts.
+        policy: the policy.
+        best: has the share 1.
+        bar: has the share 0.
+
+    Raises:
+        ValueError: the policies were not run on the same contexts.
+    """
+    columns = [by_context(table, name, "reward") for name in (policy, best, bar)]
+    if not len(columns[0]) or any(not column.index.equals(columns[0].index) for column in columns):
+        raise ValueError(f"{policy}, {best} and {bar} were not run on the same contexts: nothing to pair")
+    values, most, least = (column.to_numpy() for column in columns)
+
+    def share(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
+
+    estimate = float(share(values - least, most - least))
+    if len(values) < 2 or np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
+        return Interval(estimate, estimate, estimate)
+    return Interval(estimate, *map(float, bootstrap_ends(share, values - least, most - least, paired=True)))
+
+
+def summarise(table: pd.DataFrame) -> pd.DataFrame:
+    """For every policy and KPI: mean, interval, interquartile mean and worst value."""
+    rows = []
+    for policy in dict.fromkeys(table["policy"]):
+        part = table[table["policy"] == policy]
+        for kpi in kpis_of(table.columns):
+            values = by_context(table, policy, kpi).to_numpy()
+            interval = mean_interval(values)
+            worst = part[kpi].min() if kpi in HIGH else part[kpi].max()
+            rows.append(
+                (policy, kpi, interval.mean, interval.low, interval.high, float(interquartile_means(values)), worst)
+            )
+        if has_curves(table):
+            rows.append((policy, *OVER_TUBES, *[a90_95(table, policy)] * 4, part["a90_percent_wall"].max()))
+    return pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high", "iqm", "worst"])
+
+
+def endings(table: pd.DataFrame) -> pd.DataFrame:
+    """Number of episodes of each policy that were complete, and that ended with each of ``FAILURES``."""
+    ended = table.reindex(columns=["policy", *ENDINGS], fill_value=0.0)
+    counts = ended.groupby("policy", sort=False).sum().astype(int)
+    return counts.assign(episodes=table.groupby("policy").size())
+
+
+def failures(table: pd.DataFrame) -> pd.Series:
+    """Number of episodes that ended with each of ``FAILURES``."""
+    return table.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
+
+
+def in_words(counts: Mapping[str, int] | pd.Series) -> list[str]:
+    """Counts of ``FAILURES`` with their labels."""
+    return [f"{counts[name]} {label_of(name)}" for name in FAILURES]
+
+
+def sentences(table: pd.DataFrame, reference: str) -> list[str]:
+    """A line for every other policy: time and length within the limit compared with the reference."""
+    lines, led = [], {BEST, BAR} <= set(table["policy"])
+    for policy in dict.fromkeys(table["policy"]):
+        if policy == reference:
+            continue
+        time = paired_difference(table, policy, reference, "inspection_time_s")
+        share = paired_difference(table, policy, reference, "share_within_limit")
+        longer = "as long as" if time.low == time.high == 0.0 else f"{_in_words(time, 1.0, ' s')} than"
+        of_lead = (
+            f" It has {share_of_lead(table, policy).text(100.0)} % of the lead of {BEST} over {BAR}."
+            if led and policy not in (BEST, BAR)
+            else ""
+        )
+        lines.append(
+            f"{policy} takes {longer} {reference} and keeps"
+            f" {_in_words(share, 100.0, ' % of the length')} within the limit.{of_lead}"
+        )
+    return lines
+
+
+def _in_words(difference: Interval, factor: float, unit: str) -> str:
+    """A difference such as "41 s less [38, 44]", or that its interval includes none."""
+    low, high = difference.low * factor, difference.high * factor
+    if low <= 0.0 <= high and low < high:
+        return f"no clearly different amount (by {short(difference.mean * factor)}{unit} [{short(low)}, {short(high)}])"
+    near, far = sorted((abs(low), abs(high)))
+    word = "less" if difference.mean < 0.0 else "more"
+    ends = f" [{short(near)}, {short(far)}]" if near < far else ""
+    return f"{short(abs(difference.mean * factor))}{unit} {word}{ends}"
+
+
+def strained(table: pd.DataFrame) -> list[str]:
+    """A line for every policy and cost of ``STRAINS`` that occurred in one of its episodes."""
+    lines = []
+    for policy in dict.fromkeys(table["policy"]):
+        part = table[table["policy"] == policy]
+        for name, words in STRAINS.items():
+            periods = part.get(name, pd.Series(dtype=float))
+            if count := int((periods > 0.0).sum()):
+                most = f"{periods.max():.0f} control period{'s' if periods.max() > 1.0 else ''}"
+                lines.append(f"{policy}: the root {words} in {count} of {len(part)} episodes, for {most} at most")
+    return lines
+
+
+def has_curves(table: pd.DataFrame) -> bool:
+    """Whether a table of episodes has detection curves; tables of older versions have none."""
+    return set(POD_NAMES) <= set(table.columns)
+
+
+def curves_by_tube(table: pd.DataFrame, policy: str) -> FloatArray:
+    """(tubes, d) probability of detection at ``DEPTHS`` in each tube, mean over seeds."""
+    part = table[table["policy"] == policy]
+    return part.groupby("context")[list(POD_NAMES)].mean().to_numpy()
+
+
+def a90_95(table: pd.DataFrame, policy: str) -> float:
+    """Depth [% of the wall] found with probability 90 % at 95 % confidence (bootstrap over tubes)."""
+    return float(100.0 * np.percentile(depths_found(redrawn_means(curves_by_tube(table, policy)), 0.9), A90_BOUND))
+
+
+def depths_of(table: pd.DataFrame) -> pd.DataFrame:
+    """a50, a90 and a90/95 [% of the wall] of every policy, from the mean curve over the tubes."""
+    rows = []
+    for policy in dict.fromkeys(table["policy"]):
+        mean = _mean(curves_by_tube(table, policy))
+        half, most = (100.0 * float(depths_found(mean, level)[0]) for level in (0.5, 0.9))
+        rows.append((policy, half, most, a90_95(table, policy)))
+    return pd.DataFrame(rows, columns=list(DEPTH_COLUMNS))
+
+
+def difference_of_a90(first: FloatArray, second: FloatArray) -> Interval:
+    """Paired difference in a90 [% of the wall], first minus second; the ends are NaN for one tube.
+
+    Args:
+        first: (tubes, d) curves at ``DEPTHS``, see ``curves_by_tube``.
+        second: (tubes, d) curves of the other policy in the same tubes.
+    """
+    mean, resampled = (
+        100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, redrawn_means)
+    )
+    low, high = np.percentile(resampled, PERCENTILES) if len(first) > 1 else (np.nan, np.nan)
+    return Interval(float(mean[0]), float(low), float(high))
+
+
+def _mean(curves: FloatArray) -> FloatArray:
+    return np.asarray(curves.mean(axis=0, keepdims=True))
+
+
+def bands(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean probability of detection over the tubes with its 95 % band, for every policy and depth."""
+    parts = []
+    for policy in dict.fromkeys(table["policy"]):
+        curves = curves_by_tube(table, policy)
+        low, high = np.percentile(redrawn_means(curves), PERCENTILES, axis=0)
+        columns = {"depth_percent_wall": 100.0 * DEPTHS, "pod": curves.mean(axis=0), "low": low, "high": high}
+        parts.append(pd.DataFrame({"policy": policy, **columns}))
+    return pd.concat(parts, ignore_index=True)

@@ -1,0 +1,122 @@
+"""The protocol of policies, and the domain that a policy was made for."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+from pydantic import AfterValidator, FiniteFloat
+from pydantic_core import PydanticCustomError
+
+from agents.policies.maps.vibration_map import CONTEXT, VibrationMap
+from probe_env import Context
+from probe_env.envs.contexts import Ranges
+from probe_env.envs.episodes.starts import Contexts, checked_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.trials import Controller
+from probe_env.scene import Probe
+
+UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
+
+
+class Policy(Controller, Protocol):
+    """SB3's ``predict``, and a description that is equal for equal policies."""
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description."""
+
+
+def check_ranges(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Raise PydanticCustomError for an unknown field of ``Context`` or a range in descending order."""
+    for name, (low, high) in ranges.items():
+        if name not in CONTEXT:
+            text = f"{name!r} is none of {', '.join(CONTEXT)}"
+        elif low > high:
+            text = f"{name}: {low:g} to {high:g} is no range, the least comes first"
+        else:
+            continue
+        raise PydanticCustomError("range", "{text}", {"text": text})
+    return ranges
+
+
+RangesOfTubes = Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], AfterValidator(check_ranges)]
+"""Ranges of fields of ``Context`` in a file."""
+
+
+class OutsideDomain(UserWarning):
+    """A policy runs outside the domain that it was made for."""
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The tubes that a policy was made for.
+
+    Attributes:
+        ranges: of fields of ``Context``.
+        inner_diameter: of the tubes [m].
+        helix_length: the greatest [m].
+        probe: the probe; None: any.
+    """
+
+    ranges: dict[str, tuple[float, float]]
+    inner_diameter: float
+    helix_length: float
+    probe: Probe | None
+
+    @classmethod
+    def of_map(cls, vibration: VibrationMap, any_probe: bool = False) -> Domain:
+        """The domain of a vibration map."""
+        low, high = vibration.ranges.tolist()
+        ranges = {name: (low[k], high[k]) for k, name in enumerate(CONTEXT)}
+        tube = vibration.scene.tube
+        return cls(ranges, tube.inner_diameter, tube.helix_length, None if any_probe else vibration.scene.probe)
+
+    def outside(self, config: TaskConfig, contexts: Iterable[Context]) -> list[str]:
+        """Deviations of a task and its tubes from the domain: field, value and range of each."""
+        scene, deviations = config.scene, []
+        if not math.isclose(scene.tube.inner_diameter, self.inner_diameter, rel_tol=1e-3):
+            deviations.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
+        if scene.tube.helix_length > self.helix_length * (1.0 + 1e-9):
+            deviations.append(f"helix_length = {scene.tube.helix_length:g} m, beyond {self.helix_length:g} m")
+        if self.probe is not None and scene.probe != self.probe:
+            names = (name for name in Probe.model_fields if getattr(scene.probe, name) != getattr(self.probe, name))
+            deviations.append(f"probe: another {', '.join(names)}")
+        tubes = list(contexts)
+        for name, (low, high) in self.ranges.items():
+            values = [getattr(tube, name) for tube in tubes]
+            least, most = min(values), max(values)
+            if least < low * (1.0 - 1e-3) or most > high * (1.0 + 1e-3):
+                deviations.append(
+                    f"{name} = {least:g} to {most:g}{UNITS[name]}, beyond {low:g} to {high:g}{UNITS[name]}"
+                )
+        return deviations
+
+
+def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
+    """Ranges of the fields of tubes, which may themselves be given as ranges."""
+    tubes = checked_contexts(contexts)
+    if isinstance(tubes, Ranges):
+        listed = {name: np.atleast_1d(getattr(tubes, name)).tolist() for name in CONTEXT}
+        return {name: (min(values), max(values)) for name, values in listed.items()}
+    return {name: (min(getattr(c, name) for c in tubes), max(getattr(c, name) for c in tubes)) for name in CONTEXT}
+
+
+def check_domains(
+    domains: dict[str, Domain | None], config: TaskConfig, contexts: Sequence[Context], strict: bool
+) -> None:
+    """Warn about every policy that runs outside its domain.
+
+    Raises:
+        ValueError: ``strict``, and a policy does.
+    """
+    for name, domain in domains.items():
+        deviations = domain.outside(config, contexts) if domain else []
+        if deviations:
+            text = f"{name} was not made for these tubes: {'; '.join(deviations)}"
+            if strict:
+                raise ValueError(f"{text}. Make a map of them (probe-env map --tube), or leave out --strict")
+            warnings.warn(text, OutsideDomain, stacklevel=2)

@@ -1,0 +1,227 @@
+"""Policies around a policy: a shield that keeps a margin of drive, a schedule for the withdrawal, a feed in steps."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.policies.fixed import STUDY_AIR
+from agents.policies.policy import Domain, Policy
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.observations import in_si_units
+from probe_env.fidelity import BOTH_WAYS, PRESETS, Fidelity, resolve_fidelity
+from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
+from probe_env.physics.methods import METHODS
+from probe_env.physics.model.chain import air_speed
+from probe_env.schedule import Schedule
+
+if TYPE_CHECKING:
+    from agents.policies.bundle import Agent
+
+PREFIX: Final = "shielded:"
+"""Before a policy's name: with the shield."""
+FRICTIONS: Final = (0.02, 1.0)
+"""Range of the friction that a shield reads from the tension; drag that differs reads as friction as well."""
+LAGS_AHEAD: Final = 12.0
+"""Lags of the air after which it has come: three of them, under a time-lapse of four."""
+SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
+"""Observations that change their sign with the direction."""
+
+
+class _Wrapper(ABC):
+    """SB3's ``predict`` by a method for (N, d) observations."""
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.floating],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Actions for observations (d,) or (N, d), and the state to give back next time."""
+        actions, state = self._act(np.atleast_2d(observation), state, episode_start, deterministic)
+        return (actions[0] if np.ndim(observation) == 1 else actions), state
+
+    @abstractmethod
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Actions (N, 2) for observations (N, d), and the next state."""
+
+
+@dataclass
+class Shielded(_Wrapper):
+    """A policy whose feed and air keep a margin of drive; within the margin its actions are unchanged.
+
+    The root tension gives the friction (closed form of steady sliding), and with it the tension that the policy's feed
+    and air would give. It goes with the square of the wind relative to the probe, w = Q / (a - A_c) - u. The task's
+    range of Q changes w by some 70 m/s, that of u by 0.4 m/s: the nearest feed and air with enough wind are more air,
+    and slower feed is the last resort.
+
+    Attributes:
+        config: the task that it acts in.
+        policy: made for this task.
+        margin: root tension to keep, over the one that the drive needs.
+        average: time constant of the average of the friction [s].
+        prior: friction at the beginning of an episode.
+    """
+
+    config: TaskConfig
+    policy: Policy
+    margin: float = 1.5
+    average: float = 3.0
+    prior: float = 0.175
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.margin <= 100.0:
+            raise ValueError(f"margin = {self.margin!r} is outside the accepted range 1 to 100")
+        if not self.config.observe_root_tension:
+            raise ValueError("a shield needs a task that shows the root tension")
+
+    @property
+    def domain(self) -> Domain | None:
+        """That of the policy."""
+        return getattr(self.policy, "domain", None)
+
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        inner, friction = (None, np.full(len(rows), self.prior)) if state is None else state
+        if start is not None:
+            friction = np.where(start, self.prior, friction)
+        requested, inner = self.policy.predict(rows, inner, start, deterministic)
+        actions, seen = np.array(requested, dtype=np.float32), in_si_units(self.config, rows)
+        gain = -np.expm1(-self.config.period / self.average)
+        friction = friction + gain * (np.clip(friction_from_tension(seen, self.config.scene), *FRICTIONS) - friction)
+        wanted = self.config.targets(actions, may_stand=True)
+        kept = self._kept(wanted, seen, friction)
+        changed = kept != wanted
+        actions[changed] = self.config.actions(*kept.T).astype(np.float32)[changed]
+        return actions, (inner, friction)
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description, equal for equal policies."""
+        own = {"policy": type(self).__name__, "margin": self.margin, "average": self.average, "prior": self.prior}
+        return own | {"of": self.policy.describe()}
+
+    def _kept(self, wanted: FloatArray, seen: dict[str, FloatArray], friction: FloatArray) -> FloatArray:
+        """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the requested ones that keep the margin."""
+        config, air_speed_of_unit = self.config, air_speed(self.config.scene, 1.0)
+        still = {"feed_speed": np.zeros(len(wanted)), "air_supply_rate": np.full(len(wanted), 1.0 / air_speed_of_unit)}
+        in_unit_wind = sliding_tension(friction, seen | still, config.scene)
+        needed = np.sqrt(self.margin * config.required_tension / in_unit_wind)
+        feed, air = wanted.T
+        # the drive counts from a length on; until then the air must have come
+        ahead = config.feed_speeds[1] * (LAGS_AHEAD * config.air_lag + (config.delay_periods + 1) * config.period)
+        short = (air * air_speed_of_unit - feed < needed) & (seen["inserted_length"] >= config.lost_drive_from - ahead)
+        more = (needed + feed) / air_speed_of_unit
+        if config.air_supply_step > 0.0:  # the next whole step, not the nearest
+            more = config.air_supply_step * np.ceil(more / config.air_supply_step - 1e-9)
+        more = np.clip(more, *config.air_supply_rates)
+        slower = np.clip(more * air_speed_of_unit - needed, config.feed_speeds[0], None)
+        return np.column_stack([np.where(short, np.minimum(feed, slower), feed), np.where(short, more, air)])
+
+
+def unshielded(spec: str) -> str:
+    """The spec of the policy behind the shield, if there is one."""
+    return spec.removeprefix(PREFIX)
+
+
+def fastest_back(config: TaskConfig) -> Schedule:
+    """The fastest withdrawal of the feed device, with the study's air or the nearest possible."""
+    feed, air = config.given(config.feed_speeds[1], STUDY_AIR)[0]
+    return Schedule("inserted_length", "linear", (0.0,), (float(feed),), (float(air),))
+
+
+@dataclass
+class BothWays(_Wrapper):
+    """A policy for the insertion, and a schedule over inserted length for the withdrawal.
+
+    Attributes:
+        config: the task of both passes.
+        forth: policy of the insertion, made for ``way_in`` of the task.
+        back: schedule of the withdrawal.
+    """
+
+    config: TaskConfig
+    forth: Policy
+    back: Schedule = field(default_factory=lambda: fastest_back(TaskConfig()))
+
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Actions; in the withdrawal the inner policy gets feed, air and tension without signs, and is not heeded."""
+        names = list(self.config.observations)
+        seen = in_si_units(self.config, rows)
+        back = seen["way"] < 0.0
+        shown = rows.copy()
+        for name in SIGNED:
+            if name in names:
+                column = names.index(name)
+                shown[back, column] = np.abs(shown[back, column])
+        shown = np.delete(shown, names.index("way"), axis=1)
+        actions, state = self.forth.predict(shown, state, start, deterministic)
+        drawn = self.config.actions(*self.back.at(seen["inserted_length"])).astype(np.float32)
+        return np.where(back[:, None], drawn, np.atleast_2d(actions)), state
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description, equal for equal policies."""
+        way_back = {"position": self.back.position, "feed_speed": self.back.feed_speed}
+        way_back["air_supply_rate"] = self.back.air_supply_rate
+        return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
+
+
+@dataclass
+class InSteps(_Wrapper):
+    """An agent of both passes whose feed is rounded to the steps of the device that it was trained with.
+
+    Every change of the feed shakes a probe that is withdrawn, and the output of a network varies all the time.
+
+    Attributes:
+        config: the task that it acts in.
+        agent: made for this task.
+        step: of the feed [m/s].
+    """
+
+    config: TaskConfig
+    agent: Agent
+    step: float
+
+    @property
+    def domain(self) -> Domain:
+        """That of the agent."""
+        return self.agent.domain
+
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        actions, state = self.agent.predict(rows, state, start, deterministic)
+        feed, air = self.config.targets(np.atleast_2d(actions)).T
+        return self.config.actions(self.step * np.round(feed / self.step), air).astype(np.float32), state
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description, equal for equal policies."""
+        return {"policy": type(self).__name__, "step": self.step, "of": self.agent.describe()}
+
+
+def way_in(config: TaskConfig) -> TaskConfig:
+    """The task of the insertion alone."""
+    return config.model_copy(update={"passes": "in"})
+
+
+def fidelity_of(name: str) -> Fidelity:
+    """A fidelity that simulates the withdrawal by its name.
+
+    Raises:
+        ValueError: no such fidelity, or one that does not simulate the withdrawal.
+    """
+    presets = [preset for preset, settings in PRESETS.items() if METHODS[settings.method].draws_back]
+    known = (*BOTH_WAYS, *presets)
+    if name not in known:
+        raise ValueError(f"fidelity = {name!r} does not simulate the way back; give one of {', '.join(known)}")
+    return resolve_fidelity(name, both_ways=True)

@@ -1,0 +1,163 @@
+"""The channels of a run: what is put in comes out, and what is asked for wrongly is named."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from agents.evaluation.recording import STRETCH, Chart, Insertion, centred_spectra
+from agents.evaluation.signal import by_period, correlation
+from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.spectrum import FREQUENCY
+from probe_env.inspection.tally import DetectionTally
+
+NONE = np.zeros(0)
+
+
+def quiet(feed, seconds=100):
+    time = np.arange(1, 1000 * seconds + 1) * 1e-3
+    silent = np.zeros((seconds, len(FREQUENCY)))
+    return Passage(time, 2.5 + feed * time, np.full(len(time), feed), np.zeros(len(time)), silent, 1000)
+
+
+@pytest.mark.parametrize("feed", [0.08, 0.2, 0.4])
+def test_a_flaw_stands_behind_the_filter_as_high_as_the_formula_says(feed):
+    """Mean of n flaws: within 4 deviations of 1 / sqrt(n) (a chance of 6e-5), and 0.5 % for the bends of a peak."""
+    sensor, passage = Sensor(), quiet(feed)
+    flaws = [Flaw(place, 0.2) for place in np.arange(3.0, passage.place[-1] - 0.2, 0.2)]
+    voltages = channels(sensor, passage, 0.0242, flaws, NONE, np.random.default_rng(0))
+    values = filtered(sensor, passage, along(sensor, voltages))
+    shown = np.interp([flaw.place for flaw in flaws], passage.place, values)
+    snr = 7.5 * np.sqrt(0.2 / feed)
+    assert shown.mean() == pytest.approx(snr, abs=4.0 / np.sqrt(len(flaws)) + 5e-3 * snr)
+    free_of_flaws = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(1))
+    empty = filtered(sensor, passage, along(sensor, free_of_flaws))
+    free = (
+        1.2 * feed / sensor.flaw_width * 100.0
+    )  # some u/w samples a second are free: a deviation scatters by 1/sqrt(2n)
+    assert empty.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * free))
+
+
+def test_motion_stands_in_both_channels_opposite_and_unequal():
+    sensor, passage = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 2)
+    motion = 1e-4 * np.sin(2 * np.pi * 14.0 * passage.time)
+    moved = Passage(passage.time, passage.place, passage.feed, motion, passage.spectrum, 1000)
+    x, y = channels(sensor, moved, 0.0242, [], NONE, np.random.default_rng(0)).T
+    assert np.polyfit(x, y, 1)[0] == pytest.approx(-np.tan(sensor.angle), rel=0.02)
+    assert np.ptp(x) == pytest.approx(2 * 2900.0 * 1e-4 * np.cos(sensor.angle), rel=0.1)
+
+
+def test_the_square_of_the_motion_stands_in_both_channels_alike():
+    """The same noise with and without it: what differs is k2 (y/R)^2 without its mean, to rounding."""
+    motion, bore = 2e-3 * np.sin(2 * np.pi * 14.0 * quiet(0.2, 2).time), 0.0242
+    both = []
+    for gain in (35.5, 0.0):
+        sensor, still = Sensor(square_gain=gain), quiet(0.2, 2)
+        moved = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
+        both.append(channels(sensor, moved, bore, [], NONE, np.random.default_rng(0)))
+    square = ((motion - motion.mean()) / (0.5 * bore)) ** 2
+    wanted = 35.5 * (square - square.mean())
+    assert np.ptp(wanted) > 0.9
+    assert both[0] - both[1] == pytest.approx(np.column_stack([wanted, wanted]), abs=1e-11)
+
+
+def test_supports_are_where_they_were_put():
+    sensor, passage = Sensor(quiet_snr=1000.0), quiet(0.2, 20)
+    supports = support_places(0.8, passage.place[-1])
+    assert supports[0] == 0.4
+    x, y = channels(sensor, passage, 0.0242, [], supports, np.random.default_rng(0)).T
+    inside = supports[(supports > 2.6) & (supports < 6.3)]
+    loud = passage.place[np.abs(x) > 0.5 * sensor.support_signal]
+    assert (np.abs(loud[:, None] - inside).min(axis=1) < sensor.support_width).all()
+    assert len({int(np.abs(place - inside).argmin()) for place in loud}) == len(inside)
+    assert np.abs(x - y).max() < 0.05 * sensor.support_signal
+
+
+def test_noise_is_told_by_period_and_follows_the_vibration():
+    """A tone of 14 Hz, louder every second: X has it times k1 cos(angle), less what means over 10 ms take, 3.2 %."""
+    sensor, still = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 20)
+    amplitude = 1e-5 * np.arange(1, 21)
+    motion = np.repeat(amplitude, 1000) * np.sin(2 * np.pi * 14.0 * still.time)
+    passage = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
+    periods = tuple({"radial_rms_m": value / np.sqrt(2.0), "snr": 7.5} for value in amplitude)
+    voltages = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(0))
+    run = Insertion(passage, periods, {}, DetectionTally())
+    chart = Chart(voltages, NONE, (), NONE, NONE, 4.6, pd.DataFrame(), 0)
+    table = by_period(run, chart)
+    assert table["place_m"].tolist() == pytest.approx((2.5 + 0.2 * np.arange(1, 21)).tolist())
+    wanted = np.sinc(14.0 * SHOWN) * 2900.0 * amplitude / np.sqrt(2.0)
+    loud = slice(9, None)  # there electronics, 1 % of a groove's signal a second, add less than 1 %
+    assert table["x_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.cos(0.6), rel=0.02)
+    assert table["y_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.sin(0.6), rel=0.02)
+    assert correlation(run, chart) == 1.0
+    even = Insertion(passage, tuple({"radial_rms_m": 1e-5, "snr": 7.5} for _ in periods), {}, DetectionTally())
+    assert np.isnan(correlation(even, chart))
+
+
+def test_one_call_a_flaw():
+    place = np.linspace(0.0, 1.0, 1001)
+    values = 6.0 * np.exp(-(((place - 0.3) / 0.01) ** 2)) + 5.0 * np.exp(-(((place - 0.309) / 0.002) ** 2))
+    values += 7.0 * np.exp(-(((place - 0.8) / 0.01) ** 2))
+    assert calls(values, place, 4.5, 0.02) == pytest.approx([0.309, 0.8], abs=0.011)
+    assert len(calls(values, place, 20.0, 0.02)) == 0
+
+
+def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
+    output = tmp_path / "signal"
+    asked = ["signal", "constant", "--until", "7", "--flaws", "3:80", "4:80", "4.2:2", "30:80", "--output", str(output)]
+    assert main(asked) == 0
+    table = pd.read_csv(output / "channels.csv")
+    assert list(table.columns) == ["time_s", "place_m", "feed_speed_m_per_s", "x_v", "y_v"]
+    assert np.diff(table["time_s"]) == pytest.approx(1e-3, abs=1e-6)
+    assert table["place_m"].iloc[-1] == pytest.approx(4.5, abs=0.01)  # the sensor follows 2.5 m behind the tip
+    flaws = pd.read_csv(output / "flaws.csv")
+    assert flaws["place_m"].tolist() == [3.0, 4.0, 4.2]
+    assert flaws["called"].tolist() == [True, True, False]  # 30 deviations, and less than one
+    record = json.loads((output / "signal.json").read_text())
+    assert len(pd.read_csv(output / "periods.csv")) == 10  # of a second, 0.2 m each
+    assert record["found"]["length_with_snr_over_3_m"] == pytest.approx(2.0, abs=0.01)
+    assert record["found"]["a50_percent_wall"] == pytest.approx(20.0 * record["threshold"] / 7.5, rel=0.02)
+    assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}
+    said = capsys.readouterr().out
+    assert "called: 2 of the 3 flaws that were passed" in said
+    assert "not passed: the flaw at 30 m; the sensor was from 2.50 to 4.5" in said
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (["--flaws", "30"], "flaws: '30' is not PLACE:DEPTH"),
+        (["--flaws", "70:20"], "flaws: place of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
+        (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
+        (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
+        (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
+        (["--fidelity", "fast"], "fidelity.time_lapse = 4 leaves out metres"),
+    ],
+)
+def test_what_is_wrong_is_named_before_anything_is_done(asked, message, tmp_path, capsys):
+    assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_filter_knows_a_burst_in_its_own_stretch():
+    """Silence but for a quarter of a second of 14 Hz: the second with the burst in its middle is that of its stretch.
+
+    Seconds that end before the burst tell nothing of it; one that has it in its middle tells the most that any can.
+    """
+    motion, feed = np.zeros(6000), np.full(6000, 0.2)
+    motion[3000:3250] = 1e-4 * np.sin(2 * np.pi * 14.0 * 1e-3 * np.arange(250))
+    power = centred_spectra(Sensor(), motion, feed).sum(axis=1)
+    assert len(power) == 24
+    assert (power[:10] == 0.0).all()  # the last of these is of the second to 2.875 s
+    assert power[12] > 0.5 * power.max()
+    assert (np.diff(power[9:13]) > 0.0).all()
+
+
+@pytest.mark.parametrize("samples", [100, 125, 250, 1001])
+def test_every_stretch_has_a_spectrum(samples):
+    motion = 1e-4 * np.random.default_rng(0).normal(size=samples)
+    assert len(centred_spectra(Sensor(), motion, np.full(samples, 0.2))) == -(-samples // STRETCH)

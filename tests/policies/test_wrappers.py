@@ -1,0 +1,170 @@
+"""Policies around a policy: the shield keeps the drive and leaves alone what is safe; fidelities of both passes."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from agents.evaluation.plan import Plan, Playing
+from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
+from agents.policies.fixed import Constant
+from agents.policies.wrappers import Shielded, fidelity_of
+from probe_env import Context, Scene, TaskConfig
+from probe_env.envs.task.observations import observe
+from probe_env.fidelity import resolve_fidelity
+from probe_env.physics.closed_forms import sliding_tension
+
+CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).all_shown
+LITTLE = {"feed_speed": 0.4, "air_supply_rate": 30.0 / 3600.0}
+HARD = (
+    Context(friction=0.25, drag_factor=0.9, helix_diameter=1.0, contact_stiffness=0.7e5),
+    Context(friction=0.35, drag_factor=0.7, helix_diameter=1.0),
+)
+
+
+def measured(friction, inserted=40.0, air=63.0 / 3600.0, feed=0.2, config=CONFIG):
+    """Observations (N, d) of steady sliding without noise, with frictions (N,)."""
+    one = np.ones(len(friction))
+    seen = {"inserted_length": inserted * one, "feed_speed": feed * one, "air_supply_rate": air * one}
+    seen["helix_diameter"] = 1.2 * one
+    tension = sliding_tension(np.asarray(friction), seen, config.scene)
+    rest = dict.fromkeys(("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2"), one)
+    rest |= dict.fromkeys(("feed_action", "air_action", "drag_factor", "contact_stiffness"), 0.0 * one)
+    probe = {name: getattr(config.scene.probe, name) * one for name in PROBE}
+    seen |= rest | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one, "friction": one}
+    return observe(config, seen | {"remaining_length": one}, np.zeros((len(friction), 2)))
+
+
+PROBE = [name for name in CONFIG.observations if hasattr(CONFIG.scene.probe, name)]
+
+
+class Given:
+    """A policy that does what it is told."""
+
+    def __init__(self, actions):
+        self.actions = np.asarray(actions, dtype=np.float32)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.actions.copy(), None
+
+    def describe(self):
+        return {"policy": "Given"}
+
+
+def acted(actions, friction, config=CONFIG, **options):
+    """Actions behind a shield that already knows the friction."""
+    shield = Shielded(config, Given(actions), **options)
+    return shield.predict(measured(friction, config=config), (None, np.asarray(friction)))[0]
+
+
+def tensions(actions, friction):
+    """Steady root tension of actions (N, 2)."""
+    feed, air = CONFIG.targets(actions).T
+    one = np.ones(len(feed))
+    seen = {"inserted_length": 40.0 * one, "feed_speed": feed, "air_supply_rate": air, "helix_diameter": 1.2 * one}
+    return sliding_tension(friction * one, seen, CONFIG.scene)
+
+
+def test_what_keeps_the_margin_stays_to_the_bit_and_the_rest_comes_to_it():
+    rng = np.random.default_rng(0)
+    given, friction = rng.uniform(-1.0, 1.0, (500, 2)).astype(np.float32), rng.uniform(0.1, 0.5, 500)
+    wanted, shielded = tensions(given, friction), acted(given, friction)
+    safe = wanted >= 1.5 * 0.8
+    assert 50 < safe.sum() < 450
+    assert (shielded[safe] == given[safe]).all()
+    # float32 actions and observations: 1e-5 of the friction that is read
+    assert tensions(shielded[~safe], friction[~safe]) == pytest.approx(1.2, rel=1e-4)
+    assert (shielded[~safe, 0] == given[~safe, 0]).all()  # there is air enough
+
+
+def test_there_is_no_nearer_action_that_keeps_the_margin():
+    """Of a grid of 201 x 201; blowing more alone is off the nearest point by (0.19 / 34)^2 / 2 = 2e-5 of the way."""
+    axis = np.linspace(-1.0, 1.0, 201)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    given = np.array([[0.3, -0.98]], dtype=np.float32)
+    for friction in (0.25, 0.4, 0.7):
+        shielded = acted(given, np.array([friction]))
+        kept = grid[tensions(grid, friction) >= 1.2]
+        nearest = np.hypot(*(kept - given).T).min()
+        assert 0.0 < np.hypot(*(shielded - given)[0]) <= nearest * (1.0 + 3e-5) + 1e-6
+
+
+def test_where_there_is_no_more_air_the_feed_slows():
+    friction, margin = np.array([0.5]), 40.0
+    shielded = acted([[1.0, 0.9]], friction, margin=margin)
+    assert shielded[0, 1] == 1.0
+    assert shielded[0, 0] == -1.0
+
+
+def test_the_air_comes_in_whole_steps_and_a_feed_that_stands_goes_on_standing():
+    config = CONFIG.model_copy(update={"air_supply_step": 10.0 / 3600.0})
+    given = np.array([[config.standing, -1.0]], dtype=np.float32)
+    shielded = acted(given, np.array([0.6]), config)
+    assert shielded[0, 0] == config.standing
+    air = config.targets(shielded, may_stand=True)[0, 1] * 360.0
+    assert air == pytest.approx(round(air), abs=1e-5)
+    assert tensions(np.array([[-1.0, shielded[0, 1]]]), 0.6)[0] >= 1.2
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    """KPIs by policy and tube: racing with the least air and the best schedule, with and without the shield."""
+    tubes = (*HARD, Context(friction=0.15))
+    bare = {"racing": Constant(CONFIG, **LITTLE), "best": make_policy("best-schedule", CONFIG)}
+    plan = Plan(
+        bare | {f"shielded-{name}": Shielded(CONFIG, policy) for name, policy in bare.items()},
+        tubes, config=CONFIG, fidelity=resolve_fidelity("fast"),
+    )  # fmt: skip
+    playing, outcomes = Playing(plan, deque(plan.units()), 12, 1), {}
+    while not playing.over:
+        outcomes |= {ended.unit[:2]: (ended.kpis, ended.profile) for ended in playing.step()}
+    return outcomes
+
+
+def test_hard_tubes_lose_their_drive_without_it_and_not_with_it(episodes):
+    for k in range(len(HARD)):
+        without, with_it = episodes["racing", k][0], episodes["shielded-racing", k][0]
+        assert without["lost_drive"] == 1.0
+        assert with_it["complete"] == 1.0
+        assert with_it["cost_lost_drive"] == 0.0
+
+
+def test_the_best_schedule_is_the_same_behind_it(episodes):
+    for k in range(len(HARD) + 1):
+        assert episodes["best", k] == episodes["shielded-best", k]
+
+
+def test_it_goes_by_a_prefix(tmp_path):
+    assert name_and_spec("shielded:ppo@1") == ("shielded-ppo@1", "shielded:ppo@1")
+    assert name_and_spec("mine=shielded:pi") == ("mine", "shielded:pi")
+    assert name_and_spec("shielded:mine=pi") == ("shielded-mine", "shielded:pi")
+    file = tmp_path / "own.csv"
+    file.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n0,0.2,60\n")
+    specs = [f"shielded:{file}", "shielded:best-schedule", "best-schedule"]
+    policies = named_policies(specs, CONFIG)
+    assert list(policies) == ["shielded-own", "shielded-best-schedule", "best-schedule"]
+    assert own_policies(specs) == ["shielded-own"]
+    domains = domains_of(specs, policies)
+    assert domains["shielded-best-schedule"] == domains["best-schedule"]
+    both = make_policy("shielded:fast-in", TaskConfig(passes="both").all_shown)
+    assert isinstance(both.forth, Shielded)
+    assert make_policy("shielded:pi", CONFIG).describe() == make_policy("shielded:pi", CONFIG).describe()
+
+
+def test_what_it_cannot_do_is_refused():
+    with pytest.raises(ValueError, match=r"margin = 0.5 is outside the accepted range 1 to 100"):
+        Shielded(CONFIG, Given([[0.0, 0.0]]), margin=0.5)
+    with pytest.raises(ValueError, match="a shield needs a task that shows the root tension"):
+        make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
+    for passes in ("in", "both"):
+        with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
+            make_policy("shielded:planner", TaskConfig(passes=passes).all_shown)
+
+
+def test_fidelities_of_both_passes() -> None:
+    """ "unlapsed" is "fast" without its time-lapse."""
+    usual, without = fidelity_of("fast"), fidelity_of("unlapsed")
+    assert (usual.time_lapse, without.time_lapse) == (4.0, 1.0)
+    assert without.model_copy(update={"time_lapse": 4.0}) == usual
+    with pytest.raises(ValueError, match="'reference' does not simulate the way back; give one of standard, "):
+        fidelity_of("reference")
