@@ -179,7 +179,7 @@ def test_an_evaluation_depends_on_task_kpis_and_signals_and_on_its_own_method_al
     reached = {text.split(" ")[0] for text in module._texts((*episodes, *method_roots("imex32")))}
     assert reached >= {"window_statistics", "Tally.kpis", "TaskConfig.targets", "imex_advance", "Chain", "Drive"}
     assert not reached & {"ticm_step", "solve_banded_step", "node_equation", "explicit_advance", "implicit_step"}
-    newmark, lanes = (code_hash(("agents.study.cases:run_case",), method) for method in ("newmark", "imex32"))
+    newmark, lanes = (code_hash(("agents.studies.claims.cases:run_case",), method) for method in ("newmark", "imex32"))
     assert newmark != lanes
 
 
@@ -194,4 +194,4 @@ def test_all_methods_and_solvers_have_a_place():
 
 def test_a_root_that_is_not_there_is_named():
     with pytest.raises(ValueError, match="there is no run_nothing"):
-        code_hash(("agents.study.cases:run_nothing",))
+        code_hash(("agents.studies.claims.cases:run_nothing",))
