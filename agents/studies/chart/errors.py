@@ -216,8 +216,8 @@ def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFr
     processor time for a simulated second of a pitch [s], error is ``bound``.
     """
     plain = (constant["walls"] == "both") & (constant["friction"] == 0.15)
-    held = constant["contact_stiffness_n_per_m"].isin(STIFFNESSES) & (constant["diverged"] == 0.0)
-    at_length = constant[plain & held].assign(time_lapse=1.0)
+    stable = constant["contact_stiffness_n_per_m"].isin(STIFFNESSES) & (constant["diverged"] == 0.0)
+    at_length = constant[plain & stable].assign(time_lapse=1.0)
     at_length["cost_s"] = at_length["cpu_s"] / ((at_length["carrier_length_m"] + 2.5) / 0.1)
     whole = inserted.assign(carrier_length_m=np.nan, contact_stiffness_n_per_m=1e5)
     whole["cost_s"] = whole["cpu_s"] / pitch_seconds()
@@ -264,18 +264,18 @@ def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame)
     constant length), from_m, to_m, ratio, low, high, insertion_cpu_s and times_newmark, the cost of the study's scheme
     over this one's at l = 50 m.
     """
-    newmark = float(_rows(constant, Setting("newmark", 1e-4).key)["cpu_s"].iloc[0])
     rows = []
     for name, preset in PRESETS.items():
         method, step, nodes = preset.method, preset.time_step, preset.nodes_per_pitch
         cost = insertion_cost(Insertion(method, step, preset.time_lapse, nodes).key, costs)
-        second = cpu_seconds(costs, pd.DataFrame([Setting(method, step, nodes).key])).iloc[0]
+        both = pd.DataFrame([Setting("newmark", 1e-4).key, Setting(method, step, nodes).key])
+        newmark, own = cpu_seconds(costs, both)
         lapses = _rows(inserted, {"method": method, "time_step_s": step, "nodes_per_pitch": nodes})
         nearest = (lapses["time_lapse"] - preset.time_lapse).abs()
         at_length = pd.concat([_rows(constant, Setting(method, step, nodes, length).key) for length in (30.0, 50.0)])
         found = at_length.assign(time_lapse=np.nan, from_m=lambda t: t["carrier_length_m"], to_m=lambda t: t["from_m"])
         for row in pd.concat([found, lapses[nearest == nearest.min()]]).to_dict("records"):
             measured = row["time_lapse"], row["from_m"], row["to_m"], *_radial(row)
-            rows.append((name, method, step, preset.time_lapse, *measured, cost, newmark / second))
+            rows.append((name, method, step, preset.time_lapse, *measured, cost, newmark / own))
     columns = ["preset", "method", "time_step_s", "time_lapse", "measured_time_lapse", "from_m", "to_m"]
     return pd.DataFrame(rows, columns=[*columns, "ratio", "low", "high", "insertion_cpu_s", "times_newmark"])

@@ -52,13 +52,13 @@ def smooth(table: pd.DataFrame, path: Path) -> None:
 
 def _curve(axis: Axes, part: pd.DataFrame, cost: str, top: float, method: str) -> None:
     style: dict[str, Any] = {"color": COLOURS[method]}
-    held = part[part["error"].notna()]
-    axis.plot(held[cost], held["error"], "o-", ms=4, linewidth=1.2, label=method, **style)
+    stable = part[part["error"].notna()]
+    axis.plot(stable[cost], stable["error"], "o-", ms=4, linewidth=1.2, label=method, **style)
     failed = part[part["error"].isna()]
     if failed.empty:
         return
     # a run that broke off has no cost of its own: what its steps would have cost
-    rate = float((held[cost] * held["time_step_s"]).median()) if len(held) else float("nan")
+    rate = float((stable[cost] * stable["time_step_s"]).median()) if len(stable) else float("nan")
     axis.plot(rate / failed["time_step_s"], [top] * len(failed), "x", ms=6, clip_on=False, **style)
 
 
@@ -74,10 +74,10 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
         len(PANELS), len(panels), figsize=(15, 11), layout="constrained", sharey="row", sharex="col"
     )
     for column, (title, part) in enumerate(panels):
-        held = part[part["radial_rms_m:ratio"].notna()]
+        stable = part[part["radial_rms_m:ratio"].notna()]
         for axis, (output, label) in zip(axes[:, column], PANELS.items(), strict=True):
             axis.axhline(1.0, color=GREY, linewidth=0.8)
-            for (name, mesh), rows in held.groupby(["method", "nodes_per_pitch"]):
+            for (name, mesh), rows in stable.groupby(["method", "nodes_per_pitch"]):
                 kind, nodes = str(name), int(str(mesh))
                 ratio = rows[f"{output}:ratio"]
                 spread = [ratio - rows[f"{output}:low"], rows[f"{output}:high"] - ratio]

@@ -229,15 +229,14 @@ def run_cases(
     wanted = [(case, k) for k in range(members) for case in CASES if not names or case.name in names]
     store = Store(output / "ensemble.csv", KEYS)
     missing = [(case, member) for case, member in wanted if not store.has(case.name, member, duration)]
-    stored = lambda: sum(store.has(case.name, member, duration) for case, member in wanted)  # noqa: E731
-    announce(Work("run", len(wanted), stored, store.path))
+    keys = [(case.name, member, duration) for case, member in wanted]
+    announce(Work("run", len(keys), lambda: sum(store.has(*key) for key in keys), store.path))
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
     work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
     for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
         store.add(row)
-    keys = {(case.name, member, duration) for case, member in wanted}
-    asked = [key in keys for key in store.table[list(KEYS)].itertuples(index=False, name=None)]
-    return _in_order(store.table[np.array(asked, dtype=bool)])
+    requested = [key in keys for key in store.table[list(KEYS)].itertuples(index=False, name=None)]
+    return _in_order(store.table[np.array(requested, dtype=bool)])
 
 
 def load_rows(folder: Path, duration: float = DURATION) -> pd.DataFrame:

@@ -53,10 +53,6 @@ class Ensemble:
         """Mean over the members."""
         return float(np.mean(self.values(case, statistic)))
 
-    def greater(self, large: str, small: str, statistic: str = RADIAL) -> bool:
-        """Whether one case lies above another, see ``greater``."""
-        return greater(self.values(large, statistic), self.values(small, statistic))
-
 
 def greater(a: FloatArray, b: FloatArray) -> bool:
     """Whether ``a`` lies above ``b``: one-sided Mann-Whitney test, or the means if there are fewer than four values."""

@@ -96,7 +96,7 @@ def by_step(table: pd.DataFrame) -> pd.DataFrame:
 
     Columns method, ratio (step over the named limit), cells, stable, wrong.
     """
-    judged = verdicts(table)
-    judged = judged.assign(stable=judged["verdict"] != "unstable", wrong=judged["verdict"] == "wrong")
-    groups = judged.groupby(["method", "ratio"], sort=False)
+    marked = verdicts(table)
+    marked = marked.assign(stable=marked["verdict"] != "unstable", wrong=marked["verdict"] == "wrong")
+    groups = marked.groupby(["method", "ratio"], sort=False)
     return groups.agg(cells=("stable", "size"), stable=("stable", "mean"), wrong=("wrong", "mean")).reset_index()
