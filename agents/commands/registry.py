@@ -124,17 +124,6 @@ MAKERS: Final = {
     "feed-changes": Entry(
         "plant:FeedChanges", "what a change of the feed on the way back does", "probe-env feed-changes"
     ),
-    "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
-    "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
-    "other-probes": Entry(
-        "study:OtherProbes", "whether the usual mesh holds for other probes", "probe-env other-probes --limit 1"
-    ),
-    "stability": Entry("study:Stability", "which time steps hold", "probe-env stability --output output/stability"),
-    "pressed": Entry("study:Pressed", "which pressed scenes and steps hold", "probe-env pressed scenes --limit 20"),
-    "timelapse": Entry("study:Timelapse", "what time-lapse changes", "probe-env timelapse --output output/timelapse"),
-    "peers": Entry("study:Peers", "other packages beside this one", "probe-env peers --output output/chart"),
-    "bench": Entry("study:Bench", "the kernels' speed", "probe-env bench --repeats 3"),
-    "scaling": Entry("study:Scaling", "what more cores bring", "probe-env scaling --output output/scaling"),
 }  # fmt: skip
 """What the results and the documents are made with."""
 LISTS: Final = {

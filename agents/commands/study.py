@@ -1,4 +1,4 @@
-"""Commands of the simulator: single scenes, the study's claims, speed, stability."""
+"""Command that simulates a single scene."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from agents.records.shipped import file_or_shipped, shipped_folder
+from agents.records.shipped import file_or_shipped
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, SOLVERS, method_named
 from probe_env.settings import within
@@ -60,7 +60,7 @@ class Simulate:
 
     def run(self) -> None:
         """Simulate, store and print."""
-        from agents.study.simulate import print_statistics, simulate_scene
+        from agents.evaluation.simulate import print_statistics, simulate_scene
 
         name = self.scene_file.stem
         within("duration", self.duration, 1e-3, 1e5, "s")
@@ -74,196 +74,3 @@ class Simulate:
         statistics = simulate_scene(simulator, self.duration, begin, output, name)
         print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")
         print(f"written: {output}/ (scene.toml, results.json, signals.npz, figures)")
-
-
-@dataclass(frozen=True)
-class Study:
-    """Run the study's scenes and print its claims beside what was found. Stored runs are not repeated."""
-
-    scenes: Path | None = None
-    """Folder of the scene files; default: those that ship."""
-    way: Literal["in", "back", "root"] = "in"
-    """The probe fed in, or drawn back with reversed air beside the probe fed in: the study's experiment (e); or fed in
-    with the root at several places between two floats, which is no claim of the study."""
-    output: Path = Path("output/study")
-    """Folder of ensemble.csv, back.csv or root.csv; stored runs are not repeated, and none is dropped."""
-    members: int = 1
-    """Perturbed runs a case."""
-    duration: float = 8.0
-    """Simulated time of a run [s]."""
-    subset: bool = False
-    """Five cases instead of all, or the shortest probe's."""
-    jobs: int = 2
-    """Runs at the same time."""
-
-    def run(self) -> None:
-        """Run what is missing, print the table."""
-        from agents.study import back, cases, roots
-        from agents.study.back_claims import back_findings
-        from agents.study.claims import findings, print_findings
-        from agents.study.root_tables import root_markdown
-
-        for name, low, high in (("members", 1, 1000), ("jobs", 1, 256), ("duration", 0.5, 1e4)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value!r} is outside the accepted range {low} to {high:g}")
-        scenes = self.scenes or shipped_folder("scenes")
-        wanted = scenes, self.output, self.members, self.duration
-        if self.way == "root":
-            table = roots.run_roots(*wanted, roots.SUBSET if self.subset else (), self.jobs)
-            print(root_markdown(table))
-            print(f"written: {self.output}/root.csv")
-            return
-        if self.way == "back":
-            table = back.run_back(*wanted, back.SUBSET if self.subset else (), self.jobs)
-            outcomes, file = back_findings(table, scenes), "back.csv"
-        else:
-            table = cases.run_study(*wanted, cases.SUBSET if self.subset else (), self.jobs)
-            outcomes, file = findings(table, scenes), "ensemble.csv"
-        print_findings(outcomes, table)
-        print(f"written: {self.output}/{file}")
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Measure the kernels' speed as ratios within one run, and store the table."""
-
-    output: Path = Path("output/bench")
-    """Folder of bench.json."""
-    repeats: int = 7
-    """Repeats of every timing, the best of which counts."""
-
-    def run(self) -> None:
-        """Measure, store, print."""
-        from agents.bench.kernels import run_bench
-
-        if not 1 <= self.repeats <= 1000:
-            raise ValueError(f"repeats = {self.repeats!r} is outside the accepted range 1 to 1000")
-        run_bench(self.output, self.repeats)
-
-
-@dataclass(frozen=True)
-class Timelapse:
-    """Measure what time-lapse changes in the vibration profile of a full insertion, with intervals."""
-
-    output: Path = Path("output/timelapse")
-    """Folder of profile.csv, summary.csv and profile.png."""
-
-    def run(self) -> None:
-        """Run, store, print."""
-        from agents.chart.timelapse import run_timelapse
-
-        run_timelapse(self.output)
-
-
-@dataclass(frozen=True)
-class Stability:
-    """Map which time steps hold, over method, contact stiffness and length."""
-
-    output: Path = Path("output/stability")
-    """Folder of map.csv and map.png."""
-
-    def run(self) -> None:
-        """Run, store, print."""
-        from agents.chart.stability.map import run_map
-
-        run_map(self.output)
-
-
-@dataclass(frozen=True)
-class Pressed:
-    """Run what is pressed: two hundred drawn scenes, the map of steps drawn back, and insertions that were lost."""
-
-    parts: tyro.conf.Positional[tuple[Literal["scenes", "map", "insertions"], ...]] = ("scenes", "map", "insertions")
-    """What of it."""
-    output: Path = Path("output/pressed")
-    """Folder of scenes.csv, map.csv and insertions.csv; what is there already is not run again."""
-    episodes: Path = Path("results/any-probe/episodes.csv")
-    """Table of `probe-env evaluate --probes random`, of which the insertions that diverged are run again."""
-    limit: int = 0
-    """The first so many scenes, cells of a method, and insertions of a set; 0: all."""
-    jobs: int = 1
-    """Threads."""
-
-    def run(self) -> None:
-        """Run what is missing, print."""
-        from agents.chart.stability import lost, pressed_runs, pressed_words, returns
-        from agents.chart.stability.pressed import SCENES
-
-        if not 0 <= self.limit <= SCENES:
-            raise ValueError(f"limit = {self.limit!r} is outside the accepted range 0 (all) to {SCENES}")
-        if "scenes" in self.parts:
-            print(pressed_words.markdown(pressed_runs.run_pressed(self.output, self.limit, self.jobs)))
-        if "map" in self.parts:
-            print(returns.markdown(returns.run_returns(self.output, self.limit)))
-        if "insertions" in self.parts:
-            print(lost.markdown(lost.rerun(self.episodes, self.output, self.limit, self.jobs)))
-        print(f"written: {self.output}/ ({', '.join(f'{part}.csv' for part in self.parts)})")
-
-
-@dataclass(frozen=True)
-class Chart:
-    """Chart accuracy against cost: every method before chaos and in it, mesh and model choices. Stored runs stay."""
-
-    output: Path = Path("output/chart")
-    """Folder of smooth.csv, ensembles.csv, insertions.csv, costs.csv and the figures."""
-    target: Path | None = None
-    """File of the errors that `auto` goes by; default: measured_errors.csv in the output folder."""
-
-    def run(self) -> None:
-        """Run what is missing, draw, print."""
-        from agents.chart.report import run_chart
-
-        run_chart(self.output, self.target or self.output / "measured_errors.csv")
-
-
-@dataclass(frozen=True)
-class OtherProbes:
-    """Compare the mesh and step of `standard` with the converged ones for random designs in random tubes."""
-
-    output: Path = Path("output/other-probes")
-    """Folder of other-probes.csv."""
-    limit: int = 0
-    """The first so many probes; 0: all eleven."""
-
-    def run(self) -> None:
-        """Run what is missing, print."""
-        from agents.chart import other_probes
-
-        most = len(other_probes.other_probes())
-        if not 0 <= self.limit <= most:
-            raise ValueError(f"limit = {self.limit!r} is outside the accepted range 0 (all) to {most}")
-        table = other_probes.run_other_probes(self.output, self.limit)
-        print(other_probes.markdown(table))
-        print(f"written: {self.output}/other-probes.csv")
-
-
-@dataclass(frozen=True)
-class Peers:
-    """Put other packages beside ours on a scene that all can run: PyElastica, MuJoCo, Exudyn, as far as installed."""
-
-    output: Path = Path("output/chart")
-    """Folder of peers.csv and peers.png."""
-
-    def run(self) -> None:
-        """Run, draw, print."""
-        from agents.chart.peers import comparison as peers
-
-        table = peers.run_peers(self.output)
-        peers.draw(table, self.output / "peers.png")
-        print(peers.markdown(table))
-        print(f"written: {self.output}/ (peers.csv, peers.png)")
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """Measure what insertions cost in portions of several sizes, and project a thousand of them onto more cores."""
-
-    output: Path = Path("output/scaling")
-    """Folder of the tables."""
-
-    def run(self) -> None:
-        """Measure, store, print."""
-        from agents.bench.scaling import run_scaling
-
-        run_scaling(self.output)

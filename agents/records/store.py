@@ -1,22 +1,20 @@
-"""A table on disk that grows row by row, so that interrupted work goes on where it stopped. No row is ever dropped."""
+"""A CSV table that grows row by row, so that interrupted work resumes where it stopped."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.reading import FileError, read_csv
 from agents.records.tables import Columns
 
-CODE: Final = "code"
 COMMIT: Final = "commit"
-SUPERSEDED: Final = "superseded"
-COLUMNS: Final[Columns] = {CODE: "text", COMMIT: "text", SUPERSEDED: "truth"}
+COLUMNS: Final[Columns] = {COMMIT: "text"}
 
 
 def as_csv(table: pd.DataFrame, digits: int) -> str:
@@ -26,55 +24,46 @@ def as_csv(table: pd.DataFrame, digits: int) -> str:
 
 
 def stored_rows(path: Path) -> pd.DataFrame:
-    """The rows of a stored table that count: all but those that newer ones with the same keys took the place of."""
-    return _counting(read_csv(path, COLUMNS))
+    """The rows of a stored table, of whatever commit."""
+    return read_csv(path, COLUMNS)
+
+
+def present_commit() -> str:
+    """Commit of the checkout (``+changes`` if it was not clean), or the package's version outside one."""
+    name = commit()
+    return f"version {version('probe-env')}" if name == "unknown" else name
 
 
 class Store:
-    """Rows of a CSV file with unique keys, each with the code (its hash) and the commit that made it.
-
-    Rows of other code do not count as done. They stay in the file, marked as superseded once the same keys have been
-    run again.
+    """Rows of a CSV file with unique keys, each with the commit that made it.
 
     Args:
         path: of the file; ``NAME-provenance.json`` goes beside it.
-        keys: columns that tell rows apart.
-        code: hash of the present code that a row depends on.
+        keys: columns that identify a row.
+
+    Raises:
+        FileError: the file is not such a table, or has rows of another commit.
     """
 
-    def __init__(self, path: Path, keys: tuple[str, ...], code: Callable[[Mapping[str, Any]], str]) -> None:
-        self.path, self.keys, self._code = path, keys, code
-        empty = pd.DataFrame(columns=[*keys, CODE, COMMIT, SUPERSEDED])
-        self._rows = read_csv(path, COLUMNS) if path.exists() else empty
-        missing = [name for name in map(str, empty) if name not in self._rows]
-        if missing:
+    def __init__(self, path: Path, keys: tuple[str, ...]) -> None:
+        self.path, self.keys = path, keys
+        self.table = stored_rows(path) if path.exists() else pd.DataFrame(columns=[*keys, COMMIT])
+        if missing := [name for name in keys if name not in self.table]:
             raise FileError(path, f"no column {', '.join(missing)}: not a table of this kind; choose another folder")
+        if others := sorted(set(self.table[COMMIT]) - {present_commit()}):
+            made_by = f"made by {', '.join(others)}, not by {present_commit()}"
+            raise FileError(path, f"{made_by}, and rows of different code are not mixed; choose another folder")
         self._done = set(self.table[list(keys)].itertuples(index=False, name=None))
 
-    @property
-    def table(self) -> pd.DataFrame:
-        """Rows of the present code."""
-        rows = _counting(self._rows)
-        records: list[Any] = rows.to_dict("records")
-        present = np.array([self._code(record) == record[CODE] for record in records], dtype=bool)
-        return rows[present].reset_index(drop=True)
-
     def has(self, *key: object) -> bool:
-        """Whether a row with this key is there."""
+        """Whether a row with this key is stored."""
         return key in self._done
 
     def add(self, *rows: Mapping[str, Any]) -> None:
-        """Add rows, which supersede those with the same keys, and write the file."""
-        origin = {COMMIT: commit(), SUPERSEDED: False}
-        new = pd.DataFrame([dict(row) | {CODE: self._code(row)} | origin for row in rows])
-        table = new if self._rows.empty else pd.concat([self._rows, new], ignore_index=True)
-        old = table.duplicated(list(self.keys), keep="last")
-        self._rows = table.assign(**{SUPERSEDED: table[SUPERSEDED].astype(bool) | old})
-        write_atomically(self.path, as_csv(self._rows, 6))
+        """Add rows, which replace those with the same keys, and write the file."""
+        new = pd.DataFrame([dict(row) | {COMMIT: present_commit()} for row in rows])
+        table = new if self.table.empty else pd.concat([self.table, new], ignore_index=True)
+        self.table = table.drop_duplicates(list(self.keys), keep="last", ignore_index=True)
+        write_atomically(self.path, as_csv(self.table, 6))
         self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
-        commits = _counting(self._rows)[COMMIT]
-        write_json(self.path.with_name(f"{self.path.stem}-provenance.json"), provenance(commits=commits))
-
-
-def _counting(rows: pd.DataFrame) -> pd.DataFrame:
-    return rows[~rows[SUPERSEDED].astype(bool)].drop(columns=SUPERSEDED).reset_index(drop=True)
+        write_json(self.path.with_name(f"{self.path.stem}-provenance.json"), provenance())

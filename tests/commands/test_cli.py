@@ -9,7 +9,6 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
-import pandas as pd
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
 
@@ -60,11 +59,9 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
         (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
-        (["study", "--members", "0"], "members = 0"),
         (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
         (["render", "--every", "0"], "every = 0"),
         (["render", "--policy", "fastest"], "policy = 'fastest'"),
-        (["study", "--scenes", "nowhere", "--duration", "1"], "no such file: nowhere"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:time_step = 0.001 s is beyond the known stable limit")  # and then it diverges
@@ -81,26 +78,6 @@ def test_a_bad_scene_option_names_the_field_and_the_range(capsys):
     assert main(["simulate", SCENE, "--scene.contact.friction", "1.2"]) == 2
     message = "--scene.contact.friction: 1.2 is outside the accepted range 0 to 1 (given: 1.2)"
     assert capsys.readouterr() == ("", f"probe-env: error: {message}\n")
-
-
-def test_study_stores_rows_and_does_not_repeat_them(tmp_path, capsys, monkeypatch):
-    from agents.study import cases as study
-
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(study, "SUBSET", ("l10", "l10-wilson"))
-    options = ["--subset", "--duration", "0.5", "--output", str(tmp_path)]
-    assert main(["study", *options]) == 0
-    first = pd.read_csv(tmp_path / "ensemble.csv")
-    assert set(first["case"]) == {"l10", "l10-wilson"}
-    ran = []
-    original = study.run_case
-    monkeypatch.setattr(study, "run_case", lambda case, *rest: (ran.append(case.name), original(case, *rest))[1])
-    assert main(["study", *options, "--members", "2"]) == 0
-    assert sorted(ran) == ["l10", "l10-wilson"]  # only the second members
-    second = pd.read_csv(tmp_path / "ensemble.csv")
-    assert len(second) == 4
-    merged = second[second["member"] == 0].reset_index(drop=True)
-    pd.testing.assert_frame_equal(merged[first.columns], first)
 
 
 FILMS = [("film.gif", 3), ("film.mp4", 3), ("picture.png", 1)]

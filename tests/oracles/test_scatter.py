@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.chart.ensembles import Setting
+from agents.studies.chart.ensembles import Setting
 from oracles.scatter import CHANCE, DEVIATIONS, deviation, hits_within, of_another, reach
 
 MEMBERS = pd.read_csv(Path(__file__).parents[2] / "results" / "chart" / "ensembles.csv")

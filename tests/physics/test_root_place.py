@@ -4,17 +4,13 @@ See docs/simulation/root.md for the derivation.
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from oracles.chains import bent, matrices, plain_chain
-from oracles.scatter import apart, reach
+from oracles.root_waves import MIDDLE, arc_of_rotation, conversion, far_stiffness, lengthening, near_stiffness
 from oracles.sliding import growth_rates, sliding_system
 
-from agents.study.cases import DURATION
-from agents.study.root_waves import MIDDLE, arc_of_rotation, conversion, far_stiffness, lengthening, near_stiffness
-from agents.study.roots import Root, load_rows, run_root
 from probe_env import Scene
 from probe_env.physics.model.chain import build_chain
 
@@ -24,11 +20,6 @@ WIDE = Scene(tube={"helix_diameter": 12.0})
 PITCH, EI = SCENE.probe.float_pitch, SCENE.probe.flexural_rigidity
 SECOND_ORDER = (2.0 * PITCH / WIDE.tube.helix_diameter) ** 2
 NODES = 4
-SCENES = Path(__file__).parents[2] / "configs" / "scenes"
-LIVE = 16
-DEVIATION = 0.16
-"""Relative, of the radial rms of one run of 6 s at 30 m by superelement32 at 2e-4 s: pooled over the 5 places of 16
-members each in results/study/root.csv, rounded up."""
 
 
 def held_floats(place):
@@ -130,25 +121,3 @@ def test_small_vibrations_grow_faster_when_the_root_is_between_floats():
     between = np.array([rates[offset] for offset in (1, 2, 3)])
     assert (np.ptp(between, axis=0) < bound).all()
     assert (between.min(axis=0) - rates[0] > bound).all()
-
-
-@pytest.mark.processor
-def test_a_root_between_floats_rings_more(seeds):
-    """At 30 m: as much more as the stored ensemble says but for chance, and more than chance alone could make.
-
-    The floats' places before and after it are alike.
-    """
-    stored, table = {}, load_rows(Path(__file__).parents[2] / "results" / "study")
-    rms = {}
-    for place in (0.0, 0.25, 0.5, 1.0):
-        case = Root(30, place)
-        stored[place] = table.loc[table["case"] == case.name, "radial_rms_m"].to_numpy()
-        assert len(stored[place]) == 16
-        rows = run_root(case, SCENES, tuple(seeds(LIVE)), DURATION, threads=2)
-        rms[place] = np.array([row["radial_rms_m"] for row in rows])
-    at, between = ([np.concatenate([v[p] for p in places]) for v in (rms, stored)] for places in ((0, 1), (0.25, 0.5)))
-    sizes = [(DEVIATION, len(values)) for values in (*at, *between)]
-    least = apart(between[1], at[1]) - reach(*sizes)
-    assert least > 0.0
-    assert apart(between[0], at[0]) > least
-    assert abs(apart(rms[0.0], rms[1.0])) < reach((DEVIATION, LIVE), (DEVIATION, LIVE))

@@ -15,7 +15,6 @@ from agents.design.problem import DesignProblem
 from agents.policies.fixed import Constant
 from agents.processes import interrupts
 from agents.rollouts.plan import Plan, run_plan
-from agents.study import cases as study
 from agents.terminal.work import Work
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
@@ -76,7 +75,7 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(
 
 def test_an_interrupted_simulation_has_stored_nothing(tmp_path, capsys, monkeypatch):
     """In the middle of the run, before anything is written."""
-    monkeypatch.setattr("agents.study.simulate.point_statistics", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr("agents.evaluation.simulate.point_statistics", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     options = ["--duration", "0.3", "--statistics-from", "0.1", "--output", str(tmp_path / "run")]
     assert main(["simulate", SCENE, *options]) == 130
     assert last_line(capsys) == "probe-env: interrupted: nothing was stored"
@@ -108,15 +107,6 @@ def test_an_interrupted_search_says_how_many_designs_are_stored(tmp_path, capsys
     assert f"4 of 8 designs are stored in {output}; the same command goes on" in last_line(capsys)
 
 
-def test_an_interrupted_study_says_how_many_runs_are_stored(tmp_path, capsys, monkeypatch, hooks):
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(study, "SUBSET", ("l10", "l10-wilson"))
-    hook_replace("ensemble.csv", 2, signalling(signal.SIGINT))
-    arguments = ["study", "--subset", "--duration", "0.5", "--jobs", "1", "--output", str(tmp_path)]
-    assert main(arguments) == 130
-    assert f"1 of 2 runs is stored in {tmp_path / 'ensemble.csv'}; the same command goes on" in last_line(capsys)
-
-
 def test_words():
     work = Work("phase", 8, lambda: 3, Path("output/run"), "the same command with --resume goes on")
     assert work.ahead() == "5 of 8 phases to do, stored in output/run one by one"
@@ -142,7 +132,8 @@ sys.meta_path.insert(0, Finder())
 
 
 @pytest.mark.parametrize(
-    ("name", "number"), [("tyro", signal.SIGINT), ("numba", signal.SIGTERM), ("agents.study.simulate", signal.SIGINT)]
+    ("name", "number"),
+    [("tyro", signal.SIGINT), ("numba", signal.SIGTERM), ("agents.evaluation.simulate", signal.SIGINT)],
 )
 def test_in_an_import_the_command_ends_at_once(name, number, tmp_path):
     """The packages of all commands, and those that a command loads itself."""

@@ -19,7 +19,7 @@ from agents.policies.maps import fit
 from agents.policies.places import place_of
 from agents.processes.workers import HERE, Workers
 from agents.rollouts.plan import Plan, run_plan
-from agents.study.cases import run_study
+from agents.studies.claims.cases import run_cases
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -154,7 +154,7 @@ def test_a_comparison_killed_after_a_batch_goes_on(tmp_path, monkeypatch):
 
 
 def study(folder):
-    run_study(Path("configs/scenes"), folder, 2, 0.2, ("l10", "u0"), jobs=1)
+    run_cases(Path("configs/scenes"), folder, 2, 0.2, ("l10", "u0"), jobs=1)
     return pd.read_csv(folder / "ensemble.csv").drop(columns="wall_s", errors="ignore").sort_values(["case", "member"])
 
 

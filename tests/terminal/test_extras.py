@@ -89,7 +89,7 @@ sys.exit(main(sys.argv[1:]))
         return done.returncode, done.stdout, done.stderr
 
     line = 'probe-env: error: this command needs tyro, which is not installed: pip install "probe-env[commands]"\n'
-    for name in ("simulate", "evaluate", "study"):
+    for name in ("simulate", "evaluate"):
         assert run(name) == (2, "", line)
     assert run("--help")[0] == 0
     assert run("--version")[0] == 0

@@ -10,10 +10,10 @@ from oracles.chains import plain_chain
 from oracles.orders import observed_order
 from oracles.scatter import apart, deviation, reach
 
-from agents.chart.ensembles import Setting
 from agents.records.store import stored_rows
-from agents.study.cases import load_rows
-from agents.study.claims import Ensemble
+from agents.studies.chart.ensembles import Setting
+from agents.studies.claims.cases import load_rows
+from agents.studies.claims.claims import Ensemble
 from probe_env import Scene, SimulationError, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.physics.methods.factors import imex_factors, linear_weights, node_matrices, single_factors
 from probe_env.physics.methods.stability import explicit_time_step

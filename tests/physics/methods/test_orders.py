@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles.orders import observed_order
 
-from agents.chart.smooth import cases
+from agents.studies.chart.smooth import cases
 from probe_env.physics.closed_forms.bare_chains import run_chain
 from probe_env.physics.methods import METHODS
 

@@ -1,0 +1,1 @@
+"""Studies of the simulator and of policies, each stored as tables and figures in a folder."""

@@ -1,0 +1,263 @@
+"""The chaotic regime: statistics of ensembles at constant length and of whole insertions, by method, step and mesh.
+
+Beyond about 30 m no two trajectories agree for long, so the statistics of many runs are compared, which differ by a
+start perturbation of 0.1 micrometre. All runs of one setting share a batch.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.records.store import Store
+from agents.studies.claims.cases import PERTURBATION
+from agents.terminal.work import Work, announce
+from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
+from probe_env.physics.methods import METHODS
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
+
+SETTLE, DURATION = 2.0, 6.0  # [s]
+STATISTICS = (
+    "radial_rms_m",
+    "radial_p99_m",
+    "lift_off_share",
+    "axial_rms_m",
+    "axial_mean_m",
+    "radial_acceleration_rms_m_per_s2",
+    "tension_mean_n",
+)
+PEAK = "axial_peak_hz"
+COLUMNS = {"time_step": "time_step_s", "length": "carrier_length_m", "stiffness": "contact_stiffness_n_per_m"}
+"""Table columns of fields that have a unit."""
+FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m], of an insertion
+STRETCH = 5.0  # [m] a row of an insertion
+
+
+class _Keyed:
+    @property
+    def key(self) -> dict[str, Any]:
+        """All fields but the number of members, as columns."""
+        fields = asdict(self)  # type: ignore[call-overload]
+        return {COLUMNS.get(name, name): value for name, value in fields.items() if name != "members"}
+
+
+@dataclass(frozen=True)
+class Setting(_Keyed):
+    """One way to simulate table 2's probe at a constant length, and what is changed of the scene itself."""
+
+    method: str = "imex"
+    time_step: float = 2e-4
+    nodes_per_pitch: int = 4
+    length: float = 50.0
+    """Carrier length [m]."""
+    stiffness: float = 1e5
+    """Contact stiffness [N/m]."""
+    friction: float = 0.15
+    walls: str = "both"
+    members: int = 16
+
+    def batch(self, count: int, threads: int | None = None) -> SimulatorBatch:
+        """``count`` runs from slightly different starts."""
+        contact = {"stiffness": self.stiffness, "friction": self.friction, "walls": self.walls}
+        scene = Scene.model_validate({"carrier_length": self.length, "contact": contact})
+        batch = partial(SimulatorBatch, [scene] * count, self.method, self.time_step, self.nodes_per_pitch)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are the point
+            return batch(threads=threads, perturbation=PERTURBATION)
+
+
+@dataclass(frozen=True)
+class Insertion(_Keyed):
+    """One way to simulate a whole insertion, 5 to 60 m at 0.2 m/s."""
+
+    method: str = "imex"
+    time_step: float = 2e-4
+    time_lapse: float = 1.0
+    nodes_per_pitch: int = 4
+    members: int = 8
+
+    def batch(self) -> SimulatorBatch:
+        """All members at the start of the insertion."""
+        scenes = [Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)] * self.members
+        batch = partial(SimulatorBatch, scenes, self.method, self.time_step, self.nodes_per_pitch)
+        return batch(growing=True, time_lapse=self.time_lapse, perturbation=PERTURBATION)
+
+
+LENGTHS = (10.0, 30.0, 50.0)  # [m]
+STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
+REFERENCE_STEP = 2.5e-5  # [s], of imex
+STEPS = (1e-4, 1.25e-4, 1e-3 / 7, 1e-3 / 6, 2e-4, 2.5e-4, 5e-4)  # whole parts of the sampling period
+MODEL_STEP = 1e-4  # [s], at which model choices are compared with each other
+CHOICES: dict[str, dict[str, Any]] = {
+    "1 node a pitch": {"nodes_per_pitch": 1},
+    "2 nodes a pitch": {"nodes_per_pitch": 2},
+    "8 nodes a pitch": {"nodes_per_pitch": 8},
+    "16 nodes a pitch": {"nodes_per_pitch": 16},
+    "inner wall only": {"walls": "inner"},
+    "contact half as stiff": {"stiffness": 5e4},
+    "contact twice as stiff": {"stiffness": 2e5},
+    "friction 0.14": {"friction": 0.14},
+    "friction 0.16": {"friction": 0.16},
+}
+"""What is changed of table 2's mesh and model, one at a time."""
+CONVERGED_STEP, CONVERGED_NODES = 5e-5, 16  # [s], of imex: the mesh and step that everything is measured against
+CONVERGED_LENGTHS = {10.0: 8, 30.0: 48, 40.0: 32, 50.0: 32}
+"""[m], with members of the converged reference at table 2's stiffness; others have 8."""
+LENGTHS_OF_MESHES = (30.0, 40.0, 50.0)  # [m]
+PIECE_STEPS = {1e4: (1e-4, 2e-4, 2.5e-4, 5e-4), 1e5: (5e-5, 1e-4, 2e-4, 2.5e-4), 1e6: (5e-5,)}
+"""[s], of the superelement, by contact stiffness [N/m]: the longest that are stable, and shorter ones."""
+REFERENCE = Insertion(time_step=5e-5)
+"""The insertion that the others on table 2's mesh are compared with."""
+CONVERGED = Insertion("imex32", 5e-5, nodes_per_pitch=16)
+"""The insertion that all are compared with for the error of mesh and step together."""
+INSERTIONS = (
+    *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
+    *(Insertion("imex32", 1e-4, factor) for factor in (4.0, 1.0)),
+    *(Insertion(time_lapse=factor) for factor in (4.0, 1.0)),
+    REFERENCE,
+    *(Insertion("superelement32", time_lapse=factor, members=16) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
+    Insertion("superelement32", 1e-4),
+    Insertion("superelement", 5e-5),
+    Insertion("newmark", 1e-4, 4.0, members=4),
+    CONVERGED,
+)
+
+
+def _step_settings() -> Iterator[Setting]:
+    """Every step on table 2's mesh: the error of time discretisation. The slow methods' runs are those of `claims`."""
+    for stiffness in STIFFNESSES:
+        members = 32 if stiffness == Setting.stiffness else 16
+        for length in LENGTHS:
+            for time_step in (REFERENCE_STEP, 5e-5, *STEPS):
+                yield Setting(time_step=time_step, length=length, stiffness=stiffness, members=members)
+            for time_step in (5e-5, *STEPS):
+                yield Setting("imex32", time_step, length=length, stiffness=stiffness, members=members)
+    for length in LENGTHS[1:]:
+        yield Setting("implicit", MODEL_STEP, length=length, members=8)
+
+
+def _model_settings() -> Iterator[Setting]:
+    """Mesh and model choices at one step of imex."""
+    for length in LENGTHS[1:]:
+        for change in CHOICES.values():
+            yield Setting(**({"time_step": MODEL_STEP, "length": length} | change))
+
+
+def _converged_settings() -> Iterator[Setting]:
+    """The converged mesh with a fine step, and what is compared with it; some of them are settings above as well."""
+    for length, members in CONVERGED_LENGTHS.items():
+        yield converged(length, Setting.stiffness, members)
+        for time_step in PIECE_STEPS[Setting.stiffness]:
+            many = length != 10.0 and time_step >= 1e-4  # steps among which a preset was chosen
+            yield Setting("superelement32", time_step, length=length, members=128 if many else 16)
+    for stiffness in (1e4, 1e6):
+        for length in LENGTHS:
+            yield converged(length, stiffness)
+            for time_step in PIECE_STEPS[stiffness]:
+                yield Setting("superelement32", time_step, length=length, stiffness=stiffness)
+    for length in LENGTHS_OF_MESHES:
+        yield Setting("superelement", 2e-4, length=length, members=32)
+        yield Setting("superelement", 5e-5, length=length)
+        for nodes in (4, 8, 16):
+            yield Setting("imex32", 2e-4, nodes, length, members=32)
+    yield Setting("imex32", CONVERGED_STEP, CONVERGED_NODES, length=30.0, members=32)
+
+
+def converged(length: float, stiffness: float, members: int = 8) -> Setting:
+    """The reference for the errors of mesh and step together."""
+    return Setting("imex", CONVERGED_STEP, CONVERGED_NODES, length, stiffness, members=members)
+
+
+SETTINGS = tuple(dict.fromkeys((*_step_settings(), *_model_settings(), *_converged_settings())))
+
+
+def run_setting(setting: Setting) -> list[dict[str, Any]]:
+    """A row a member: its statistics, none where it diverged."""
+    batch = setting.batch(setting.members)
+    batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
+    window = batch.advance(None, None, DURATION, SAMPLE_PERIOD, keep_samples=True)
+    rows = []
+    for member in range(setting.members):
+        row: dict[str, Any] = setting.key | {"member": member, "diverged": bool(window.diverged[member])}
+        rows.append(row | ({} if window.diverged[member] else _statistics(window, member)))
+    return rows
+
+
+def run_insertion(insertion: Insertion, end: float = END) -> list[dict[str, Any]]:
+    """A row a stretch of length and member.
+
+    Raises:
+        RuntimeError: a probe diverged.
+    """
+    batch, period = insertion.batch(), STRETCH / FEED_SPEED / insertion.time_lapse
+    rows: list[dict[str, Any]] = []
+    name = f"{insertion.method} {insertion.time_step:g} s, time-lapse {insertion.time_lapse:g}"
+    for stretch in tqdm(np.arange(START, end, STRETCH), desc=name, unit="stretch"):
+        window = batch.advance(None, None, period, SAMPLE_PERIOD, keep_samples=True)
+        if window.diverged.any():
+            raise RuntimeError(f"{name}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
+        for member in range(insertion.members):
+            index = {"member": member, "from_m": float(stretch)}
+            rows.append(insertion.key | index | _statistics(window, member))
+    return rows
+
+
+def _statistics(window: Window, member: int) -> dict[str, float]:
+    """``STATISTICS`` and ``PEAK`` (NaN for one at rest) of one run of a batch; the window must hold the samples."""
+    assert window.axial is not None
+    peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
+    values = {name: float(window.statistics[name][member]) for name in STATISTICS}
+    return values | {PEAK: peaks[0] if peaks else float("nan")}
+
+
+def run_ensembles(output: Path, settings: Iterable[Setting] = SETTINGS) -> pd.DataFrame:
+    """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
+    store = Store(output / "ensembles.csv", (*Setting().key, "member"))
+    wanted = tuple(settings)
+
+    def stored(setting: Setting) -> bool:
+        return store.has(*setting.key.values(), setting.members - 1)
+
+    missing = sorted((setting for setting in wanted if not stored(setting)), key=_work)
+    announce(Work("setting", len(wanted), lambda: sum(map(stored, wanted)), store.path))
+    total = sum(map(_work, missing))
+    with tqdm(total=total, desc="chaos", unit="Gnode-step", unit_scale=1e-9, disable=not missing) as bar:
+        for setting in missing:
+            store.add(*run_setting(setting))
+            bar.update(_work(setting))
+    return store.table
+
+
+def run_insertions(output: Path, insertions: Iterable[Insertion] = INSERTIONS) -> pd.DataFrame:
+    """All insertions that are not stored yet; a row a stretch of length and member in insertions.csv.
+
+    Raises:
+        RuntimeError: a probe diverged.
+    """
+    store = Store(output / "insertions.csv", (*REFERENCE.key, "member", "from_m"))
+    wanted = tuple(insertions)
+
+    def stored(insertion: Insertion) -> bool:
+        return store.has(*insertion.key.values(), insertion.members - 1, END - STRETCH)
+
+    announce(Work("setting", len(wanted), lambda: sum(map(stored, wanted)), store.path))
+    for insertion in wanted:
+        if not stored(insertion):
+            store.add(*run_insertion(insertion))
+    return store.table
+
+
+def _work(setting: Setting) -> float:
+    """Node-steps of all members, weighted by what a method's cost: four lanes as one, without lanes some thirty."""
+    method = METHODS[setting.method]
+    weight = 4.0 / method.width if method.lanes else 30.0
+    nodes = (setting.length + 2.5) / 0.1 * setting.nodes_per_pitch
+    return weight * nodes * (SETTLE + DURATION) / setting.time_step * setting.members

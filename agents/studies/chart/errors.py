@@ -1,0 +1,281 @@
+"""From ensembles to errors and costs: ratios of means to a reference's with 95 % bootstrap intervals, and times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import astuple, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from agents.records.provenance import provenance, write_atomically, write_json
+from agents.evaluation.statistics import ratio_interval
+from agents.studies.chart import ensembles
+from agents.studies.chart.ensembles import PEAK, REFERENCE, STATISTICS, STIFFNESSES, Insertion, Setting, converged
+from agents.studies.claims.cases import CASES
+from probe_env.fidelity import PRESETS
+from probe_env.physics.methods import METHODS
+
+FLOORS = {
+    "radial_rms_m": 1e-5,
+    "radial_p99_m": 5e-5,
+    "lift_off_share": 0.01,
+    PEAK: 1.0,
+    "axial_rms_m": 1e-5,
+    "radial_acceleration_rms_m_per_s2": 0.1,
+}
+"""Outputs, with the least value that matters: an error of something smaller is relative to this.
+
+Radially a tenth of the vibration limit, and a p99 five times that, as where it rings. At 10 m it is 3.5 micrometres.
+"""
+OUTPUTS = tuple(FLOORS)
+KEYS = list(Setting().key)
+Row = Mapping[Any, Any]
+BANDS = ((20.0, 40.0), (40.0, 60.0))
+"""[m] stretches of the insertion over which runs are compared; before 20 m it is all but silent."""
+LAPSE_BANDS = ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0))  # [m]
+LAPSED = Insertion("superelement32")
+"""The insertion without time-lapse that those with it are compared with: method and step of ``fast``."""
+TIMED_NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
+"""Nodes a pitch that are timed, for other methods 4."""
+TIMED_LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
+TIMED_STEPS, TIMED_STEPS_IN_LANES = 500, 4000
+LONGEST_TIMED = 1e-4  # [s], time step
+REPEATS = 5
+
+
+def run_costs(output: Path, lengths: tuple[float, ...] = TIMED_LENGTHS) -> pd.DataFrame:
+    """Processor time of a node-step with full lanes on one thread, the best of ``REPEATS``; stored in costs.csv.
+
+    Columns method, nodes_per_pitch, carrier_length_m, ns_per_node_step. Always measured as a whole, since only ratios
+    within one run of one machine carry over.
+    """
+    cells = [(m, nodes, length) for m in METHODS for nodes in TIMED_NODES.get(m, (4,)) for length in lengths]
+    rows = []
+    for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
+        kind = METHODS[method]
+        setting = Setting(method, min(kind.usual_step, LONGEST_TIMED), nodes, length)
+        batch = setting.batch(kind.width, threads=1)
+        steps = TIMED_STEPS_IN_LANES if kind.lanes else TIMED_STEPS
+        batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)  # warm, and in contact
+        seconds = []
+        for _ in range(REPEATS):
+            begin = time.process_time()
+            batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)
+            seconds.append(time.process_time() - begin)
+        node_steps = kind.width * steps * (length + 2.5) / 0.1 * nodes
+        rows.append((method, nodes, length, min(seconds) / node_steps * 1e9))
+    table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
+    write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
+    write_json(output / "costs-provenance.json", provenance())
+    return table
+
+
+def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
+    """Processor time [s] of one probe for a simulated second, for rows with the columns of a ``Setting``."""
+    keys = ["method", "nodes_per_pitch", "carrier_length_m"]
+    node_step = settings[keys].merge(costs, how="left", on=keys)["ns_per_node_step"].to_numpy()
+    nodes = (settings["carrier_length_m"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
+    seconds: pd.Series = nodes / settings["time_step_s"] * node_step * 1e-9
+    return seconds
+
+
+def insertion_cost(row: Row, costs: pd.DataFrame) -> float:
+    """Processor time of a whole insertion of one probe [s], from the cost of a node-step."""
+    same = (costs["method"] == row["method"]) & (costs["nodes_per_pitch"] == row["nodes_per_pitch"])
+    node_step = costs[same]["ns_per_node_step"].mean()
+    steps = pitch_seconds() / row["time_lapse"] / row["time_step_s"]
+    return float(row["nodes_per_pitch"] * steps * node_step * 1e-9)
+
+
+def pitch_seconds() -> float:
+    """Pitches inserted, summed over the seconds of a whole insertion."""
+    pitches = (np.arange(ensembles.START, ensembles.END, ensembles.STRETCH) + 0.5 * ensembles.STRETCH) / 0.1
+    return float(pitches.sum() * ensembles.STRETCH / ensembles.FEED_SPEED)
+
+
+def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
+    """The ensemble of ``claims`` at l = 10, 30 and 50 m, all methods, in the columns of ensembles.csv."""
+    parts = []
+    for case in CASES:
+        length = float(case.scene.removeprefix("fig11_l")) if case.scene.startswith("fig11_l") else 0.0
+        if length in ensembles.LENGTHS and case.is_plain and case.method not in ("imex", "imex32"):
+            setting = Setting(case.method, case.time_step, length=length)
+            rows = ensemble[ensemble["case"] == case.name]
+            part = rows[["member", *STATISTICS, PEAK]].assign(diverged=rows["diverged_at_s"].notna(), **setting.key)
+            parts.append(part)
+    return pd.concat(parts, ignore_index=True)
+
+
+def fine_step(setting: Row) -> dict[str, Any]:
+    """The reference for the error of the step alone: imex at the reference step, on table 2's mesh.
+
+    For a changed model it shows the error of the model: table 2's mesh at ``ensembles.MODEL_STEP``.
+    """
+    plain = Setting(time_step=ensembles.MODEL_STEP, length=setting["carrier_length_m"]).key
+    changed = [name for name in ("nodes_per_pitch", "walls", "friction") if setting[name] != plain[name]]
+    stiffness = setting["contact_stiffness_n_per_m"]
+    if changed or stiffness not in STIFFNESSES:
+        return plain
+    return Setting(time_step=ensembles.REFERENCE_STEP, length=setting["carrier_length_m"], stiffness=stiffness).key
+
+
+def converged_mesh(setting: Row) -> dict[str, Any]:
+    """The reference for the error of mesh and step together."""
+    key = converged(setting["carrier_length_m"], setting["contact_stiffness_n_per_m"]).key
+    return key | {name: Setting().key[name] for name in ("friction", "walls")}
+
+
+def constant_length(
+    members: pd.DataFrame, costs: pd.DataFrame, reference: Callable[[Row], dict[str, Any]] = fine_step
+) -> pd.DataFrame:
+    """Errors of every setting at a constant length that has a reference.
+
+    Columns: those of ``Setting``, members, diverged (share), cpu_s (for a simulated second), and for every output
+    reference, ratio, low, high.
+    """
+    groups = dict(list(members.groupby(KEYS)))
+    rows = []
+    for key, part in groups.items():
+        setting = dict(zip(KEYS, key, strict=True))
+        base = groups.get(tuple(reference(setting).values()))
+        row: dict[str, Any] = setting | {"members": len(part), "diverged": float(part["diverged"].astype(bool).mean())}
+        if base is not None:
+            rows.append(row | _compared(part, base))
+    table = pd.DataFrame(rows)
+    return table.assign(cpu_s=cpu_seconds(costs, table))
+
+
+def insertion(
+    members: pd.DataFrame,
+    costs: pd.DataFrame,
+    reference: Insertion = REFERENCE,
+    bands: tuple[tuple[float, float], ...] = BANDS,
+) -> pd.DataFrame:
+    """Errors of whole insertions in bands of length [m], and ``cpu_s``, processor time of one insertion.
+
+    A member's value in a band is the root mean square (of an rms) or the mean over its stretches.
+    """
+    rows = []
+    keys = list(reference.key)
+    for low, high in bands:
+        band = members[members["from_m"].between(low, high, inclusive="left")]
+        of_member = band.groupby([*keys, "member"])[list(OUTPUTS)].agg(_pooled).reset_index()
+        chosen = _rows(of_member, reference.key)
+        for key, part in of_member.groupby(keys):
+            row = dict(zip(keys, key, strict=True)) | {"from_m": low, "to_m": high, "members": len(part)}
+            rows.append(row | _compared(part, chosen))
+    table = pd.DataFrame(rows)
+    return table.assign(cpu_s=[insertion_cost(row, costs) for row in table.to_dict("records")])
+
+
+def _pooled(values: pd.Series) -> float:
+    return float(np.sqrt((values**2).mean())) if str(values.name).endswith("rms_m") else float(values.mean())
+
+
+def time_lapse(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Bias of time-lapse: insertions of ``LAPSED``'s method and step over that without, in bands of 10 m.
+
+    Columns as those of ``insertion``.
+    """
+    same = {name: value for name, value in LAPSED.key.items() if name != "time_lapse"}
+    table = insertion(_rows(members, same), costs, LAPSED, LAPSE_BANDS)
+    return table[table["time_lapse"] > 1.0].reset_index(drop=True)
+
+
+def _compared(part: pd.DataFrame, reference: pd.DataFrame) -> dict[str, float]:
+    """For every output the reference's mean, and ratio, low and high of the means' ratio."""
+    row: dict[str, float] = {}
+    for output in OUTPUTS:
+        values, base = (frame[output].to_numpy(dtype=float) for frame in (part, reference))
+        row[f"{output}:reference"] = float(np.nanmean(base)) if np.isfinite(base).any() else float("nan")
+        interval = astuple(ratio_interval(values, base))
+        row |= {f"{output}:{name}": value for name, value in zip(("ratio", "low", "high"), interval, strict=True)}
+    return row
+
+
+def _rows(table: pd.DataFrame, key: Row) -> pd.DataFrame:
+    return table[(table[list(key)] == list(key.values())).all(axis=1)]
+
+
+def bound(row: Row, output: str) -> float:
+    """Largest error that the 95 % interval leaves room for, relative to the reference's mean or its ``FLOORS``."""
+    reference = abs(row[f"{output}:reference"])  # pressed on the wall, even a 99th percentile is negative
+    relative = max(abs(row[f"{output}:low"] - 1.0), abs(row[f"{output}:high"] - 1.0))
+    return float(relative * reference / max(reference, FLOORS[output]))
+
+
+def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
+    """What ``probe_env.fidelity`` reads: error bound of every setting and output, and its cost.
+
+    Errors are those of mesh and step together. Length NaN stands for a whole insertion (stiffness of table 2); cost is
+    processor time for a simulated second of a pitch [s], error is ``bound``.
+    """
+    plain = (constant["walls"] == "both") & (constant["friction"] == 0.15)
+    stable = constant["contact_stiffness_n_per_m"].isin(STIFFNESSES) & (constant["diverged"] == 0.0)
+    at_length = constant[plain & stable].assign(time_lapse=1.0)
+    at_length["cost_s"] = at_length["cpu_s"] / ((at_length["carrier_length_m"] + 2.5) / 0.1)
+    whole = inserted.assign(carrier_length_m=np.nan, contact_stiffness_n_per_m=1e5)
+    whole["cost_s"] = whole["cpu_s"] / pitch_seconds()
+    keys = ["method", "time_step_s", "nodes_per_pitch", "time_lapse", "carrier_length_m", "contact_stiffness_n_per_m"]
+    rows = [
+        {name: row[name] for name in (*keys, "cost_s")} | {"output": output, "error": bound(row, output)}
+        for row in (*at_length.to_dict("records"), *whole.to_dict("records"))
+        for output in OUTPUTS
+        if np.isfinite(row[f"{output}:ratio"])
+    ]
+    groups = pd.DataFrame(rows).groupby([*keys, "output"], dropna=False, as_index=False)
+    return groups.agg({"error": "max", "cost_s": "mean"})
+
+
+def choices(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
+    """Change of the radial rms at 30 and 50 m by each mesh and model choice.
+
+    Columns choice, carrier_length_m, cost (relative to table 2's mesh, or to no time-lapse), ratio, low, high.
+    """
+    rows = []
+    changes = ensembles.CHOICES | {"step 2e-4 s": {"time_step": 2e-4}, "step 2.5e-4 s": {"time_step": 2.5e-4}}
+    for length in (30.0, 50.0):
+        plain = Setting(time_step=ensembles.MODEL_STEP, length=length)
+        cost = float(_rows(constant, plain.key)["cpu_s"].iloc[0])
+        for choice, change in changes.items():
+            for row in _rows(constant, replace(plain, **change).key).to_dict("records"):
+                rows.append((choice, length, row["cpu_s"] / cost, *_radial(row)))
+        band = inserted[(inserted["from_m"] <= length) & (length < inserted["to_m"])]
+        band = _rows(band, {"method": "imex32", "time_step_s": 2e-4})
+        whole = float(band[band["time_lapse"] == 1.0]["cpu_s"].iloc[0])
+        for row in band[band["time_lapse"] > 1.0].to_dict("records"):
+            rows.append((f"time-lapse {row['time_lapse']:g} (insertion)", length, row["cpu_s"] / whole, *_radial(row)))
+    return pd.DataFrame(rows, columns=["choice", "carrier_length_m", "cost", "ratio", "low", "high"])
+
+
+def _radial(row: Row) -> tuple[float, float, float]:
+    return row["radial_rms_m:ratio"], row["radial_rms_m:low"], row["radial_rms_m:high"]
+
+
+def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Radial rms of every preset over the converged mesh's, at 30 and 50 m and over the insertion, and its cost.
+
+    Columns preset, method, time_step_s, time_lapse, measured_time_lapse (of the nearest insertion that was run; NaN at
+    constant length), from_m, to_m, ratio, low, high, insertion_cpu_s and times_newmark, the cost of the study's scheme
+    over this one's at l = 50 m.
+    """
+    rows = []
+    for name, preset in PRESETS.items():
+        method, step, nodes = preset.method, preset.time_step, preset.nodes_per_pitch
+        cost = insertion_cost(Insertion(method, step, preset.time_lapse, nodes).key, costs)
+        both = pd.DataFrame([Setting("newmark", 1e-4).key, Setting(method, step, nodes).key])
+        newmark, own = cpu_seconds(costs, both)
+        lapses = _rows(inserted, {"method": method, "time_step_s": step, "nodes_per_pitch": nodes})
+        nearest = (lapses["time_lapse"] - preset.time_lapse).abs()
+        at_length = pd.concat([_rows(constant, Setting(method, step, nodes, length).key) for length in (30.0, 50.0)])
+        found = at_length.assign(time_lapse=np.nan, from_m=lambda t: t["carrier_length_m"], to_m=lambda t: t["from_m"])
+        for row in pd.concat([found, lapses[nearest == nearest.min()]]).to_dict("records"):
+            measured = row["time_lapse"], row["from_m"], row["to_m"], *_radial(row)
+            rows.append((name, method, step, preset.time_lapse, *measured, cost, newmark / own))
+    columns = ["preset", "method", "time_step_s", "time_lapse", "measured_time_lapse", "from_m", "to_m"]
+    return pd.DataFrame(rows, columns=[*columns, "ratio", "low", "high", "insertion_cpu_s", "times_newmark"])

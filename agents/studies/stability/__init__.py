@@ -1,0 +1,47 @@
+"""The stability map: which time steps are stable and which are accurate, run and in theory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from agents.records.provenance import provenance, write_atomically, write_json
+from agents.studies.stability import figures
+from agents.studies.stability.one_mass import run_one_mass
+from agents.studies.stability.passive import run_digits, run_energy
+from agents.studies.stability.stability_map import Cell, by_step, cells, run_map, verdicts
+from agents.studies.tables import print_frame
+
+
+def run_stability(output: Path, runs: list[Cell] | None = None, jobs: int = 2) -> pd.DataFrame:
+    """Run the map, then one mass, passive chains and the transfer matrix.
+
+    Writes map.csv, steps.csv (``by_step``), one_mass.csv, energy.csv, digits.csv and a figure of map, mass and digits.
+
+    Args:
+        output: folder.
+        runs: cells of the map; default: all.
+        jobs: runs at the same time.
+
+    Returns:
+        the map.
+    """
+    table = run_map(cells() if runs is None else runs, jobs)
+    steps = by_step(table)
+    tables = {
+        "map": table,
+        "steps": steps,
+        "one_mass": run_one_mass(),
+        "energy": run_energy(),
+        "digits": run_digits(),
+    }
+    for name, part in tables.items():
+        write_atomically(output / f"{name}.csv", part.to_csv(index=False, float_format="%.5g"))
+    write_json(output / "provenance.json", provenance())
+    figures.stability_map(verdicts(table), output / "map.png")
+    figures.one_mass(tables["one_mass"], output / "one_mass.png")
+    figures.digits(tables["digits"], output / "digits.png")
+    print_frame("Shares of the cells of a step (ratio to the named limit)", steps)
+    print(f"written: {output}/ ({', '.join(tables)} as .csv, map.png, one_mass.png, digits.png)")
+    return table
