@@ -20,8 +20,7 @@ from agents.policies.planning.outlook import blur_states
 from agents.policies.planning.planner import BLUR
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.metre import costs
+from probe_env.envs.task import TaskConfig, costs
 from probe_env.envs.task.passes import BothWays
 
 Memory = tuple[int, float, float]

@@ -32,6 +32,7 @@ MOST_TUBES: Final = 4096
 FACTORS: Final = (0.1, 10.0)
 """Accepted drag of a ``Context`` over the scene's."""
 RARE: Final = 1e-6
+MAP_SUFFIX: Final = "-map.npz"
 LONGEST: Final = 60.0  # [m], of a helix that the task's own time limit is for
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
 """Fields of the task that stand in the tables of the feed device and of the air."""
@@ -239,6 +240,11 @@ def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
         sums += block[tube_of]
         dealt += [diameters[k] for k in tube_of.argsort()]
     return dealt
+
+
+def map_beside(tube: Path) -> Path:
+    """Where the vibration map of a plant is kept: beside its file, NAME-map.npz."""
+    return tube.with_name(f"{tube.stem}{MAP_SUFFIX}")
 
 
 GivenPlant = Plant | str | Path | Mapping[str, Any] | None

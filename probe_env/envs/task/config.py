@@ -11,9 +11,17 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task.metre import metre_cost
-from probe_env.envs.task.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED, PROBE
-from probe_env.envs.task.ranges import action_of, share_between, share_of, value_at
+from probe_env.envs.task.observations import (
+    BOTH_WAYS,
+    OBSERVATIONS,
+    PRIVILEGED,
+    PROBE,
+    action_of,
+    share_between,
+    share_of,
+    value_at,
+)
+from probe_env.envs.task.rules import metre_cost
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
