@@ -34,8 +34,8 @@ class Evaluate:
     seeds: int = 1
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
-    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone. Or settings in
+    """How closely to simulate: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE;
+    with --passes both study, standard or fast, which has time-lapse on the way in alone. Or settings in
     braces, as errors advise them."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     check_fidelity: Literal["no", "half-step", "replayed", "acting", "all"] = "no"
@@ -129,7 +129,7 @@ class Tradeoff:
     limit: int = 12
     """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
-    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE."""
+    """How closely to simulate: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE."""
     tube: Path | None = None
     """Your own plant (tube.toml), see `probe-env evaluate --help`."""
 
@@ -172,8 +172,8 @@ class Map:
 
     def _default_target(self) -> Path:
         """Beside the tube's file, or in the output folder where there is none, or one that ships: its map stays."""
-        from agents.policies.places import map_beside
         from agents.records.shipped import file_or_shipped, ships
+        from probe_env.envs.plants import map_beside
 
         target = self.output / "vibration-map.npz"
         if self.tube is None:
@@ -233,14 +233,10 @@ class Render:
     view: Literal["helix", "strip"] = "helix"
     """helix: a whole episode, the helix with the probe in it, feed, air, vibration, reward; strip: the tube unrolled
     near the tip, 8 times slowed, with walls, floats, contacts and the sensor's motion."""
-    env_id: Literal[
-        "probe_env/Insertion-v1",
-        "probe_env/Snapshot-v1",
-        "probe_env/Inspection-v0",
-        "probe_env/Insertion-v0",
-        "probe_env/Snapshot-v0",
-    ] = "probe_env/Insertion-v1"
-    """Which environment; version 0 has the coarser mesh of before."""
+    env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
+        "probe_env/Insertion-v1"
+    )
+    """Which environment."""
     policy: str = "constant"
     """Policy or trained agent by name, schedule file or agent's bundle."""
     fidelity: str = "standard"

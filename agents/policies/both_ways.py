@@ -13,8 +13,7 @@ from agents.policies.fixed import STUDY_AIR
 from agents.rollouts.plan import Policy
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.fidelity import BOTH_WAYS, PRESETS, Fidelity, resolve_fidelity
-from probe_env.physics.methods import METHODS
+from probe_env.fidelity import BOTH_WAYS, PRESETS, Fidelity, draws_back, resolve_fidelity
 from probe_env.schedule import Schedule
 
 if TYPE_CHECKING:
@@ -134,7 +133,7 @@ def fidelity_of(name: str) -> Fidelity:
 
 def check_goes_back(field: str, name: str) -> None:
     """Raise ValueError unless a fidelity, by its name, simulates the way back; ``field`` is whose value it is."""
-    presets = [preset for preset, settings in PRESETS.items() if METHODS[settings.method].draws_back]
+    presets = [preset for preset, settings in PRESETS.items() if draws_back(settings)]
     known = (*BOTH_WAYS, *presets)
     if name not in known:
         raise ValueError(f"{field} = {name!r} does not simulate the way back; give one of {', '.join(known)}")

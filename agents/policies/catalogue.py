@@ -12,7 +12,6 @@ from agents.policies.both_ways import BothWays, InSteps, fastest_back, way_in
 from agents.policies.domain import Domain
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
-from agents.policies.maps.vibration_map import VibrationMap, check_measure, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planning.inspection import INSPECTION_PLANNERS, InspectionPlanner
 from agents.policies.planning.planner import PLANNERS, Planner
@@ -22,6 +21,7 @@ from agents.policies.shield import PREFIX, Shielded, unshielded
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
+from probe_env.envs.surrogate.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 

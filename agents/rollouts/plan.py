@@ -30,6 +30,7 @@ from agents.rollouts.playing import Ended, Playing
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Controller, Foresighted
 from probe_env.fidelity import with_nodes
@@ -57,7 +58,8 @@ class Plan:
     """What is evaluated: every policy on every context with every seed.
 
     ``probes``: "scene", or "random": context and seed draw a ``Design``, the same for every policy. ``fidelity`` gives
-    way to nodes where the task's scene needs some, see ``fidelity.with_nodes``.
+    way to nodes where the task's scene needs some, see ``fidelity.with_nodes``. ``vibration`` is the map of fidelity
+    "surrogate"; default: the shipped one.
     """
 
     policies: Mapping[str, Policy]
@@ -66,6 +68,7 @@ class Plan:
     config: TaskConfig = field(default_factory=TaskConfig)
     fidelity: Fidelity = field(default_factory=Fidelity)
     probes: Probes = "scene"
+    vibration: VibrationMap | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))

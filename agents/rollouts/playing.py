@@ -12,7 +12,8 @@ import numpy.typing as npt
 from agents.records.columns import CARRIED, HEARD
 from probe_env.arrays import BoolArray
 from probe_env.design import RANGES
-from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes import Step
+from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.trials import Players
 
 if TYPE_CHECKING:
@@ -59,9 +60,10 @@ class Playing:
     def __init__(self, plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> None:
         self.plan, self.missing = plan, missing
         count = min(batch, len(missing))
-        self.episodes = Episodes(
-            count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes
-        )
+        self.episodes = make_episodes(
+            count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes,
+            surrogate_map=plan.vibration,
+        )  # fmt: skip
         self.units: list[Unit | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
         self.decided = False
@@ -111,7 +113,7 @@ class Playing:
         for k in np.flatnonzero(self._active).tolist():
             info = step.infos[k]
             if way[k] > 0.0:  # per metre of the way in, to its last period
-                self.profile[k].append(tuple(float(info[name]) for name in (*CARRIED, *HEARD)))
+                self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in (*CARRIED, *HEARD)))
             if "episode_kpis" in info:
                 yield Ended(self.unit(k), info["episode_kpis"], self.profile[k], self._probes[k])
 

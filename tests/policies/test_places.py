@@ -14,11 +14,12 @@ from agents.policies.domain import Domain, OutsideDomain, ranges_of
 from agents.policies.maps import fit as map_fit
 from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.maps.search import FAMILIES, metres, run_search
-from agents.policies.maps.vibration_map import VibrationMap, equivalent_air, stored_map
-from agents.policies.places import both_ways, map_beside, map_of, place_at, place_of, with_probe
+from agents.policies.places import both_ways, map_of, place_at, place_of, with_probe
 from agents.robustness.axes import AXES, disturbed
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene
+from probe_env.envs.plants import map_beside
+from probe_env.envs.surrogate.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension, steady_root_tension

@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from agents.policies.maps.lookup import expected_costs, knots
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap
 from probe_env import Context
 from probe_env.arrays import FloatArray
+from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap
 from probe_env.envs.task import TaskConfig, metre_reward
 
 

@@ -6,13 +6,13 @@ import warnings
 from pathlib import Path
 
 from agents.policies.domain import Domain, check_domains
-from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import Place
 from agents.policies.plc.export import structured_text, table
 from agents.policies.plc.law import Constants, PlantData
 from agents.policies.plc.trimmed import Trim
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 
 DESCRIPTIONS = {

@@ -9,7 +9,6 @@ from oracles.scatter import of_another
 
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import best_schedule_for, grid, knots
-from agents.policies.maps.vibration_map import CONTEXT, expected_cost, stored_map
 from agents.policies.planning.candidates import drawn
 from agents.policies.planning.outlook import Estimate, looked_ahead
 from agents.policies.planning.planner import Planner
@@ -17,6 +16,7 @@ from agents.policies.planning.rest import worth_of_rest
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Scene
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
 

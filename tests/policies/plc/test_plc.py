@@ -10,7 +10,6 @@ import pytest
 from agents.policies.catalogue import make_policy
 from agents.policies.domain import OutsideDomain
 from agents.policies.maps.search import MapCost
-from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import place_at
 from agents.policies.plc import search
 from agents.policies.plc.export import structured_text, table
@@ -30,6 +29,7 @@ from agents.policies.plc.writing import write_law
 from agents.processes.workers import HERE
 from agents.records.provenance import commit
 from probe_env import Context, spread_contexts
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
 from probe_env.files import FileError
