@@ -1,5 +1,7 @@
 """Fidelity "surrogate": the task's own numbers, equal alone and in company, and as loud as the map says."""
 
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -181,7 +183,7 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
 def test_a_plant_is_predicted_by_the_map_beside_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
     episodes = env.unwrapped.episodes
-    own = place_at("snr", "test", 1).vibration
+    own = place_at(Path("snr"), "test", 1).vibration
     assert episodes.map == own != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]
