@@ -11,9 +11,8 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.inspection.detection import EDGES, threshold, threshold_as_seen
-from probe_env.inspection.meter import Meter
+from probe_env.inspection.meter import SPAN, Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import SPAN
 from probe_env.inspection.tally import MIDDLE
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 

@@ -11,9 +11,8 @@ from agents.detection.anchors import A90, ANCHORS, USUAL, agreement, cells, run_
 from agents.policies.places import place_of
 from agents.processes.workers import HERE
 from probe_env.inspection.detection import DEPTHS, depths_found
-from probe_env.inspection.matched import snr_of_groove
+from probe_env.inspection.meter import FREQUENCY, snr_of_groove
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import FREQUENCY
 
 
 def snr(sensor: Sensor, rms: float, feed: float = 0.2) -> float:

@@ -29,8 +29,8 @@ from agents.records.journal import Journal
 from probe_env import TaskConfig
 from probe_env.inspection.channels import Passage
 from probe_env.inspection.detection import threshold
+from probe_env.inspection.meter import COUNT, FREQUENCY
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY
 from probe_env.inspection.tally import DetectionTally
 
 CHANCE = 1e-4

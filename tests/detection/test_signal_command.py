@@ -11,8 +11,8 @@ from agents.detection.passage import Insertion
 from agents.detection.signal import Chart, by_period, correlation
 from agents.detection.stretches import STRETCH, centred_spectra
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
+from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import FREQUENCY
 from probe_env.inspection.tally import DetectionTally
 
 NONE = np.zeros(0)

@@ -5,6 +5,7 @@ import copy
 import gymnasium as gym
 import numpy as np
 import pytest
+from probe_env.envs.episodes.kpis import OF_MOTION
 from pydantic import ValidationError
 
 from agents.policies import catalogue
@@ -12,14 +13,12 @@ from agents.policies.catalogue import make_policy
 from agents.publishing.stages import OF_RETURN_ALONE
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.kpis import OF_MOTION
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.passes import BothWays, Period, passes_of
 from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
-from probe_env.inspection.either import TURN
-from probe_env.inspection.tally import POD_NAMES
+from probe_env.inspection.tally import POD_NAMES, TURN
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}

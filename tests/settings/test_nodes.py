@@ -5,13 +5,13 @@ import logging
 import gymnasium as gym
 import numpy as np
 import pytest
+from probe_env.fidelity.resolution import _say_nodes
 
 from agents.evaluation.report import plan_of
 from agents.policies.places import place_of
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.fidelity import PRESETS, resolve_fidelity, with_nodes
-from probe_env.fidelity.resolution import _say_nodes
 from probe_env.physics.methods import METHODS, ON_NODES
 
 CABLE = {"contact": {"cable": True}}

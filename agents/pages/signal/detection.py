@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from probe_env.fidelity.settings import in_words
 from scipy.stats import kendalltau
 
 from agents.detection import anchors as anchor_runs
@@ -17,7 +18,6 @@ from agents.records.tables import read_episodes
 from agents.rollouts.depths import depths_of
 from agents.rollouts.statistics import failures, grouped, paired_difference
 from probe_env import Fidelity
-from probe_env.fidelity.settings import in_words
 from probe_env.schedule import Schedule
 
 FOLDER: Final = RESULTS / "snr"

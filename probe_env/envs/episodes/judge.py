@@ -31,9 +31,8 @@ from probe_env.envs.task import (
     slack_in_a_row,
 )
 from probe_env.envs.task.passes import Counted, Period
-from probe_env.inspection.either import EitherTally
 from probe_env.inspection.meter import Meter
-from probe_env.inspection.tally import DetectionTally
+from probe_env.inspection.tally import DetectionTally, EitherTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.window import Window
 

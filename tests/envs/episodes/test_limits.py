@@ -17,7 +17,7 @@ from probe_env.envs.episodes.starts import Starts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import LOAD_CELL, observe
 from probe_env.envs.trials import sections_of
-from probe_env.envs.trials.simulable import HARDEST
+from probe_env.envs.trials.sections import HARDEST
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.methods.stability import FULL

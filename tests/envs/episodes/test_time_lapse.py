@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from probe_env.fidelity.settings import STEADY_CHANGE
 
 from agents.policies.planning.outlook import Estimate, looked_ahead
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
-from probe_env.fidelity.settings import STEADY_CHANGE
 
 CONFIG = TaskConfig()
 STEADY = PRESETS["fast-steady"]

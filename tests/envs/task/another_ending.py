@@ -75,6 +75,8 @@ def comparisons_count():
 
 
 sys.meta_path.insert(0, Edited())
+from agents.worlds.map_episodes import MapEpisodes  # noqa: E402
+
 from agents.design import compare  # noqa: E402
 from agents.evaluation.page.tables import ended  # noqa: E402
 from agents.evaluation.report import print_summary  # noqa: E402
@@ -85,7 +87,6 @@ from agents.records.tables import EPISODES_NEWER, read_episodes  # noqa: E402
 from agents.robustness.axes import NOMINAL  # noqa: E402
 from agents.robustness.study import summary_of  # noqa: E402
 from agents.rollouts.statistics import endings  # noqa: E402
-from agents.worlds.map_episodes import MapEpisodes  # noqa: E402
 from probe_env import Design  # noqa: E402
 from probe_env.envs.episodes import Episodes  # noqa: E402
 from probe_env.envs.task import FAILURES, TaskConfig  # noqa: E402

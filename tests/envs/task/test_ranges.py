@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from probe_env.envs.episodes.kpis import Tally
+
 from probe_env.envs.task import TaskConfig, action_in, action_of, share_between, share_of, slack_in_a_row, value_at
 
 RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)

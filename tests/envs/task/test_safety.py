@@ -3,11 +3,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from probe_env.envs.task.safety import COSTS, cost_terms
 
 import probe_env
 from probe_env import Scene, TaskConfig
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task.safety import COSTS, cost_terms
 from probe_env.physics.closed_forms import buckling_load
 
 FULL = (0.4, 30.0 / 3600.0)
