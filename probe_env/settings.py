@@ -106,9 +106,11 @@ def range_of(model: type[Model], field: str) -> Range | None:
     metadata = [*info.metadata]
     for part in _parts(info.annotation):
         metadata += getattr(part, "__metadata__", ())
-    known = next((entry for entry in metadata if isinstance(entry, Range)), None)
-    ends = [next((getattr(entry, end) for entry in metadata if hasattr(entry, end)), None) for end in ("ge", "le")]
-    return known if known or None in ends else Range(ends[0], ends[1], "")
+    for entry in metadata:
+        if isinstance(entry, Range):
+            return Range(entry.low, entry.high, entry.unit)
+    low, high = (next((getattr(entry, end) for entry in metadata if hasattr(entry, end)), None) for end in ("ge", "le"))
+    return None if low is None or high is None else Range(low, high, "")
 
 
 def _parts(annotation: Any) -> Iterator[Any]:

@@ -14,7 +14,7 @@ from scipy.stats import truncnorm
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.scene import Air, Contact, Tube
-from probe_env.settings import Model, Quantity, Range, quantity, range_of, within
+from probe_env.settings import Model, Quantity, quantity, range_of, within
 
 
 class Between(Model):
@@ -110,13 +110,6 @@ class _Numbers(Quantity):
         return value
 
 
-def _as_in(model: type[Model], field: str) -> Range:
-    """Range of a field that another model checks."""
-    known = range_of(model, field)
-    assert known is not None
-    return Range(known.low, known.high, known.unit)
-
-
 class Tubes(Model):
     """Of a plant: one bore and one length, helices of one diameter or of some."""
 
@@ -124,9 +117,9 @@ class Tubes(Model):
         float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], _Numbers(0.3, 50.0, "m")
     ] = Tube().helix_diameter
     """Of the tube's axis [m], a number or a list."""
-    inner_diameter: Annotated[float, _as_in(Tube, "inner_diameter")] = Tube().inner_diameter
+    inner_diameter: Annotated[float, range_of(Tube, "inner_diameter")] = Tube().inner_diameter
     """Of the tubes [m]."""
-    helix_length: Annotated[float, _as_in(Tube, "helix_length")] = Tube().helix_length
+    helix_length: Annotated[float, range_of(Tube, "helix_length")] = Tube().helix_length
     """Along the tube's axis [m]."""
     straight_length: Annotated[float, quantity(0.0, 1e3, "m")] | None = None
     """Of the rising straight part [m]; kept with the results, nothing is computed from it."""
@@ -150,24 +143,24 @@ class Walls(Model):
 class Supply(Model):
     """Air and how it is supplied."""
 
-    density: Annotated[float, _as_in(Air, "density")] = Air().density
+    density: Annotated[float, range_of(Air, "density")] = Air().density
     """Of the air [kg/m3]."""
     drag_coefficient: Annotated[Figure, _Figure(*DRAG, "")] = Air().drag_coefficient
     """Of a float [-]: a number, ``{low, high}`` or ``{mean, std}``."""
-    air_supply_rates: Annotated[tuple[float, float] | None, _as_in(TaskConfig, "air_supply_rates")] = None
+    air_supply_rates: Annotated[tuple[float, float] | None, range_of(TaskConfig, "air_supply_rates")] = None
     """Least and most [m3/s]; default: the task's."""
-    air_supply_step: Annotated[float | None, _as_in(TaskConfig, "air_supply_step")] = None
+    air_supply_step: Annotated[float | None, range_of(TaskConfig, "air_supply_step")] = None
     """Smallest step in which it is set [m3/s]; 0: any."""
-    air_lag: Annotated[float | None, _as_in(TaskConfig, "air_lag")] = None
+    air_lag: Annotated[float | None, range_of(TaskConfig, "air_lag")] = None
     """Time constant with which it follows [s]."""
 
 
 class FeedDevice(Model):
     """What feeds the cable."""
 
-    feed_speeds: Annotated[tuple[float, float] | None, _as_in(TaskConfig, "feed_speeds")] = None
+    feed_speeds: Annotated[tuple[float, float] | None, range_of(TaskConfig, "feed_speeds")] = None
     """Least and most [m/s]; default: the task's."""
-    feed_speed_step: Annotated[float | None, _as_in(TaskConfig, "feed_speed_step")] = None
+    feed_speed_step: Annotated[float | None, range_of(TaskConfig, "feed_speed_step")] = None
     """Smallest step in which it is set [m/s]; 0: any."""
-    ramp: Annotated[float | None, _as_in(TaskConfig, "ramp")] = None
+    ramp: Annotated[float | None, range_of(TaskConfig, "ramp")] = None
     """Acceleration of the feed [m/s2]."""

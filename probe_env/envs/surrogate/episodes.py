@@ -297,13 +297,13 @@ class SurrogateEpisodes:
         infos = self._infos(
             measured,
             {
-                "cost": sum(costs.values()),
+                "cost": np.sum(list(costs.values()), axis=0),
                 "target_feed_speed": targets[:, 0], "target_air_supply_rate": targets[:, 1],
                 **{name: getattr(ended, name) for name in FAILURES},
             },
         )  # fmt: skip
-        for k, (earned, cost) in enumerate(zip(_rows(terms), _rows(costs), strict=True)):
-            infos[k]["reward_terms"], infos[k]["cost_terms"] = earned, cost
+        for k, (earned, parts) in enumerate(zip(_rows(terms), _rows(costs), strict=True)):
+            infos[k]["reward_terms"], infos[k]["cost_terms"] = earned, parts
             if not chosen[k]:
                 infos[k] = {}
         for k in np.flatnonzero(over).tolist():
@@ -377,7 +377,7 @@ class SurrogateEpisodes:
         kpis = {
             "inspection_time_s": self.time[k], "inspected_m": inspected, "inspected_share": inspected / length,
             "share_within_limit": sums["within"] / length, "air_m3": sums["air"], "reward": sums["reward"],
-            "lost_drive_events": sums["lost_drive_events"], **ended.kpis(k), "cost": sum(costs.values()), **costs,
+            "lost_drive_events": sums["lost_drive_events"], **ended.kpis(k), "cost": np.sum(list(costs.values()), axis=0), **costs,
             "radial_rms_m": rms["radial"], "radial_acceleration_rms_m_per_s2": rms["acceleration"],
         }  # fmt: skip
         return {name: float(value) for name, value in kpis.items()}
