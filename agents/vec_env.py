@@ -10,22 +10,17 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.envs.env import InsertionEnv, InspectionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
-from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.starts import VERSIONS, EpisodeSettings, placed
+from probe_env.envs.episodes.starts import EpisodeSettings, placed
+from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 
-EnvId = Literal[
-    "probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0", "probe_env/Insertion-v0",
-    "probe_env/Snapshot-v0",
-]  # fmt: skip
-ENVIRONMENTS: dict[str, tuple[type[ProbeEnv], EpisodeSettings]] = {
-    "probe_env/Insertion-v1": (InsertionEnv, VERSIONS["v1"]),
-    "probe_env/Snapshot-v1": (SnapshotEnv, VERSIONS["v1"]),
-    "probe_env/Inspection-v0": (InspectionEnv, {}),
-    "probe_env/Insertion-v0": (InsertionEnv, VERSIONS["v0"]),
-    "probe_env/Snapshot-v0": (SnapshotEnv, VERSIONS["v0"]),
+EnvId = Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"]
+ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
+    "probe_env/Insertion-v1": InsertionEnv,
+    "probe_env/Snapshot-v1": SnapshotEnv,
+    "probe_env/Inspection-v0": InspectionEnv,
 }
-"""Class and settings of every id."""
+"""Class of every id."""
 
 
 class ProbeVecEnv(VecEnv):
@@ -35,7 +30,7 @@ class ProbeVecEnv(VecEnv):
     new episode's reset gave is in ``reset_infos``.
 
     Args:
-        env_id: "probe_env/Insertion-v1", "probe_env/Snapshot-v1", their version 0, or "probe_env/Inspection-v0".
+        env_id: "probe_env/Insertion-v1", "probe_env/Snapshot-v1" or "probe_env/Inspection-v0".
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         threads: at most so many; default: all cores.
         max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
@@ -59,24 +54,18 @@ class ProbeVecEnv(VecEnv):
         if env_id not in ENVIRONMENTS:
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         check_episode_steps(max_episode_steps)
-        kind, of_version = ENVIRONMENTS[env_id]
-        self.config, settings = placed(kind.defaults, config, settings)
-        merged: EpisodeSettings = {**of_version, **settings}
-        self.episodes = self._begun(num_envs, self.config, threads, merged)
+        self.config, settings = placed(ENVIRONMENTS[env_id].defaults, config, settings)
+        self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))
         self._rngs: dict[int, np.random.Generator] = {}
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
-    def _begun(self, num_envs: int, config: TaskConfig, threads: int | None, settings: EpisodeSettings) -> Episodes:
-        """What is stepped."""
-        return Episodes(num_envs, config, threads=threads, **settings)
-
     @property
     def kernel_seconds(self) -> float:
         """Time spent in the kernels so far [s], over all threads."""
-        return self.episodes.batch.kernel_seconds
+        return self.episodes.kernel_seconds
 
     def reset(self) -> VecEnvObs:
         """Start all episodes, with the seeds of ``seed`` and the options of ``set_options`` if these were called."""

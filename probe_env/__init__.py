@@ -19,7 +19,6 @@ ensure_kernel_cache()  # before anything imports a kernel
 
 from probe_env.design import Design
 from probe_env.envs.contexts import Context, load_contexts, spread_contexts
-from probe_env.envs.episodes.starts import VERSIONS
 from probe_env.envs.plants import Plant
 from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
@@ -59,20 +58,11 @@ except PackageNotFoundError:  # sources on the path that nobody has installed
     __version__ = "unknown"
 
 # no max_episode_steps by default: the tasks keep their own time limit
-for _version, _settings in VERSIONS.items():
-    for _name in ("Insertion", "Snapshot"):
-        gymnasium.register(
-            id=f"probe_env/{_name}-{_version}",
-            entry_point=f"probe_env.envs.env:{_name}Env",
-            vector_entry_point=f"probe_env.envs.vector:{_name}VectorEnv",
-            kwargs=dict(_settings),
-        )
+for _name in ("Insertion-v1", "Snapshot-v1", "Inspection-v0"):
+    _class = _name.split("-")[0]
     gymnasium.register(
-        id=f"probe_env/Design-{_version}", entry_point="probe_env.envs.design_env:DesignEnv", kwargs=dict(_settings)
+        id=f"probe_env/{_name}",
+        entry_point=f"probe_env.envs.env:{_class}Env",
+        vector_entry_point=f"probe_env.envs.vector:{_class}VectorEnv",
     )
-
-gymnasium.register(
-    id="probe_env/Inspection-v0",
-    entry_point="probe_env.envs.env:InspectionEnv",
-    vector_entry_point="probe_env.envs.vector:InspectionVectorEnv",
-)
+gymnasium.register(id="probe_env/Design-v1", entry_point="probe_env.envs.design_env:DesignEnv")

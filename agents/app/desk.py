@@ -13,11 +13,11 @@ from agents.app.runs.frames import Order
 from agents.app.runs.queue import Queue, Run
 from agents.app.runs.shelf import free_folder
 from agents.app.runs.wanted import Wanted
-from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import Place, map_of, place_of
 from agents.records.provenance import write_atomically
 from agents.records.shipped import policy_file
 from agents.terminal.names import checked_name, name_of
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.schedule import Interpolation, Schedule
 

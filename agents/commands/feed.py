@@ -35,8 +35,8 @@ class Evaluate:
     seeds: int = 1
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
-    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone. Or settings in
+    """How closely to simulate: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE;
+    with --passes both study, standard or fast, which has time-lapse on the way in alone. Or settings in
     braces, as errors advise them."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     tube: Path | None = None
@@ -109,7 +109,7 @@ class Tradeoff:
     limit: int = 12
     """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
-    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE."""
+    """How closely to simulate: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE."""
     tube: Path | None = None
     """Your own plant (tube.toml), see `probe-env evaluate --help`."""
 
@@ -152,8 +152,8 @@ class Map:
 
     def _default_target(self) -> Path:
         """Beside the tube's file, or in the output folder where there is none, or one that ships: its map stays."""
-        from agents.policies.places import map_beside
         from agents.records.shipped import file_or_shipped, ships
+        from probe_env.envs.plants import map_beside
 
         target = self.output / "vibration-map.npz"
         if self.tube is None:
@@ -186,8 +186,8 @@ class Optimise:
     def run(self) -> None:
         """Search, simulate on the validation tubes, store, print."""
         from agents.policies.maps.search import FAMILIES, OF_A_PLANT, run_search
-        from agents.policies.maps.vibration_map import VibrationMap, stored_map
         from agents.policies.places import map_of, plant_at
+        from probe_env.envs.surrogate.vibration_map import VibrationMap, stored_map
 
         for family in self.families:
             if family not in FAMILIES:
@@ -213,14 +213,10 @@ class Render:
     view: Literal["helix", "strip"] = "helix"
     """helix: a whole episode, the helix with the probe in it, feed, air, vibration, reward; strip: the tube unrolled
     near the tip, 8 times slowed, with walls, floats, contacts and the sensor's motion."""
-    env_id: Literal[
-        "probe_env/Insertion-v1",
-        "probe_env/Snapshot-v1",
-        "probe_env/Inspection-v0",
-        "probe_env/Insertion-v0",
-        "probe_env/Snapshot-v0",
-    ] = "probe_env/Insertion-v1"
-    """Which environment; version 0 has the coarser mesh of before."""
+    env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
+        "probe_env/Insertion-v1"
+    )
+    """Which environment."""
     policy: str = "constant"
     """Policy or trained agent by name, schedule file or agent's bundle."""
     fidelity: str = "standard"

@@ -202,7 +202,7 @@ class Passes:
     limit: int = 6
     """Tubes of the test list, the first of it, which are balanced; 0: all."""
     fidelity: str = "fast"
-    """How closely to simulate: fast (time-lapse on the way in alone), unlapsed (none), standard or study."""
+    """How closely to simulate: fast (time-lapse on the way in alone), standard or study."""
     output: Path = Path("output/passes")
     """Folder of the tables; episodes that are there already are not played again."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)

@@ -112,9 +112,6 @@ MAKERS: Final = {
         "inspection:FalseCalls", "whether noise is called as seldom as was promised",
         "probe-env false-calls best-schedule --limit 2",
     ),
-    "world": Entry(
-        "control:World", "the map as a world to train in, and its error", "probe-env world --limit 12"
-    ),
     "headroom": Entry(
         "control:Headroom", "what feedback can still win: planners beside policies",
         "probe-env headroom tension-scheduled ppo --limit 6",

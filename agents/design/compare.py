@@ -19,7 +19,6 @@ from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
 from agents.evaluation.statistics import Interval, failures, in_words, mean_interval, short
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec
 from agents.policies.fixed import Scheduled
-from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.places import TABLE_2, Named
 from agents.policies.policy import Policy, check_domains
 from agents.records.code_hash import class_hash, code_hash
@@ -30,6 +29,7 @@ from agents.records.tables import Columns, read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Context, Design, Fidelity
+from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import (
     Candidate,

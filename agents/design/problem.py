@@ -14,12 +14,12 @@ import numpy as np
 from agents.design.compare import CODE, Comparison
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import least_air
-from agents.policies.maps.vibration_map import VibrationMap, feeds
 from agents.policies.places import TABLE_2, Named, Place
 from agents.processes.workers import HERE, Workers
 from agents.records.code_hash import code_hash
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
+from probe_env.envs.surrogate.vibration_map import VibrationMap, feeds
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Candidate, check_candidate, check_measure, judge, stretch_of, try_sections
 from probe_env.fidelity import Fidelity, resolve_fidelity, with_nodes

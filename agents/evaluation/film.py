@@ -19,9 +19,8 @@ import probe_env
 from agents.policies.catalogue import make_policy
 from agents.records.atomic import write_atomically
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.pictures.motion import FRAME_PERIOD, Motion, Watch
+from probe_env.envs.pictures.strip import FRAME_PERIOD, SLOWED, Motion, Strip, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
-from probe_env.envs.pictures.strip import SLOWED, Strip
 from probe_env.envs.task import SHOWN
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 from probe_env.settings import whole_steps, within

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from probe_env.envs.task.safety import COSTS
+from probe_env.envs.task import COSTS
 
 Kpis = dict[str, tuple[str, float, str]]
 """Column -> name, factor and unit in tables."""

@@ -30,8 +30,10 @@ from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.arrays import BoolArray
 from probe_env.design import RANGES
-from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.surrogate import make_episodes
+from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Players
 from probe_env.fidelity import with_nodes
@@ -53,6 +55,7 @@ class Plan:
         config: the task.
         fidelity: of the simulation; nodes are added where the scene needs them (``fidelity.with_nodes``).
         probes: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
+        vibration: map of fidelity "surrogate"; default: the shipped one.
     """
 
     policies: Mapping[str, Policy]
@@ -61,6 +64,7 @@ class Plan:
     config: TaskConfig = field(default_factory=TaskConfig)
     fidelity: Fidelity = field(default_factory=Fidelity)
     probes: Probes = "scene"
+    vibration: VibrationMap | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
@@ -280,8 +284,14 @@ class Playing:
     def __init__(self, plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> None:
         self.plan, self.missing = plan, missing
         count = min(batch, len(missing))
-        self.episodes = Episodes(
-            count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes
+        self.episodes = make_episodes(
+            count,
+            plan.config,
+            threads=threads,
+            may_stand=True,
+            fidelity=plan.fidelity,
+            probes=plan.probes,
+            surrogate_map=plan.vibration,
         )
         self.units: list[Unit | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
@@ -326,7 +336,7 @@ class Playing:
         for k in np.flatnonzero(self.active).tolist():
             info = step.infos[k]
             if direction[k] > 0.0:
-                self.profile[k].append(tuple(float(info[name]) for name in COLUMNS))
+                self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
                 yield Ended(self.unit(k), info["episode_kpis"], self.profile[k], self._probes[k])
 

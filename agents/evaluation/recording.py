@@ -19,11 +19,9 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Flaw, Passage
-from probe_env.inspection.either import EitherTally
-from probe_env.inspection.meter import Meter
+from probe_env.inspection.meter import SPAN, Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import SPAN
-from probe_env.inspection.tally import DetectionTally
+from probe_env.inspection.tally import DetectionTally, EitherTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 

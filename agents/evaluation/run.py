@@ -33,8 +33,8 @@ from agents.processes.workers import HERE, Workers
 from agents.records.provenance import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
-from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.starts import Probes, Starts, settling
+from probe_env.envs.surrogate import make_episodes
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
 
@@ -106,7 +106,7 @@ def plan_of(
     check_domains(domains_of(specs, forth), config, place.contexts, strict)
     hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
-    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes)
+    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes, place.vibration)
     check_begins(plan, place.tube.name)
     return plan
 
@@ -116,7 +116,7 @@ def check_begins(plan: Plan, tubes: str) -> None:
     if plan.probes == "random":
         return
     try:
-        episodes = Episodes(1, plan.config, threads=1, fidelity=plan.fidelity)
+        episodes = make_episodes(1, plan.config, threads=1, fidelity=plan.fidelity, surrogate_map=plan.vibration)
         for context in plan.contexts:
             episodes.check_tube(context)
     except ValueError as error:

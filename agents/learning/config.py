@@ -18,12 +18,12 @@ from agents.policies.plc.law import Constants
 from agents.policies.view import View, guide_of
 from agents.rollouts.plan import Policy
 from agents.vec_env import ENVIRONMENTS, EnvId
-from agents.worlds.vec_env import MAP
 from probe_env.envs.contexts import Context, Split
 from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
 from probe_env.envs.plants import Plant, plant_of
+from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import Fidelity, is_surrogate, resolve_fidelity
 from probe_env.settings import Model, explain, quantity, tuples, whole_steps
 
 OURS = (
@@ -57,7 +57,7 @@ class Environments(Model):
     probes: Probes = "scene"
     """"random": every episode has a probe of its own."""
     fidelity: str | Fidelity = "fast"
-    """Of the simulation, or "map": the world of the vibration map, see ``agents.worlds``."""
+    """Of the simulation; "surrogate" predicts from the vibration map instead."""
     task: Annotated[dict[str, Any], AfterValidator(tuples)] = Field(default_factory=dict)
     reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
 
@@ -126,10 +126,9 @@ class Training(Model):
             raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be at least one, and none twice")
         if self.phases == 0 and self.imitation is None:
             raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
-        simulated = [given for given in (self.environment.fidelity, self.validation.fidelity) if given != MAP]
-        if self.validation.fidelity == MAP:
-            raise PydanticCustomError("fidelity", "validation.fidelity = 'map': agents are chosen by simulation")
-        for given in simulated:
+        if is_surrogate(self.validation.fidelity):
+            raise PydanticCustomError("fidelity", "validation.fidelity = 'surrogate': agents are chosen by simulation")
+        for given in (self.environment.fidelity, self.validation.fidelity):
             fidelity = resolve_fidelity(given, self.task.scene, both_ways=self.task.returns)
             if fidelity.time_lapse > 1.0 and not self.task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
@@ -151,8 +150,8 @@ class Training(Model):
     @property
     def task(self) -> TaskConfig:
         """The task that the agent learns, as given."""
-        kind, settings = ENVIRONMENTS[self.environment.env_id]
-        return placed(kind.defaults, self.environment.task, {**settings, "tube": self.environment.tube})[0]
+        defaults = ENVIRONMENTS[self.environment.env_id].defaults
+        return placed(defaults, self.environment.task, {"tube": self.environment.tube})[0]
 
     @property
     def trained_in(self) -> Contexts:
@@ -168,11 +167,15 @@ class Training(Model):
         return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
 
     @property
+    def vibration(self) -> VibrationMap | None:
+        """The plant's own map, for the teacher and for fidelity "surrogate"; None: the shipped one."""
+        beside = self.environment.map_beside
+        return None if beside is None else map_of(Path(beside), self.environment.tube)
+
+    @property
     def teacher(self) -> Policy | None:
         """Who is imitated first."""
-        beside = self.environment.map_beside
-        known = None if beside is None else map_of(Path(beside), self.environment.tube)
-        return None if self.imitation is None else make_policy(self.imitation.teacher, self.shown_task, known)
+        return None if self.imitation is None else make_policy(self.imitation.teacher, self.shown_task, self.vibration)
 
     @property
     def shown_task(self) -> TaskConfig:

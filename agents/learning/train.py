@@ -37,7 +37,6 @@ from agents.rollouts.plan import Plan, run_plan
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from agents.vec_env import ProbeVecEnv
-from agents.worlds.vec_env import vec_env
 from probe_env.fidelity import resolve_fidelity
 
 CHECKPOINT, BEST, CURVE = "checkpoint.pt", "agent.npz", "learning.csv"
@@ -141,10 +140,10 @@ def _check_checkpoints(training: Training, folders: dict[int, Path]) -> None:
 def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv]:
     """The algorithm with new weights and the environments that it learns in."""
     shown = training.shown_task
-    batch = vec_env(
+    batch = ProbeVecEnv(
         training.environment.env_id, training.environment.num_envs, shown,
         fidelity=training.environment.fidelity, contexts=training.trained_in,
-        probes=training.environment.probes, threads=threads,
+        probes=training.environment.probes, threads=threads, surrogate_map=training.vibration,
     )  # fmt: skip
     env = ViewVecEnv(batch, training.view, shown, training.environment.reward_scale)
     set_random_seed(seed)

@@ -21,11 +21,11 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import BasePolicy
 
-from agents.policies.maps.vibration_map import stored_map
 from agents.policies.policy import Domain, RangesOfTubes
 from agents.policies.view import View
 from agents.records.arrays import read_arrays
 from agents.records.provenance import write_atomically
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig, action_in
 from probe_env.envs.task.observations import PROBE
 from probe_env.files import FileError

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
-from agents.policies.maps.vibration_map import VibrationMap, check_measure, stored_map
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InspectionPlanner, Planner
 from agents.policies.plc_law import PlcLaw, TrimmedLaw
@@ -18,6 +17,7 @@ from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.terminal.names import checked_name, name_of
+from probe_env.envs.surrogate.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 

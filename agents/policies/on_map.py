@@ -11,11 +11,11 @@ import numpy as np
 
 from agents.policies.fixed import FixedPolicy
 from agents.policies.maps.lookup import LEAST_AIR, looked_up
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, stored_map
 from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import RF_FLOOR
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension

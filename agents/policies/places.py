@@ -6,16 +6,15 @@ import hashlib
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-from agents.policies.maps.vibration_map import VibrationMap, stored_map
-from agents.records.reading import FileError
 from agents.records.shipped import file_or_shipped
 from agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
+from probe_env.envs.plants import map_beside
+from probe_env.envs.surrogate.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.scene import whole_pitches
 
-MAP_SUFFIX: Final = "-map.npz"
 WHOLE_SHIFT: Final = 2.0
 """Time limit of both passes over that of the insertion."""
 SPLITS: Final = tuple(SPLIT_SIZES)
@@ -94,11 +93,6 @@ def plant_at(tube: Path | None) -> Plant | None:
     return None if tube is None else Plant.from_toml(file_or_shipped("tubes", tube))
 
 
-def map_beside(tube: Path) -> Path:
-    """Where the map of a plant is kept: beside its file, NAME-map.npz."""
-    return tube.with_name(f"{tube.stem}{MAP_SUFFIX}")
-
-
 def own_map(tube: Path) -> Path | None:
     """The map beside a plant's file, or beside the shipped one of a name, where there is one."""
     try:
@@ -117,16 +111,7 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
     path = None if tube is None or plant is None else own_map(tube)
     if tube is None or plant is None or path is None:
         return stored_map()
-    here, known = plant.scene, VibrationMap.load(path)
-    again = "make it anew with `probe-env map`"
-    for name in ("inner_diameter", "helix_length"):
-        before, now = getattr(known.scene.tube, name), getattr(here.tube, name)
-        if before != now:
-            raise FileError(path, f"{name} = {before!r} m, and {tube.name} says {now!r} m: {again}")
-    for name in ("probe", "air"):
-        if getattr(known.scene, name) != getattr(here, name):
-            raise FileError(path, f"made for another [{name}] than {tube.name} has now: {again}")
-    return known
+    return load_for(path, tube.name, plant.scene)
 
 
 def with_probe(config: TaskConfig, name: str) -> TaskConfig:

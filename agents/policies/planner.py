@@ -17,17 +17,18 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.policies.maps.lookup import expected_costs, knots, looked_up
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap
 from agents.policies.on_map import FRICTION_STEP, FRICTIONS, MapPolicy
 from probe_env import Context, Scene
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap
 from probe_env.envs.task import (
     MEASURES,
     Outcome,
     TaskConfig,
     air_used,
     capped_square,
+    costs,
     ending,
     metre_reward,
     reward_terms,
@@ -35,7 +36,6 @@ from probe_env.envs.task import (
     slack_in_a_row,
     travel,
 )
-from probe_env.envs.task.metre import costs
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.passes import BothWays
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension

@@ -10,9 +10,9 @@ import numpy as np
 from agents.calibration.metres import CHANNELS, Metres
 from agents.calibration.response import Response
 from agents.calibration.unknowns import UNKNOWNS
-from agents.policies.maps.vibration_map import expected_cost
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
+from probe_env.envs.surrogate.vibration_map import expected_cost
 from probe_env.envs.task import TaskConfig
 from probe_env.physics.closed_forms import sliding_tension
 

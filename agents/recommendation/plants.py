@@ -22,8 +22,7 @@ from agents.rollouts.plan import Plan, run_plan
 from agents.rollouts.statistics import paired_difference
 from agents.terminal.tables import print_table
 from probe_env import Plant
-from probe_env.envs.plants.figures import Between
-from probe_env.envs.plants.tables import Supply, Tubes, Walls
+from probe_env.envs.plants.tables import Between, Supply, Tubes, Walls
 from probe_env.fidelity import resolve_fidelity
 
 BORES, LENGTHS, DIAMETERS = (22e-3, 24.2e-3, 26e-3), (40.0, 80.0), (1.0, 1.4, 2.0)  # [m]

@@ -15,10 +15,10 @@ from agents.calibration.metres import Metres
 from agents.calibration.response import Response
 from agents.policies.law import Law, OfDiameter
 from agents.policies.maps.lookup import FIRST, SPACING
-from agents.policies.maps.vibration_map import feeds
 from agents.recommendation.expectation import check_measure, expected_costs, tensions
 from probe_env import Context
 from probe_env.arrays import FloatArray
+from probe_env.envs.surrogate.vibration_map import feeds
 from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
 from probe_env.schedule import Schedule
 

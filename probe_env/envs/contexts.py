@@ -2,23 +2,21 @@
 
 The study names no list of helix diameters; six from 1.0 to 2.5 m stand for the tubes of one heat exchanger.
 Fixed lists of contexts for training, validation and test ship in ``data/contexts.csv``, in an order of which every
-prefix is balanced over helix diameters and spread over friction: the first few of a list stand for all of it.
+prefix is balanced over helix diameters and spread over friction: the first few of a list represent all of it. The
+script that made the file is in the history, at commit 8c1cf8d.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
-from scipy.stats import qmc, rankdata
 
 from probe_env.scene import Scene
 from probe_env.settings import Model, explain, quantity
@@ -132,44 +130,3 @@ def spread_contexts(split: Split, limit: int = 0) -> tuple[Context, ...]:
     if not 0 <= limit <= len(listed):
         raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")
     return listed[: limit or None]
-
-
-def make_file() -> str:
-    """The text of the shipped file: as many tubes of each helix diameter, the rest drawn, rounded and ordered."""
-    names = tuple(Context.model_fields)
-    lines = [",".join(("split", *names))]
-    for number, (split, size) in enumerate(SPLIT_SIZES.items()):
-        rng = np.random.default_rng([2026, number])
-        drawn = []
-        for k in range(size):
-            c = draw_context(rng, {"helix_diameter": HELIX_DIAMETERS[k % len(HELIX_DIAMETERS)]})
-            rounded = {"friction": round(c.friction, 4), "contact_stiffness": round(c.contact_stiffness, -2)}
-            drawn.append(c.model_copy(update=rounded | {"drag_factor": round(c.drag_factor, 4)}))
-        for c in in_spread_order(drawn):
-            lines.append(f"{split},{c.friction:.4f},{c.contact_stiffness:.0f},{c.drag_factor:.4f},{c.helix_diameter}")
-    return "\n".join(lines) + "\n"
-
-
-def in_spread_order(contexts: Sequence[Context]) -> list[Context]:
-    """The contexts in an order of which every prefix has all helix diameters equally often, within one, and is spread.
-
-    One after the other is chosen of the diameters that are due: the one with which the prefix has the least centred
-    discrepancy (Hickernell's, of ``scipy.stats.qmc``) over all fields, plus twice that over friction,
-    which matters most.
-    """
-    ranks = np.column_stack(
-        [(rankdata([getattr(c, name) for c in contexts]) - 0.5) / len(contexts) for name in Context.model_fields]
-    )
-    order: list[int] = []
-    while len(order) < len(contexts):
-        used = [contexts[k].helix_diameter for k in order]
-        left = [k for k in range(len(contexts)) if k not in order]
-        least = min(used.count(contexts[k].helix_diameter) for k in left)
-        due = [k for k in left if used.count(contexts[k].helix_diameter) == least]
-        order.append(min(due, key=lambda k: _unevenness(ranks[[*order, k]])))
-    return [contexts[k] for k in order]
-
-
-def _unevenness(points: npt.NDArray[np.float64]) -> float:
-    """Of points (n, 4), friction first; rounded, so that ties are ties on every processor."""
-    return round(float(qmc.discrepancy(points) + 2.0 * qmc.discrepancy(points[:, :1])), 9)

@@ -86,7 +86,6 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
     ## Version History
     * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
-    * v0: first version, `fidelity="standard-v0"`; still registered, with the start that sections of v1 have.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -110,6 +109,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build
         self.starts = Starts(self.config, self.contexts, "random", *settling(self.config, {}))
         self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.starts.stiffest, full)
+        if not self.fidelity.simulates:
+            raise ValueError("fidelity = 'surrogate' is for Insertion-v1 alone: designs are simulated, give standard")
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
         if not full and not isinstance(self.feed, Schedule):
             raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")

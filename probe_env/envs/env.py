@@ -9,9 +9,10 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.starts import EpisodeSettings, placed
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
+from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import is_surrogate
 from probe_env.settings import in_one_line
 
 if TYPE_CHECKING:
@@ -49,8 +50,10 @@ class ProbeEnv(gym.Env[Observation, Observation]):
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
+        if render_mode is not None and is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
+            raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to draw")
         self.config, settings = placed(self.defaults, config, settings)
-        self.episodes = Episodes(1, self.config, threads=1, **settings)
+        self.episodes = make_episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
@@ -163,7 +166,10 @@ class InsertionEnv(ProbeEnv):
       contexts are drawn. `config` then changes fields of its task.
     * `scene`: what contexts and options change, without a tube; default table 2 of the study. A `Scene`, or a mapping
       of what differs from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
-    * `fidelity`: "standard", "fast", another preset, "auto" or settings of one's own, see `probe_env.fidelity`.
+    * `fidelity`: "standard", "fast", another preset, "auto" or custom settings, see `probe_env.fidelity`. "surrogate"
+      predicts from a vibration map instead of simulating, some 1000 times faster, for training; without a render mode.
+    * `surrogate_map`: the map's file, for "surrogate" alone; default: NAME-map.npz beside the `tube`'s file, if there
+      is one, else that of table 2's tubes.
     * `contexts`: "random", a shipped list ("train", "validation", "test"), `Context`s or mappings of one's own, or
       `Ranges` to draw from.
     * `feed_speed`, `air_supply_rate`: of the settling, SI units; default 0.2 m/s and 63 m3/h, or the nearest in range.
@@ -174,7 +180,6 @@ class InsertionEnv(ProbeEnv):
 
     ## Version History
     * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
-    * v0: first version, `fidelity="standard-v0"`; still registered, so that its results can be made again.
     """
 
 
@@ -206,7 +211,6 @@ class SnapshotEnv(ProbeEnv):
 
     ## Version History
     * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
-    * v0: first version, `fidelity="standard-v0"`; still registered, so that its results can be made again.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"growing": False, "period": 0.1, "time_limit": 8.0, "settle_time": 0.1}
@@ -243,7 +247,7 @@ class InspectionEnv(ProbeEnv):
     truncated after 1,800 s.
 
     ## Arguments
-    As `Insertion-v1`. `fidelity`: "standard", "unlapsed" and "fast" simulate the way back, with nodes between the
+    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate the way back, with nodes between the
     floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in
     alone: on the way back the motion is what the turn or a change of the feed has left, and time-lapse would spread it
     over as many times as many metres. The cable touches the walls in every scene. A change of the feed shakes a probe

@@ -21,8 +21,8 @@ from probe_env.envs.env import (
     check_episode_steps,
     spaces_of,
 )
-from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.starts import EpisodeSettings, placed
+from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.settings import in_one_line
 
@@ -62,7 +62,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
         self.config, settings = placed(self.single.defaults, config, settings)
-        self.episodes = Episodes(num_envs, self.config, threads=threads, **settings)
+        self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.single.metadata | {"autoreset_mode": self.autoreset_mode}

@@ -11,10 +11,8 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.flaw import shape
-from probe_env.inspection.matched import response_of
-from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import SPAN
+from probe_env.inspection.meter import SPAN, response_of
+from probe_env.inspection.sensor import Sensor, shape
 
 SHOWN: Final = 10e-3
 """[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""

@@ -14,8 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.flaw import UPCROSSINGS
-from probe_env.inspection.sensor import GROOVE, Sensor
+from probe_env.inspection.sensor import GROOVE, UPCROSSINGS, Sensor
 
 DEPTHS: Final = np.geomspace(0.02, 1.0, 21)
 """Shares of the wall at which curves are kept."""

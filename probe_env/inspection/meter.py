@@ -1,17 +1,224 @@
-"""The signal-to-noise of N probes, a control period at a time: keeps a second of their motion and a mean spectrum."""
+"""Signal-to-noise behind the matched filter, from spectra of the sensor's motion; all densities are one-sided.
+
+A flaw that is passed at u has the spectrum A (w/u) G(f w/u); in noise of the density S = k1^2 S_y + S_e the filter that
+is matched to both gives SNR^2 = 4 A^2 (w/u)^2 integral over f > 0 of |G(f w/u)|^2 / S(f) df.
+
+Spectra are of the last second of motion, and a mean over the seconds before. Sine tapers (Riedel and Sidorenko, IEEE
+Transactions on Signal Processing 43, 1995) give ``TAPERS`` nearly independent estimates from one second, which a Hann
+window would use for one.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any, Final
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.matched import Heard, heard, unbiased
-from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import FREQUENCY, SPAN, density, inverse, kept, straightened
+from probe_env.inspection.sensor import Sensor, energy_above, power
+
+SPAN: Final = 1.0
+"""Of the motion that a spectrum is of [s]: lines 1 Hz apart, the band of the slowest feeds."""
+STEP: Final = 5e-3
+"""Of the samples behind the means [s]: to 100 Hz; the flaw's band ends at 60 Hz at 0.4 m/s."""
+COUNT: Final = round(SPAN / STEP)
+TAPERS: Final = 4
+OWN: Final = 1.0 - math.exp(-0.5)
+"""Share of the last second in the mean of spectra: an exponential mean over 2 s where one is taken a second. A burst
+counts for less the more of the mean it is itself, so that what is called hangs on this share: it is the same at any
+control period and time-lapse."""
+FREQUENCY: Final = np.arange(1, COUNT // 2) / SPAN
+"""(m,) lines of a spectrum [Hz]; neither the mean nor the end of the band."""
+AVERAGED: Final = np.sinc(FREQUENCY * STEP)
+"""(m,) what means over ``STEP`` leave of an amplitude there."""
+
+
+@lru_cache
+def _tapers() -> FloatArray:
+    """(TAPERS, COUNT), each of unit energy."""
+    order, place = np.arange(1, TAPERS + 1)[:, None], np.arange(1, COUNT + 1)
+    return np.asarray(np.sqrt(2.0 / (COUNT + 1)) * np.sin(np.pi * order * place / (COUNT + 1)))
+
+
+@lru_cache
+def kept(passed: float) -> float:
+    """The weight r that a mean of spectra keeps when the next one is taken.
+
+    Spectra overlap: the last second is wholly in the newest, and 1 - j passed / SPAN of the j-th before it is of that
+    second, too. So (1 - r) sum over j >= 0 of r^j (1 - j passed / SPAN) = ``OWN``, which falls with r from 1 to 0.
+
+    Args:
+        passed: between two spectra [s] of the motion.
+    """
+    if passed >= SPAN:
+        return 1.0 - OWN
+    j = np.arange(math.ceil(SPAN / passed))
+    return float(brentq(lambda r: (1.0 - r) * (r**j * (1.0 - j * passed / SPAN)).sum() - OWN, 0.0, 1.0, xtol=1e-14))
+
+
+@lru_cache
+def inverse(passed: float) -> float:
+    """The mean of 1/S over 1/(mean of S), where S is a mean of spectra, see ``kept``, and the motion is Gaussian.
+
+    A spectrum has ``TAPERS`` complex estimates of two degrees of freedom each. The next one has a part of them in
+    common, so that the mean is worth (1 + r)/(1 - r) / (1 + 2 sum over j > 0 of r^j (correlation after j passed))
+    spectra, and S is nearly chi-squared.
+
+    Args:
+        passed: between two spectra [s] of the motion.
+    """
+    r = kept(passed)
+    shared = sum(r**j * _correlation(round(j * passed / STEP)) for j in range(1, math.ceil(SPAN / passed)))
+    freedom = 2 * TAPERS * (1.0 + r) / (1.0 - r) / (1.0 + 2.0 * shared)
+    return freedom / (freedom - 2.0)
+
+
+def _correlation(steps: int) -> float:
+    """Of a density of white noise with that ``steps`` of ``STEP`` later."""
+    tapers = _tapers()
+    return float(((tapers[:, steps:] @ tapers[:, : COUNT - steps].T) ** 2).sum() / TAPERS)
+
+
+@lru_cache
+def _line() -> FloatArray:
+    """(COUNT,) a slope of unit energy and no mean."""
+    place = np.arange(COUNT) - 0.5 * (COUNT - 1)
+    return np.asarray(place / np.sqrt((place**2).sum()))
+
+
+def straightened(samples: FloatArray, sample_period: float) -> FloatArray:
+    """(N, COUNT) means over ``STEP`` of the last ``SPAN`` of samples (N, k), without their straight line."""
+    each = round(STEP / sample_period)
+    # sums: ``mean`` costs as much again as its sum
+    means = samples[:, -COUNT * each :].reshape(len(samples), COUNT, each).sum(axis=2) / each
+    level = means - means.sum(axis=1, keepdims=True) / COUNT
+    slope = _line()
+    # no matrix product: it would round a row otherwise in another company
+    return np.asarray(level - (level * slope).sum(axis=1, keepdims=True) * slope)
+
+
+def density(motion: FloatArray) -> FloatArray:
+    """(N, m) one-sided spectral density at ``FREQUENCY``, of straightened samples (N, COUNT); [m2/Hz] of metres.
+
+    What the means over ``STEP`` take from it is given back. The resolution is (TAPERS + 1) / SPAN, 5 Hz.
+    """
+    spectra = np.fft.rfft(motion[:, None, :] * _tapers(), axis=2)[:, :, 1 : COUNT // 2]
+    powers = (spectra.real**2 + spectra.imag**2).sum(axis=1) / TAPERS
+    return np.asarray(2.0 * STEP * powers / AVERAGED**2)
+
+
+SLOWEST: Final = 0.01
+"""[m/s]: below it a flaw's band has no line of the spectrum, and the figures of this speed are given."""
+LINE: Final = 1.0 / SPAN
+
+
+class Heard(NamedTuple):
+    """What N probes would have shown of a groove of 20 % in a period.
+
+    Attributes:
+        snr: (N,) signal-to-noise of the groove.
+        share: (N,) of the filtered noise's variance that is the sensor's motion.
+        peak_to_peak: (N,) of the motion signal [V].
+        excursions: (N, COUNT) filtered motion over its expected deviation.
+    """
+
+    snr: FloatArray
+    share: FloatArray
+    peak_to_peak: FloatArray
+    excursions: FloatArray
+
+
+def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> FloatArray:
+    """(N,) signal-to-noise of the 20 % groove.
+
+    Args:
+        sensor: its constants.
+        feed: (N,) feed speed [m/s]; its sign does not matter.
+        motion: (N, m) one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
+    """
+    passing = _passing(sensor, feed)
+    noise = sensor.seen_gain**2 * motion + sensor.noise_density
+    return _snr(sensor, passing, power(FREQUENCY * passing[:, None]) / noise)
+
+
+def _passing(sensor: Sensor, feed: FloatArray) -> FloatArray:
+    """(N,) time in which a flaw is passed [s]."""
+    return np.asarray(sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))
+
+
+def _snr(sensor: Sensor, passing: FloatArray, weights: FloatArray) -> FloatArray:
+    """(N,) signal-to-noise of the groove by the flaw's power over the noise (N, m) at ``FREQUENCY``."""
+    inner = weights.sum(axis=1) * LINE
+    above = energy_above((FREQUENCY[-1] + 0.5 * LINE) * passing) / (passing * sensor.noise_density)
+    return np.asarray(2.0 * sensor.groove_signal * passing * np.sqrt(inner + above))
+
+
+def unbiased(sensor: Sensor, spectrum: FloatArray, inverse: float) -> FloatArray:
+    """(..., m) density of the motion [m2/Hz] with which 1/(all noise) is right in the mean.
+
+    A density S from few seconds scatters, and the mean of 1/S is ``inverse``, c, times 1/(mean of S). With the
+    electronics' S_e the mean of 1/(S + S_e) is, to second order, (1 + (c - 1) s^2) / (S + S_e), s = S/(S + S_e), where
+    S times 1 + (c - 1) s takes that back.
+
+    Args:
+        sensor: its constants.
+        spectrum: (..., m) mean density of the motion [m2/Hz].
+        inverse: c, see ``spectrum.inverse``.
+    """
+    moved = sensor.seen_gain**2 * spectrum
+    return np.asarray(spectrum * (1.0 + (inverse - 1.0) * moved / (moved + sensor.noise_density)))
+
+
+def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray, inverse: float = 1.0) -> Heard:
+    """What motion leaves of the signal-to-noise.
+
+    Args:
+        sensor: its constants.
+        feed: (N,) feed speed [m/s].
+        motion: (N, COUNT) of the last second [m], see ``spectrum.straightened``.
+        spectrum: (N, m) its mean density [m2/Hz].
+        inverse: the mean of its inverse over the inverse of its mean, see ``spectrum.inverse``.
+    """
+    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, _passing(sensor, feed)
+    noise = gain**2 * unbiased(sensor, spectrum, inverse) + electronics
+    flaw = power(FREQUENCY * passing[:, None])
+    weights, moved = flaw / noise, gain**2 * spectrum
+    variance = (weights * moved / noise).sum(axis=1)
+    all_of_it = np.maximum((weights * (moved + electronics) / noise).sum(axis=1), 1e-300)
+    response = np.zeros((len(motion), COUNT // 2 + 1), dtype=complex)
+    # the filter's response: conjugate of the flaw's spectrum i v exp(-v^2 / 2), over the noise
+    response.imag[:, 1:-1] = -np.sqrt(flaw) * (1.0 / noise) * (1.0 / AVERAGED)
+    filtered = gain * np.fft.irfft(np.fft.rfft(motion, axis=1) * response, COUNT, axis=1)
+    # variance is a sum of one-sided densities over lines: times their distance it is that of ``filtered``
+    excursions = filtered / np.sqrt(np.maximum(variance * LINE, 1e-300))[:, None]
+    peak_to_peak = np.abs(gain) * (motion.max(axis=1) - motion.min(axis=1))
+    return Heard(_snr(sensor, passing, weights), variance / all_of_it, peak_to_peak, excursions)
+
+
+def response_of(
+    sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray, sample_period: float
+) -> FloatArray:
+    """(n,) a signal (n,) [V] behind the matched filter, over its noise's deviation.
+
+    Args:
+        sensor: its constants.
+        feed: feed speed [m/s].
+        spectrum: (m,) density of the motion at ``FREQUENCY`` [m2/Hz].
+        signal: (n,) along the direction of the flaw.
+        sample_period: [s].
+    """
+    passing = sensor.flaw_width / max(abs(feed), SLOWEST)
+    frequency = np.fft.rfftfreq(len(signal), sample_period)
+    noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
+    gain = np.sqrt(power(frequency * passing)) / noise
+    deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
+    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain, len(signal))
+    return np.asarray(out / deviation)
 
 
 class Meter:

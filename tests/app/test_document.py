@@ -12,6 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from agents.records.columns import DETECTION
+from agents.rollouts.depths import a90_95, bands
+from agents.rollouts.plan import Plan
+from agents.rollouts.playing import Playing
+from agents.rollouts.statistics import grouped
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource
 
@@ -26,11 +31,6 @@ from agents.app.server import server_of
 from agents.design.compare import cells, read_comparison, summarise
 from agents.policies.catalogue import named_policies
 from agents.policies.places import place_of
-from agents.records.columns import DETECTION
-from agents.rollouts.depths import a90_95, bands
-from agents.rollouts.plan import Plan
-from agents.rollouts.playing import Playing
-from agents.rollouts.statistics import grouped
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.tally import POD_NAMES
 

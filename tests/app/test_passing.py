@@ -6,8 +6,8 @@ import pytest
 from agents.app.runs.frames import Shape
 from agents.app.runs.passing import passed
 from probe_env.inspection.detection import threshold
+from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import GROOVE, Sensor
-from probe_env.inspection.spectrum import FREQUENCY
 
 PERIOD = 1e-3
 

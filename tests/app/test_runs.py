@@ -7,16 +7,16 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
+from agents.evaluation.page.writing import write_report
+from agents.rollouts.folder import episodes_of
 
 from agents.app.runs.driven import BY_HAND
 from agents.app.runs.frames import COLUMNS, Order
 from agents.app.runs.queue import Queue
 from agents.app.runs.shelf import described, free_folder, stored_runs, unfinished
 from agents.app.runs.wanted import Wanted
-from agents.evaluation.page.writing import write_report
 from agents.evaluation.report import evaluate, plan_of
 from agents.policies.places import place_at
-from agents.rollouts.folder import episodes_of
 
 LONG = 120.0
 """[s] that a test waits for a run of seconds: only one that hangs takes so long."""

@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from agents.policies import catalogue
 from agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.kpis import OF_MOTION
+from probe_env.envs.episodes.judge import OF_MOTION
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.passes import BothWays, Period, passes_of
+from probe_env.envs.task.passes import Period, passes_of
 from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
-from probe_env.inspection.either import TURN
-from probe_env.inspection.tally import POD_NAMES
+from probe_env.inspection.tally import POD_NAMES, TURN
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}
@@ -113,17 +111,6 @@ def test_a_probe_that_is_left_in_the_tube_earns_less_than_one_that_comes_back(pl
     kpis = infos[-1]["episode_kpis"]
     whole = kpis["reward" if inspects == "best" else f"{inspects}_reward"]
     assert info["episode_kpis"]["reward"] < whole - 5.0
-
-
-def test_probes_that_go_one_way_never_run_the_passes_of_both(monkeypatch):
-    """Nor what makes a policy of both: which is why results of one way do not depend on them."""
-    assert not isinstance(passes_of(1, TaskConfig(), 0), BothWays)
-    assert isinstance(passes_of(1, BOTH, 0), BothWays)
-    monkeypatch.setattr(catalogue, "_both_ways", None)
-    for name in ("fast-in", "trimmed-law", "shielded:trimmed-law", "planner"):
-        assert make_policy(name, TaskConfig().all_shown)
-    with pytest.raises(TypeError):
-        make_policy("fast-in", BOTH)
 
 
 @pytest.fixture(scope="module")
@@ -249,7 +236,7 @@ def test_columns_of_the_way_back_go_together(tmp_path):
 @pytest.mark.parametrize(
     ("fidelity", "message"),
     [
-        ("reference", "superelement does not simulate the way back; give one of standard, unlapsed, fast, study"),
+        ("reference", "superelement does not simulate the way back; give one of standard, fast, study"),
         ("auto", "nothing was measured on the way back"),
         ({"method": "imex32"}, "imex32 does not simulate the way back"),
     ],

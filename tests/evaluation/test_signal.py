@@ -10,8 +10,8 @@ from agents.cli import main
 from agents.evaluation.recording import STRETCH, Chart, Insertion, centred_spectra
 from agents.evaluation.signal import by_period, correlation
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
+from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import FREQUENCY
 from probe_env.inspection.tally import DetectionTally
 
 NONE = np.zeros(0)

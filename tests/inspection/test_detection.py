@@ -10,7 +10,7 @@ from scipy.stats import multivariate_t, norm, poisson
 from statsmodels.discrete.discrete_model import Logit
 
 from probe_env import Scene, SimulatorBatch
-from probe_env.inspection import flaw
+from probe_env.inspection import sensor as flaw
 from probe_env.inspection.detection import (
     DEPTHS,
     EDGES,
@@ -21,9 +21,8 @@ from probe_env.inspection.detection import (
     snr_at,
     threshold,
 )
-from probe_env.inspection.meter import Meter
+from probe_env.inspection.meter import COUNT, FREQUENCY, Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY
 from probe_env.inspection.tally import DetectionTally
 
 SENSOR = Sensor()

@@ -7,10 +7,9 @@ import pytest
 from oracles.scatter import hits_within
 
 from probe_env.inspection.detection import DEPTHS, pod_gaussian, snr_at, threshold
-from probe_env.inspection.either import EitherTally
+from probe_env.inspection.meter import COUNT
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT
-from probe_env.inspection.tally import POD_NAMES, DetectionTally
+from probe_env.inspection.tally import POD_NAMES, DetectionTally, EitherTally
 
 SENSOR = Sensor()
 HALF = threshold(Sensor(false_calls=0.5 * SENSOR.false_calls), 60.0)

@@ -6,11 +6,21 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.signal import lfilter
 
-from probe_env.inspection import flaw
-from probe_env.inspection.matched import heard, snr_of_groove
-from probe_env.inspection.meter import Meter
+from probe_env.inspection import sensor as flaw
+from probe_env.inspection.meter import (
+    COUNT,
+    FREQUENCY,
+    OWN,
+    STEP,
+    Meter,
+    density,
+    heard,
+    inverse,
+    kept,
+    snr_of_groove,
+    straightened,
+)
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import COUNT, FREQUENCY, OWN, STEP, density, inverse, kept, straightened
 
 FEEDS = np.array([0.02, 0.05, 0.08, 0.2, 0.4, 1.0])
 NONE = np.zeros((len(FEEDS), len(FREQUENCY)))

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from agents.rollouts.statistics import grouped, interquartile_mean
 from oracles.scatter import hits_within
 
 from agents.learning.results import (
@@ -15,7 +16,6 @@ from agents.learning.results import (
     throughput,
     verdicts,
 )
-from agents.rollouts.statistics import grouped, interquartile_mean
 
 
 def table_of(rewards, times=None, shares=None):

@@ -3,13 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
+from agents.policies.both_ways import BothWays, InSteps
+from agents.rollouts.plan import Plan, run_plan
 
 from agents.learning.config import Training
 from agents.learning.train import BEST, train_all
-from agents.policies.both_ways import BothWays, InSteps
 from agents.policies.bundle import Agent
 from agents.policies.catalogue import make_policy
-from agents.rollouts.plan import Plan, run_plan
 from probe_env import load_contexts
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig

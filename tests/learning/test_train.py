@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from agents.rollouts.plan import Plan, run_plan
 from kills import kill, killed, killed_at
 
 from agents.cli import main
@@ -12,7 +13,6 @@ from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.bundle import Agent, build_policy, load_bundle
 from agents.policies.fixed import Constant
-from agents.rollouts.plan import Plan, run_plan
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig

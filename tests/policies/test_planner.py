@@ -10,7 +10,6 @@ from oracles.scatter import of_another
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import best_schedule_for, grid, knots
-from agents.policies.maps.vibration_map import CONTEXT, expected_cost, stored_map
 from agents.policies.planner import (
     BLUR,
     Estimate,
@@ -26,6 +25,7 @@ from agents.policies.planner import (
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.envs.task import Inspects, TaskConfig
 from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from agents.rollouts.plan import Plan, run_plan
 from kills import hook_replace, hook_sync
 
 from agents.cli import main
 from agents.design.problem import DesignProblem
 from agents.policies.fixed import Constant
 from agents.processes import interrupts
-from agents.rollouts.plan import Plan, run_plan
 from agents.terminal.work import Work
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig

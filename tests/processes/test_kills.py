@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from agents.evaluation.tradeoff import run_tradeoff
+from agents.rollouts.plan import Plan, run_plan
 from kills import all_gone, hook_replace, hook_sync, kill, killed
 
 from agents.design import compare as design_compare
 from agents.design.compare import Comparison, compare
 from agents.design.search import Kept, search, trials_table
-from agents.evaluation.tradeoff import run_tradeoff
 from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.fixed import Constant
 from agents.policies.maps import fit
 from agents.policies.places import place_of
 from agents.processes.workers import HERE, Workers
-from agents.rollouts.plan import Plan, run_plan
 from agents.studies.claims.cases import run_cases
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig

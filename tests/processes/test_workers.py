@@ -7,13 +7,13 @@ from pathlib import Path
 
 import joblib
 import pytest
+from agents.rollouts.plan import Plan, run_plan
 from kills import alive, all_gone, children, kill, killed
 
 from agents.design.problem import DesignProblem
 from agents.policies.fixed import Constant
 from agents.processes.workers import Workers
 from agents.records.atomic import write_atomically
-from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Design, load_contexts
 from probe_env.envs.task import TaskConfig
 

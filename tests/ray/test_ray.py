@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 import ray
+from agents.rollouts.plan import Plan, run_plan
 from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
@@ -17,7 +18,6 @@ from agents.learning.config import Training
 from agents.learning.train import BEST, train_all
 from agents.policies.fixed import Constant
 from agents.processes.workers import Workers
-from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 

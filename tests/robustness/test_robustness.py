@@ -6,16 +6,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from agents.records.columns import COST_KPIS
+from agents.rollouts import plan
 
 from agents.cli import main
 from agents.policies.places import place_of
 from agents.processes.workers import Workers
-from agents.records.columns import COST_KPIS
 from agents.records.reading import FileError, read_csv
 from agents.robustness import figures
 from agents.robustness.axes import AXES, NOMINAL, disturbed
 from agents.robustness.study import COLUMNS, cells, cost_cells, folder_of, run_study, summary_of, worst_of
-from agents.rollouts import plan
 from probe_env import Plant, TaskConfig
 
 SHORT = Plant.model_validate({"tube": {"helix_length": 7.0, "helix_diameter": [1.0, 1.4]}})

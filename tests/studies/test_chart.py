@@ -11,8 +11,8 @@ from oracles.scatter import CHANCE, hits_within, reach
 from scipy.linalg import expm
 from scipy.stats import norm
 
-from agents.records.store import stored_rows
 from agents.evaluation.statistics import ratio_interval
+from agents.records.store import stored_rows
 from agents.studies import chart
 from agents.studies.chart import draw_chart, ensembles, errors, run_chart, smooth
 from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_ensembles, run_setting

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from agents.policies.maps.lookup import FIRST
-from agents.policies.maps.vibration_map import CONTEXT, expected_cost
 from agents.policies.places import Place
 from probe_env.arrays import FloatArray
+from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost
 from probe_env.envs.task import metre_reward
 from probe_env.schedule import Schedule
 

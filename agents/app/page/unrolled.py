@@ -10,7 +10,7 @@ from bokeh.models import Button, ColumnDataSource, CustomJS, Span
 from agents.app.page.style import GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION, below, chart, control_sheet, words
 from agents.app.runs.frames import Shape
 from probe_env.arrays import BoolArray
-from probe_env.envs.pictures.motion import FRAME_PERIOD, Motion
+from probe_env.envs.pictures.strip import FRAME_PERIOD, Motion
 
 MM: Final = 1e3
 NEAR: Final = 10.0

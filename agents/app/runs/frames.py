@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.rollouts.playing import Playing, Unit
 from probe_env.arrays import FloatArray
-from probe_env.envs.pictures.motion import Motion
+from probe_env.envs.pictures.strip import Motion
 from probe_env.envs.task.observations import in_si_units
 from probe_env.inspection.sensor import Sensor
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD

@@ -10,7 +10,7 @@ from agents.app.runs.frames import Shape
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.inspection.channels import Flaw, Passage, along, channels, filtered, smoothed
 from probe_env.inspection.detection import snr_at, threshold
-from probe_env.inspection.matched import snr_of_groove
+from probe_env.inspection.meter import snr_of_groove
 from probe_env.inspection.sensor import Sensor
 
 LEAST: Final = 100

@@ -17,7 +17,7 @@ from agents.app.runs.wanted import Wanted
 from agents.processes.pool import GRACE, started
 from agents.rollouts.playing import Unit
 from probe_env.arrays import FloatArray
-from probe_env.envs.pictures.motion import Motion
+from probe_env.envs.pictures.strip import Motion
 from probe_env.inspection.sensor import Sensor
 
 State = Literal["waiting", "running", "finished", "stopped", "failed"]

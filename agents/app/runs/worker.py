@@ -29,7 +29,7 @@ from agents.rollouts.playing import Playing, Unit
 from agents.terminal.refusals import refusal
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.pictures.motion import Motion, Watch
+from probe_env.envs.pictures.strip import Motion, Watch
 from probe_env.errors import SimulationError
 
 FRAMES_PER_SECOND: Final = 10.0

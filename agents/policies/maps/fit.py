@@ -11,14 +11,14 @@ import numpy as np
 import pandas as pd
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.maps.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
-from agents.records.provenance import provenance, write_json
+from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import read_parquet
 from agents.records.tables import PROFILE, PROFILE_HEARD
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.surrogate.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.fidelity import PRESETS
 
@@ -132,7 +132,7 @@ def make_map(seeds: int, output: Path, target: Path, plant: Plant | None = None)
     episodes = run_plan(plan, output)
     profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
-    fitted.save(target)
+    write_atomically(target, fitted.to_bytes())
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), provenance(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")

@@ -8,7 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from agents.policies.maps.vibration_map import (
+from probe_env import Context, Scene
+from probe_env.arrays import FloatArray
+from probe_env.envs.surrogate.vibration_map import (
     CONTEXT,
     VibrationMap,
     check_measure,
@@ -17,8 +19,6 @@ from agents.policies.maps.vibration_map import (
     feeds,
     stored_map,
 )
-from probe_env import Context, Scene
-from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 

@@ -20,13 +20,20 @@ from tqdm import tqdm
 
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.lookup import FIRST, least_air
-from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.rollouts.plan import Plan, check_stored, run_plan
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.surrogate.vibration_map import (
+    CONTEXT,
+    VibrationMap,
+    check_measure,
+    expected_cost,
+    feeds,
+    stored_map,
+)
 from probe_env.envs.task import TaskConfig, metre_reward, value_at
 from probe_env.fidelity import PRESETS
 from probe_env.schedule import Schedule

@@ -15,7 +15,6 @@ import pandas as pd
 from cmaes import CMA
 from tqdm import tqdm
 
-from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.places import Place, place_of
 from agents.policies.plc.law import Constants, PlcLaw
 from agents.policies.plc.quasi_steady import quasi_steady_rewards
@@ -24,6 +23,7 @@ from agents.records.provenance import commit, provenance, write_atomically, writ
 from agents.rollouts.plan import Plan, run_plan
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.fidelity import resolve_fidelity
 
 RANGES: Final[dict[str, tuple[float, float]]] = {

@@ -5,13 +5,13 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import Place
 from agents.policies.plc.export import structured_text, table
 from agents.policies.plc_law import Constants, PlantData, Trim
 from agents.policies.policy import Domain, check_domains
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 
 DESCRIPTIONS = {

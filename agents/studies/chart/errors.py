@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.records.provenance import provenance, write_atomically, write_json
 from agents.evaluation.statistics import ratio_interval
+from agents.records.provenance import provenance, write_atomically, write_json
 from agents.studies.chart import ensembles
 from agents.studies.chart.ensembles import PEAK, REFERENCE, STATISTICS, STIFFNESSES, Insertion, Setting, converged
 from agents.studies.claims.cases import CASES

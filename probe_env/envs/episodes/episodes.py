@@ -77,6 +77,8 @@ class Episodes:
         feed_speed, air_supply_rate = settling(config, settings)
         self.starts = Starts(config, given["contexts"], given["probes"], feed_speed, air_supply_rate)
         self.fidelity = resolve_fidelity(given["fidelity"], self.starts.stiffest, config.growing, config.returns)
+        if not self.fidelity.simulates:
+            raise ValueError("fidelity = 'surrogate' simulates no motion, which is asked for here: give fast or finer")
         self.start_action = config.action(feed_speed, air_supply_rate)
         if self.fidelity.time_lapse > 1.0 and not config.growing:
             raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
@@ -102,6 +104,11 @@ class Episodes:
 
     def __len__(self) -> int:
         return len(self.tally)
+
+    @property
+    def kernel_seconds(self) -> float:
+        """Time spent in the kernels so far [s], over all threads."""
+        return self.batch.kernel_seconds
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, TypedDict, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
 
 import numpy as np
 from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
-from probe_env.envs.plants import GivenPlant, plant_of
+from probe_env.envs.plants import GivenPlant, map_beside, plant_of
 from probe_env.envs.task import TaskConfig, scene_of
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene, whole_pitches
 from probe_env.settings import explain, tuples
+
+if TYPE_CHECKING:
+    from probe_env.envs.surrogate.vibration_map import VibrationMap
 
 NamedContexts = Literal["random"] | Split
 Contexts = NamedContexts | Sequence[Context | Mapping[str, float]] | Mapping[str, Any]
@@ -56,21 +60,21 @@ class EpisodeSettings(PlaceSettings, total=False):
         feed_speed: of the settling before an episode [m/s], default 0.2 or the nearest in the task's range.
         air_supply_rate: of the settling [m3/s], default 63 m3/h, alike.
         probes: "scene" (default), or "random": every reset draws a ``Design``.
+        surrogate_map: what fidelity "surrogate" predicts with, a map or its file; default: the file beside the tube's
+            (NAME-map.npz), if there is one, else the shipped map.
     """
 
     feed_speed: float
     air_supply_rate: float
     probes: Probes
+    surrogate_map: VibrationMap | str | Path | None
 
 
 DEFAULTS: Final[EpisodeSettings] = {
     "tube": None, "scene": None, "fidelity": "standard", "contexts": "random",
     "feed_speed": SETTLING[0], "air_supply_rate": SETTLING[1], "probes": "scene",
+    "surrogate_map": None,
 }  # fmt: skip
-
-
-VERSIONS: Final[dict[str, EpisodeSettings]] = {"v0": {"fidelity": "standard-v0"}, "v1": {}}
-"""Versions of the environments, with what each sets otherwise than ``DEFAULTS``: the physics that results are of."""
 
 
 def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, float]:
@@ -175,6 +179,9 @@ def placed(
     """
     check_settings(settings)
     left = settings.copy()
+    file = left.get("tube")
+    if isinstance(file, str | Path) and map_beside(Path(file)).exists():
+        left.setdefault("surrogate_map", map_beside(Path(file)))
     plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
     if plant is None:
         task = config if isinstance(config, TaskConfig) else None

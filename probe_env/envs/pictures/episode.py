@@ -1,18 +1,148 @@
-"""Pictures of an episode: the helix from above with the probe in it, and strips of what was done and felt."""
+"""Pictures of an episode: the helix from above with the probe in it, and strips of actions and signals."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.pictures.helix import Helix
-from probe_env.envs.pictures.plate import DPI, SIZE, Picture, Plate, Screen
-from probe_env.envs.pictures.traces import COLUMNS, Traces
+from probe_env.envs.pictures.plate import (
+    BLUE,
+    DPI,
+    GREEN,
+    QUIET_MM,
+    RED,
+    SIZE,
+    Picture,
+    Plate,
+    Screen,
+    label_of,
+    limits_around,
+)
+from probe_env.envs.task import TaskConfig
+from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
+
+EXAGGERATION: Final = 20.0  # of the radial displacement, against the gap between two turns
+INWARD: Final = 0.55  # how far the drawing winds inwards over the whole helix, so that turns do not overlap
+WIDEST: Final = 0.06  # gap between two turns, where there are few
+LOWEST_MM, HIGHEST_MM = 1e-3, 3.0
+
+
+class Helix:
+    """Draws the tube of a simulator into a figure, as a spiral from the entrance inwards.
+
+    Attributes:
+        moving: the artists that ``update`` changes.
+    """
+
+    def __init__(self, figure: Any, simulator: Simulator) -> None:
+        self._tube = tube = simulator.scene.tube
+        turns = tube.helix_length / (np.pi * tube.helix_diameter)
+        self._gap = min(INWARD / turns, WIDEST)
+        self._inward = self._gap * turns
+        axes = figure.subplots(gridspec_kw={"left": 0.01, "right": 0.92, "bottom": 0.02, "top": 0.94})
+        axes.plot(*self._spiral(np.linspace(0.0, tube.helix_length, 2000)).T, color="0.85", linewidth=1.5)
+        self._cable = LineCollection([], cmap="plasma", norm=LogNorm(LOWEST_MM, HIGHEST_MM), linewidth=2.0)
+        axes.add_collection(self._cable)
+        (self._sensor,) = axes.plot([], [], "o", color=GREEN, markersize=7, label="sensor")
+        axes.set(xlim=(-1.15, 1.15), ylim=(-1.15, 1.15), aspect="equal")
+        axes.axis("off")
+        axes.legend(loc="lower left", frameon=False, fontsize=8)
+        label = f"radial displacement [mm], drawn x {EXAGGERATION:g}"
+        figure.colorbar(self._cable, ax=axes, shrink=0.6, pad=0.02, label=label)
+        self._title = axes.text(0.5, 1.0, "", transform=axes.transAxes, ha="center", fontsize=10)
+        subtitle = label_of(simulator.scene)
+        axes.text(0.5, 0.96, subtitle, transform=axes.transAxes, ha="center", fontsize=8, color="0.35")
+        self.moving: tuple[Any, ...] = (self._cable, self._sensor, self._title)
+
+    def update(self, simulator: Simulator) -> None:
+        """Draw the probe as it is now."""
+        tube, nodes = self._tube, np.arange(simulator.root + 1)
+        y = simulator.state.d[nodes, 1]
+        place = (simulator.root - nodes) * simulator.chain.element_length
+        drawn = np.clip(y * EXAGGERATION, -0.3 * tube.inner_diameter, 1.5 * tube.inner_diameter)
+        line = self._spiral(place, drawn / tube.inner_diameter)
+        self._cable.set_segments(list(np.stack([line[:-1], line[1:]], axis=1)))
+        self._cable.set_array(np.clip(np.abs(y[:-1]) * 1e3, LOWEST_MM, HIGHEST_MM))
+        self._sensor.set_data(*line[simulator.sensor][:, None])
+        inserted = simulator.length_in_helix
+        self._title.set_text(f"{inserted:.1f} of {tube.helix_length:g} m in a helix of {tube.helix_diameter:g} m")
+
+    def _spiral(self, s: FloatArray, off: FloatArray | float = 0.0) -> FloatArray:
+        """(k, 2) drawn places at distances s [m] from the entrance, ``off`` the middle by so many bores."""
+        angle = 2.0 * s / self._tube.helix_diameter
+        radius = 1.0 - self._inward * s / self._tube.helix_length + np.asarray(off) * self._gap
+        return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m")
+"""Of a period's info. Its reward follows, and the sensor's least and greatest radial displacement in it [m]."""
+
+
+class Traces:
+    """Draws strips into a figure: the sensor's radial displacement, feed, air, radial rms and reward.
+
+    Args:
+        figure: where.
+        config: the task, for limits.
+        period: of control, on the dynamics clock [s].
+        end: length of the helix [m].
+
+    Attributes:
+        moving: the artists that ``update`` changes.
+    """
+
+    def __init__(self, figure: Any, config: TaskConfig, period: float, end: float) -> None:
+        self._growing = config.growing
+        # fixed places: a layout that is computed anew costs more than the drawing, and moves from frame to frame
+        places = {"left": 0.15, "right": 0.97, "bottom": 0.08, "top": 0.97, "hspace": 0.6}
+        self._axes = figure.subplots(5, 1, gridspec_kw=places)
+        names = ("sensor y\n[mm]", "feed\n[m/s]", "air\n[m3/h]", "radial rms\n[mm]", "reward")
+        for axes, name in zip(self._axes, names, strict=True):
+            axes.set_ylabel(name, fontsize=8)
+            axes.yaxis.set_label_coords(-0.11, 0.5)  # or it would move with the width of the numbers
+            axes.tick_params(labelsize=7)
+            axes.grid(color="0.92")
+            axes.set_xlim(0.0, end if self._growing else config.time_limit)
+            axes.tick_params(labelbottom=axes in (self._axes[0], self._axes[-1]))  # those between share the last one's
+        sensor, feed, air, rms, reward = self._axes
+        sensor.set_xlim(0.0, period)
+        sensor.set_xlabel("time in the period [s]", fontsize=7)
+        feed.set_ylim(0.0, 1.05 * config.feed_speeds[1])
+        air.set_ylim(0.0, 1.05 * config.air_supply_rates[1] * 3600.0)
+        self._least = {sensor: (-QUIET_MM, QUIET_MM), rms: (0.0, QUIET_MM), reward: (-0.1, 0.1)}
+        if config.vibration_measure == "displacement":
+            rms.axhline(config.limit * 1e3, color=RED, linewidth=0.8)
+            self._least[rms] = (0.0, 1.2 * config.limit * 1e3)
+        reward.set_xlabel("inserted length [m]" if self._growing else "time [s]", fontsize=8)
+        self._lines = [axes.plot([], [], color=BLUE, linewidth=1.0)[0] for axes in self._axes]
+        self._lines[0].set_linewidth(0.6)
+        self.moving: tuple[Any, ...] = tuple(self._lines)
+
+    def update(self, window: Window | None, index: int, history: FloatArray) -> list[Any]:
+        """Draw the last window of a probe, and what is known of its periods: a row each, see ``COLUMNS``.
+
+        Returns:
+            the axes whose limits changed: they hold all that was, so that they seldom do.
+        """
+        if window is not None and window.time is not None and window.radial is not None:
+            self._lines[0].set_data(window.time, window.radial[:, index] * 1e3)
+        time, length, feed, air, rms, reward, low, high = history.T
+        for line, values in zip(self._lines[1:], (feed, air * 3600.0, rms * 1e3, reward), strict=True):
+            line.set_data(length if self._growing else time, values)
+        changed = []
+        for axes, values in zip(self._least, (np.r_[low, high] * 1e3, rms * 1e3, reward), strict=True):
+            limits = limits_around(values, self._least[axes])
+            if limits != axes.get_ylim():
+                axes.set_ylim(*limits)
+                changed.append(axes)
+        return changed
 
 
 class Renderer:

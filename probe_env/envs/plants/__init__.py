@@ -3,7 +3,7 @@
 Imports contexts and the task of ``envs``, scenes and settings; knows no simulator and no environment.
 """
 
-from probe_env.envs.plants.figures import Between, Figure, Normal
-from probe_env.envs.plants.plant import GivenPlant, Plant, plant_of
+from probe_env.envs.plants.plant import GivenPlant, Plant, map_beside, plant_of
+from probe_env.envs.plants.tables import Between, Figure, Normal
 
-__all__ = ["Between", "Figure", "GivenPlant", "Normal", "Plant", "plant_of"]
+__all__ = ["Between", "Figure", "GivenPlant", "Normal", "Plant", "map_beside", "plant_of"]

@@ -6,6 +6,7 @@ task carries its scene, so that results of different plants never mix.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
@@ -18,20 +19,70 @@ from scipy.stats import qmc
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.plants.figures import middle, quantiles
-from probe_env.envs.plants.plausible import check_device, check_limit, check_scatter
 from probe_env.envs.plants.posterior import Posterior, check_draws, with_posterior
-from probe_env.envs.plants.tables import DRAG, FRICTION, STIFFNESS, FeedDevice, Supply, Tubes, Walls
+from probe_env.envs.plants.tables import (
+    DRAG,
+    FRICTION,
+    STIFFNESS,
+    FeedDevice,
+    Figure,
+    Normal,
+    Supply,
+    Tubes,
+    Walls,
+    middle,
+    quantiles,
+)
 from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Probe, Scene
 from probe_env.settings import Model, explain, tuples
 
+STEPS: Final = (
+    ("feed", "feed_speed_step", "feed_speeds", "m/s"),
+    ("air", "air_supply_step", "air_supply_rates", "m3/s"),
+)
+"""Table, step, range that it divides, unit."""
+
+
+def check_device(config: TaskConfig) -> None:
+    """Raise ValueError unless feed device and air supply have a whole step within their ranges."""
+    for table, name, of, unit in STEPS:
+        step, (low, high) = getattr(config, name), getattr(config, of)
+        if step > 0.0 and step * math.floor(high / step * (1.0 + 1e-9)) < low * (1.0 - 1e-9):
+            raise ValueError(
+                f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; give 0"
+                " for any, or a smaller one"
+            )
+
+
+def check_limit(config: TaskConfig) -> None:
+    """Raise ValueError if a displacement is allowed that no float has room for."""
+    scene = config.scene
+    floats = min(scene.probe.guide_float_diameter, scene.probe.carrier_float_diameter)
+    clearance = scene.tube.clear_diameter - floats
+    if config.vibration_measure == "displacement" and config.limit > clearance:
+        raise ValueError(
+            f"task.vibration_limit = {config.limit:g} m is more than the {clearance:.3g} m that the floats have in the"
+            " tube: give it in metres, 0.1 mm as 1e-4"
+        )
+
+
+def check_scatter(name: str, figure: Figure) -> None:
+    """Raise ValueError if a quantity that cannot be negative scatters by more than its mean."""
+    if isinstance(figure, Normal) and figure.std > figure.mean:
+        raise ValueError(
+            f"{name}.std = {figure.std:g} is more than the mean, {figure.mean:g}: of what is hardly known give low and"
+            " high"
+        )
+
+
 MOST_TUBES: Final = 4096
 FACTORS: Final = (0.1, 10.0)
 """Accepted drag of a ``Context`` over the scene's."""
 RARE: Final = 1e-6
+MAP_SUFFIX: Final = "-map.npz"
 LONGEST: Final = 60.0  # [m], of a helix that the task's own time limit is for
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
 """Fields of the task that stand in the tables of the feed device and of the air."""
@@ -239,6 +290,11 @@ def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
         sums += block[tube_of]
         dealt += [diameters[k] for k in tube_of.argsort()]
     return dealt
+
+
+def map_beside(tube: Path) -> Path:
+    """Where the vibration map of a plant is kept: beside its file, NAME-map.npz."""
+    return tube.with_name(f"{tube.stem}{MAP_SUFFIX}")
 
 
 GivenPlant = Plant | str | Path | Mapping[str, Any] | None

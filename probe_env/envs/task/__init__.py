@@ -1,21 +1,43 @@
-"""The control task: all rules, and no simulator.
+"""The control task: actions, observations, rewards, costs and endings of N probes; no simulator."""
 
-Actions and what was measured enter, targets, observations, rewards, costs and endings leave. Imports scenes, the
-sensor, the ranges of designs and settings. Everything is for N probes at once, one row or entry a probe.
-"""
-
-from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, scene_of
-from probe_env.envs.task.metre import capped_square, costs, metre_cost, metre_reward
-from probe_env.envs.task.ranges import action_in, action_of, share_between, share_of, value_at
+from probe_env.envs.task.config import (
+    MEASURES,
+    SHOWN,
+    Inspects,
+    Measure,
+    TaskConfig,
+    describe,
+    scene_of,
+)
+from probe_env.envs.task.observations import (
+    action_in,
+    action_of,
+    in_si_units,
+    observe,
+    share_between,
+    share_of,
+    value_at,
+)
+from probe_env.envs.task.passes import (
+    BothWays,
+    WayIn,
+    passes_of,
+)
 from probe_env.envs.task.rules import (
+    COSTS,
     END_TOLERANCE,
     ENDINGS,
     FAILURES,
     Ending,
     Outcome,
     air_used,
+    capped_square,
+    cost_terms,
+    costs,
     drive_counts,
     ending,
+    metre_cost,
+    metre_reward,
     reward_terms,
     slack,
     slack_in_a_row,
@@ -23,26 +45,33 @@ from probe_env.envs.task.rules import (
 )
 
 __all__ = [
+    "COSTS",
     "ENDINGS",
     "END_TOLERANCE",
     "FAILURES",
     "MEASURES",
     "SHOWN",
+    "BothWays",
     "Ending",
     "Inspects",
     "Measure",
     "Outcome",
     "TaskConfig",
+    "WayIn",
     "action_in",
     "action_of",
     "air_used",
     "capped_square",
+    "cost_terms",
     "costs",
     "describe",
     "drive_counts",
     "ending",
+    "in_si_units",
     "metre_cost",
     "metre_reward",
+    "observe",
+    "passes_of",
     "reward_terms",
     "scene_of",
     "share_between",

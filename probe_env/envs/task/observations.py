@@ -1,4 +1,4 @@
-"""What is observed, both ways: measured values as an observation, and an observation in SI units.
+"""Scales: measured values as an observation, an observation in SI units, and values in a range as actions in [-1, 1].
 
 Everything is for N probes at once, one row or entry a probe.
 """
@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.design import RANGES
-from probe_env.envs.task.ranges import share_between, value_at
 
 if TYPE_CHECKING:
     from probe_env.envs.task.config import TaskConfig
@@ -60,6 +59,37 @@ UNITS: Final = {
 }  # fmt: skip
 """What an observation is a multiple, or the logarithm of a multiple, of [SI unit]."""
 LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
+
+
+def share_of(action: FloatArray) -> FloatArray:
+    """The share of a range, 0 to 1, that an action in [-1, 1] stands for; beyond it the end."""
+    return np.asarray(_share(np.clip(action, -1.0, 1.0)))
+
+
+def action_of(share: FloatArray) -> FloatArray:
+    """The inverse of ``share_of``."""
+    return 2.0 * share - 1.0
+
+
+def value_at(share: FloatArray, range_: tuple[float, float]) -> FloatArray:
+    """The inverse of ``share_between``."""
+    low, high = range_
+    return low + share * (high - low)
+
+
+def action_in(action: FloatArray, range_: tuple[float, float], other: tuple[float, float]) -> FloatArray:
+    """The action that asks in an ``other`` range for what an action asks for in a range, within it or not."""
+    return action_of(share_between(value_at(_share(action), range_), other))
+
+
+def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
+    """Where in a range a value is: 0 at its low end, 1 at its high one."""
+    low, high = range_
+    return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
+
+
+def _share(action: FloatArray) -> FloatArray:
+    return 0.5 * (action + 1.0)
 
 
 def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArray) -> npt.NDArray[np.float32]:

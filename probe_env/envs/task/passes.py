@@ -15,8 +15,7 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import END_TOLERANCE, Ending, travel
-from probe_env.inspection.either import TURN, EitherTally
-from probe_env.inspection.tally import DetectionTally, Reading
+from probe_env.inspection.tally import TURN, DetectionTally, EitherTally, Reading
 
 BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""

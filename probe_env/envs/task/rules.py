@@ -1,18 +1,20 @@
-"""When an episode ends, and what a period or a whole insertion is worth.
+"""What a period is worth, what in it is unsafe, and when an episode ends.
 
-Everything is for N probes at once, one entry a probe.
+Everything is for N probes at once, one entry a probe. Costs count what is unsafe in a period, as in safe reinforcement
+learning: they enter neither the reward nor the simulation.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.metre import costs
+
+if TYPE_CHECKING:
+    from probe_env.envs.task.config import TaskConfig
 
 END_TOLERANCE: Final = 1e-6
 """[m] of the helix's end at which an insertion is complete; actions are float32."""
@@ -105,6 +107,70 @@ def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed
 def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> FloatArray:
     """Air [m3] used in a period, by the supply rates [m3/s] around it."""
     return 0.5 * (np.abs(before) + np.abs(after)) * config.period
+
+
+COSTS: Final = {
+    "lost_drive": "the mean root tension is below what the drive needs, where that counts",
+    "tension": "the root tension was above its limit",
+    "buckling": "the mean pressure at the root is more than the cable bears between two floats",
+}
+"""Named parts of the cost, and when each is 1."""
+
+
+def cost_terms(
+    config: TaskConfig, hanging: BoolArray, tension: FloatArray, greatest: FloatArray, buckling_load: FloatArray
+) -> dict[str, FloatArray]:
+    """Named parts (N,) of a period's cost, 0 or 1 each; their sum is the cost.
+
+    Friction presses as it pulls, most at the root, so the root tells of the whole probe. A cable bears a pressure that
+    is shorter than its own sideways swing (10 ms for table 2's pitch), so the mean counts for buckling; what strains it
+    is the peak.
+
+    Args:
+        config: the limits.
+        hanging: (N,) whether the root tension is too little to drive the probe.
+        tension: (N,) mean root tension [N], below 0 where the root is pressed.
+        greatest: (N,) greatest root tension [N].
+        buckling_load: (N,) of the cable between two floats [N].
+    """
+    unsafe = hanging, greatest > config.tension_limit, -tension > buckling_load
+    return {name: np.asarray(is_so, dtype=float) for name, is_so in zip(COSTS, unsafe, strict=True)}
+
+
+def costs(
+    config: TaskConfig, squares: FloatArray | float, seconds: FloatArray | float, air: FloatArray | float
+) -> dict[str, FloatArray | float]:
+    """Cost by name of metres times their ``capped_square``, of seconds, and of air [m3]."""
+    return {
+        "vibration": config.vibration_weight * squares,
+        "time": config.time_weight * seconds,
+        "air": config.air_weight * air,
+    }
+
+
+def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
+    """What vibration costs a metre, for a ratio of vibration to its limit; beyond ``ratio_cap`` no more."""
+    return np.asarray(np.minimum(ratio, config.ratio_cap) ** 2)
+
+
+def metre_cost(
+    config: TaskConfig, squares: FloatArray | float, feed: FloatArray | float, air: FloatArray | float
+) -> FloatArray:
+    """Cost (N,) of a metre (progress left out): its vibration, and what the seconds that it takes cost.
+
+    Args:
+        config: weights.
+        squares: ``capped_square`` of the vibration, or its mean.
+        feed: feed speed [m/s].
+        air: air supply [m3/s].
+    """
+    vibration, *each_second = costs(config, squares, 1.0, air).values()
+    return np.asarray(sum((cost / feed for cost in each_second), start=vibration))
+
+
+def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
+    """Reward of a metre with a ``metre_cost``, or with the mean of many."""
+    return np.asarray(config.progress_weight - cost)
 
 
 class Outcome(NamedTuple):

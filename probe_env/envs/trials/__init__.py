@@ -4,13 +4,10 @@ In sections of constant length or in whole insertions, over the tube that all de
 and the task of ``envs``, the physics and what is below it; knows no environment.
 """
 
-from probe_env.envs.trials.candidates import Candidate, Trial
+from probe_env.envs.trials.candidates import Candidate, Stretch, Trial, check_measure, judge, stretch_of
 from probe_env.envs.trials.insertions import try_insertions
-from probe_env.envs.trials.judgement import check_measure, judge
 from probe_env.envs.trials.players import Controller, Foresighted, Players, periods_of
-from probe_env.envs.trials.sections import sections_of, try_sections
-from probe_env.envs.trials.simulable import check_candidate, check_space
-from probe_env.envs.trials.stretch import Stretch, stretch_of
+from probe_env.envs.trials.sections import check_candidate, check_space, sections_of, try_sections
 
 __all__ = [
     "Candidate", "Controller", "Foresighted", "Players", "Stretch", "Trial", "check_candidate", "check_measure",

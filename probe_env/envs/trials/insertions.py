@@ -11,9 +11,8 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts
-from probe_env.envs.trials.candidates import FOUND_KPIS, LEAST_SNR, Candidate, Trial, seeds_of
+from probe_env.envs.trials.candidates import FOUND_KPIS, LEAST_SNR, SENSOR_START, Candidate, Trial, seeds_of, stretch_of
 from probe_env.envs.trials.players import periods_of
-from probe_env.envs.trials.stretch import SENSOR_START, stretch_of
 from probe_env.fidelity import Fidelity
 from probe_env.schedule import Schedule
 

@@ -1,23 +1,23 @@
-"""Probes at constant length, the sensor at some positions along the stretch."""
+"""Probes at constant length, the sensor at some positions along the stretch, and checks that probes can be tried."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
-from probe_env.design import Design
+from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
+from probe_env.envs.episodes.limits import check_simulable
+from probe_env.envs.episodes.starts import Starts, settling
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts, slack
-from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of
+from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of, stretch_of
 from probe_env.envs.trials.players import Controller
-from probe_env.envs.trials.stretch import stretch_of
 from probe_env.fidelity import Fidelity
-from probe_env.inspection.meter import Meter
+from probe_env.inspection.meter import SPAN, Meter
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.spectrum import SPAN
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Scene
@@ -120,3 +120,43 @@ def sections_of(design: Design, context: Context, feed: Schedule, config: TaskCo
         start = tube.model_copy(update={"tube": {"helix_length": room}, **update})
         sections.append(Section(start, blown))
     return sections
+
+
+def _corner(*high: str) -> Design:
+    return Design.from_unit([1.0 if name in high else 0.0 for name in RANGES])
+
+
+HARDEST: Final = (
+    _corner("tensile_rigidity", "flexural_rigidity"),
+    _corner("guide_length", "guide_float_diameter", "carrier_float_diameter"),
+)
+"""The stiff, light design that asks for the shortest step and the hardest wall; the one that drag stretches most."""
+
+
+def check_space(
+    contexts: Sequence[Context], config: TaskConfig, fidelity: Fidelity, feed: Schedule | None = None
+) -> None:
+    """Raise ValueError if not all of the design space, cut to the bore, can be tried in these tubes.
+
+    Args:
+        contexts: the tubes.
+        config: the task.
+        fidelity: of the simulation.
+        feed: for sections of constant length; None: whole insertions.
+    """
+    for design in HARDEST:
+        for context in contexts:
+            check_candidate(design.cut_to(config.scene), context, config, fidelity, feed)
+
+
+def check_candidate(
+    design: Design, context: Context, config: TaskConfig, fidelity: Fidelity, feed: Schedule | None = None
+) -> None:
+    """Raise ValueError if a design does not fit a tube, or cannot be simulated in it; arguments as ``check_space``."""
+    if feed is None:
+        starts = Starts(config, (context,), "scene", *settling(config, {}))
+        scene = starts.build(context, {"probe": design.built.model_dump()})
+        check_simulable(scene, fidelity, scene.tube.helix_length, config.air_supply_rates[1])
+    else:
+        for start, air in sections_of(design, context, feed, config):
+            check_simulable(start, fidelity, start.inserted_length, air)

@@ -55,12 +55,45 @@ class Drive:
             spare: nodes that may be drawn back.
         """
         inputs = np.empty((steps, INPUTS))
-        gain = -math.expm1(-time_step / self.air_lag) if self.air_lag > 0.0 else 1.0
+        gain = _gain(time_step, self.air_lag)
         self.feed_speed, self.air_speed, self.travel = _inputs(
             inputs, self.feed_speed, self.feed_speed_target, self.ramp * time_step, self.air_speed,
             self.air_speed_target, gain, self.travel, self.growth, time_step, element_length, room, spare,
         )  # fmt: skip
         return inputs
+
+
+def moved_on(
+    steps: int, time_step: float, ramp: float, air_lag: float,
+    speed: FloatArray, air: FloatArray, targets: FloatArray, length: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Feed speed, air and fed length (N,) of N drives after some steps, where no mesh is moved on with them.
+
+    Args:
+        steps: how many.
+        time_step: [s].
+        ramp: greatest change of the feed speed [m/s2].
+        air_lag: time constant of the air [s]; 0 follows at once.
+        speed: (N,) now [m/s].
+        air: (N,) now, in the units of its targets.
+        targets: (N, 2) of feed speed and air.
+        length: (N,) fed so far [m].
+    """
+    rows = np.column_stack([speed, air, length])
+    speed, air, length = _moved_on(rows, targets, steps, ramp * time_step, _gain(time_step, air_lag), time_step).T
+    return speed, air, length
+
+
+def _gain(time_step: float, air_lag: float) -> float:
+    return -math.expm1(-time_step / air_lag) if air_lag > 0.0 else 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _moved_on(rows, targets, steps, ramp_step, gain, dt):
+    inputs = np.empty((steps, INPUTS))
+    for row, (speed, air) in zip(rows, targets):  # noqa: B905
+        row[:] = _inputs(inputs, row[0], speed, ramp_step, row[1], air, gain, row[2], 1.0, dt, np.inf, 0, 0)
+    return rows
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -17,7 +17,7 @@ from probe_env.envs.episodes.starts import Starts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import LOAD_CELL, observe
 from probe_env.envs.trials import sections_of
-from probe_env.envs.trials.simulable import HARDEST
+from probe_env.envs.trials.sections import HARDEST
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.methods.stability import FULL
@@ -25,6 +25,10 @@ from probe_env.schedule import Schedule
 
 MOST_AIR = TaskConfig().air_supply_rates[1]
 STANDARD = PRESETS["standard"]
+NODES = {"standard": Fidelity(method="imex32"), "reference": Fidelity(method="imex", time_step=5e-5)}
+FIDELITIES = {name: PRESETS[name] for name in ("study", "reference", "standard")} | {
+    f"{name} on nodes": fidelity for name, fidelity in NODES.items()
+}
 IDS = ("probe_env/Insertion-v1", "probe_env/Snapshot-v1")
 REFUSED = {
     "contact_stiffness = 1e+06 N/m: superelement32 holds with a time step of at most 7.6e-05 s, and that of this"
@@ -140,7 +144,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
     hard = Schedule("inserted_length", "linear", (5.0,), (0.02,), (MOST_AIR,))
     for k, context in enumerate(tubes):
         # superelements look for modes and mass of every probe: every seventh tube, of all diameters
-        fidelity = STANDARD if k % 7 == 0 else PRESETS["standard-v0"]
+        fidelity = STANDARD if k % 7 == 0 else NODES["standard"]
         for design in (*HARDEST, Design(), Design.random(rng)):
             scene = starts.build(context, {"probe": design.built.model_dump()})
             check_simulable(scene, fidelity, 60.0, MOST_AIR)
@@ -151,9 +155,9 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
 
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e8])
-@pytest.mark.parametrize("preset", ["study", "reference", "standard", "reference-v0", "standard-v0"])
+@pytest.mark.parametrize("preset", FIDELITIES.values(), ids=FIDELITIES)
 def test_the_fidelity_that_a_refusal_names_is_accepted_and_holds(stiffness, preset):
-    fidelity, scene = PRESETS[preset], Scene(carrier_length=5.0, contact={"stiffness": stiffness})
+    fidelity, scene = preset, Scene(carrier_length=5.0, contact={"stiffness": stiffness})
     limit = FULL / math.sqrt(stiffness / (0.111 * 0.025))
     if fidelity.method in ON_NODES:
         assert METHODS[fidelity.method].contact_step(scene, 4) == pytest.approx(limit)
@@ -242,12 +246,12 @@ def hostile(rng):
 
 
 @pytest.mark.parametrize("stiffness", [1.5e5, 1.9e5, 2.05e5, 2.2e5, 2.4e5, 3e5])
-@pytest.mark.parametrize("fidelity", ["standard", "standard-v0", "reference-v0", "study"])
+@pytest.mark.parametrize("fidelity", FIDELITIES.values(), ids=FIDELITIES)
 def test_what_is_accepted_has_a_step_that_is_known_to_hold(fidelity, stiffness):
     """Between the longest step known to hold and the one at which contact breaks no simulator may be warned of."""
     env = gym.make("probe_env/Snapshot-v1", fidelity=fidelity)
-    known = METHODS[PRESETS[fidelity].method].stable_step(Scene(contact={"stiffness": stiffness}), 4)
-    if PRESETS[fidelity].time_step <= known:
+    known = METHODS[fidelity.method].stable_step(Scene(contact={"stiffness": stiffness}), 4)
+    if fidelity.time_step <= known:
         env.reset(seed=0, options={"contact_stiffness": stiffness})  # warnings are errors here
     else:
         with pytest.raises(ValueError, match=f"contact_stiffness = {stiffness:g} N/m: .* time step of at most"):

@@ -4,15 +4,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-
 from agents.policies.planning.outlook import Estimate, looked_ahead
+
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
-from probe_env.fidelity.settings import STEADY_CHANGE
+from probe_env.fidelity import PRESETS, STEADY_CHANGE, Fidelity, resolve_fidelity
 
 CONFIG = TaskConfig()
-STEADY = PRESETS["fast-steady"]
+STEADY = Fidelity(time_lapse=4.0, steady_feed=0.2)
 AIR = 0.02
 
 
@@ -36,21 +35,21 @@ def moved(fidelity, *feeds):
 
 def test_where_the_feed_is_slow_and_steady_it_is_fast_to_the_last_bit():
     feeds = [[0.2], [0.16], [0.12], [0.12]]
-    for one, other in zip(inserted("fast-steady", feeds), inserted("fast", feeds), strict=True):
+    for one, other in zip(inserted(STEADY, feeds), inserted("fast", feeds), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_where_it_is_fast_or_changes_it_is_standard_to_the_last_bit():
     feeds = [[0.4], [0.4], [0.3], [0.1]]
-    for one, other in zip(inserted("fast-steady", feeds), inserted("standard", feeds), strict=True):
+    for one, other in zip(inserted(STEADY, feeds), inserted("standard", feeds), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_probes_side_by_side_have_each_their_own():
     feeds = np.array([[0.4, 0.1, 0.2], [0.4, 0.1, 0.2], [0.1, 0.4, 0.2], [0.1, 0.4, 0.2]])
-    together = inserted("fast-steady", feeds)[0]
+    together = inserted(STEADY, feeds)[0]
     for k in range(3):
-        episodes = Episodes(1, CONFIG, threads=1, fidelity="fast-steady", feed_speed=0.2)
+        episodes = Episodes(1, CONFIG, threads=1, fidelity=STEADY, feed_speed=0.2)
         episodes.reset([0], {0: np.random.default_rng(k)})
         for row in feeds[:, k]:
             episodes.step(CONFIG.actions(np.array([row]), np.array([AIR])).astype(np.float32))
@@ -58,22 +57,22 @@ def test_probes_side_by_side_have_each_their_own():
 
 
 def test_the_metres_of_a_period_are_those_of_its_clock_either_way():
-    steady = moved("fast-steady", 0.2, 0.2)
+    steady = moved(STEADY, 0.2, 0.2)
     np.testing.assert_allclose(steady, CONFIG.period * 0.2, rtol=1e-6)  # the action is of single precision
     ramped = 0.5 * (0.4**2 - 0.2**2) / CONFIG.ramp + 0.4 * (CONFIG.period - 0.2 / CONFIG.ramp)
-    np.testing.assert_allclose(moved("fast-steady", 0.4)[0], ramped, rtol=1e-3)  # 2000 steps of the ramp
+    np.testing.assert_allclose(moved(STEADY, 0.4)[0], ramped, rtol=1e-3)  # 2000 steps of the ramp
 
 
 def test_a_change_that_counts_as_steady_mistakes_no_more_metres_than_is_said():
     said = (STEADY.time_lapse - 1.0) * STEADY_CHANGE**2 / (2.0 * CONFIG.ramp)
-    (lapsed,), (true,) = moved("fast-steady", 0.2 - STEADY_CHANGE), moved("standard", 0.2 - STEADY_CHANGE)
+    (lapsed,), (true,) = moved(STEADY, 0.2 - STEADY_CHANGE), moved("standard", 0.2 - STEADY_CHANGE)
     steps = STEADY.time_lapse * STEADY_CHANGE * STEADY.time_step  # a step of the ramp, at either end
     assert lapsed - true == pytest.approx(said, abs=2.0 * steps)
     assert said == pytest.approx(7.5e-3)
 
 
 def test_a_look_ahead_is_in_time_lapse_throughout():
-    episodes = Episodes(1, CONFIG, threads=1, fidelity="fast-steady", feed_speed=0.2)
+    episodes = Episodes(1, CONFIG, threads=1, fidelity=STEADY, feed_speed=0.2)
     episodes.reset([0], {0: np.random.default_rng(0)})
     episodes.step(CONFIG.actions(np.array([0.4]), np.array([AIR])).astype(np.float32))
     begun = episodes.gauges.inserted()[0]

@@ -9,9 +9,8 @@ from matplotlib.colors import to_rgb
 from scipy.ndimage import label
 
 from probe_env import Fidelity, Scene, Simulator
-from probe_env.envs.pictures.motion import FRAME_PERIOD, Watch
 from probe_env.envs.pictures.plate import GREEN, ORANGE, RED
-from probe_env.envs.pictures.strip import AXIAL, FRAMES_PER_SECOND, SLOWED, Strip
+from probe_env.envs.pictures.strip import AXIAL, FRAME_PERIOD, FRAMES_PER_SECOND, SLOWED, Strip, Watch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
 NOTHING = np.zeros(0)

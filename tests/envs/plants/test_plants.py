@@ -10,7 +10,7 @@ import probe_env
 from agents.vec_env import ProbeVecEnv
 from probe_env import Plant, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
-from probe_env.envs.plants.figures import Normal, middle, quantiles
+from probe_env.envs.plants.tables import Normal, middle, quantiles
 from probe_env.settings import tuples
 
 TEXT = """

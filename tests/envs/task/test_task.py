@@ -7,7 +7,7 @@ import pytest
 import probe_env
 from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.kpis import Percentiles
+from probe_env.envs.episodes.judge import Percentiles
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import OBSERVATIONS, in_si_units, observe
 from probe_env.physics.simulation.batch import SimulatorBatch

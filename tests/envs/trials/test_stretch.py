@@ -9,8 +9,8 @@ from probe_env import Context, Design, Fidelity, Plant, SimulatorBatch, TaskConf
 from probe_env.design import CLEARANCE, RANGES, ranges_in
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.trials import Candidate, judge, stretch_of, try_insertions, try_sections
+from probe_env.envs.trials.candidates import SENSOR_START
 from probe_env.envs.trials.sections import AIR_LAG, GENTLE, MEASURE, PERTURBATION, SETTLE
-from probe_env.envs.trials.stretch import SENSOR_START
 
 IMPROVED = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
 LONGEST = RANGES["guide_length"][1]

@@ -4,9 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from agents.evaluation.plan import per_metre
 from agents.policies.maps.lookup import expected_costs
 from agents.policies.maps.search import run_search
-from agents.policies.maps.vibration_map import (
+from agents.policies.places import plant_at
+from agents.records.reading import FileError
+from probe_env import Context, Scene
+from probe_env.envs.surrogate.vibration_map import (
     CONTEXT,
     SHIPPED_RANGES,
     VibrationMap,
@@ -14,10 +18,6 @@ from agents.policies.maps.vibration_map import (
     rms_limit,
     stored_map,
 )
-from agents.policies.places import plant_at
-from agents.records.reading import FileError
-from agents.evaluation.plan import per_metre
-from probe_env import Context, Scene
 from probe_env.envs.task import TaskConfig
 
 CONFIG = TaskConfig(vibration_measure="snr")
@@ -44,11 +44,11 @@ def test_the_limit_in_metres_costs_what_the_limit_in_signal_to_noise_does():
 
 def test_a_map_keeps_its_measure(tmp_path):
     path = tmp_path / "mine-map.npz"
-    noise_map(-0.3).save(path)
+    path.write_bytes(noise_map(-0.3).to_bytes())
     assert VibrationMap.load(path).measure == "snr"
-    noise_map(-0.3, "displacement").save(path)
+    path.write_bytes(noise_map(-0.3, "displacement").to_bytes())
     assert VibrationMap.load(path).measure == "displacement"
-    noise_map(-0.3, "loudness").save(path)
+    path.write_bytes(noise_map(-0.3, "loudness").to_bytes())
     with pytest.raises(FileError, match="measure = 'loudness' is not one of displacement, snr"):
         VibrationMap.load(path)
 

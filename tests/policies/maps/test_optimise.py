@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 from kills import SERVER, hook_replace, kill, killed
 
+from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES
 from agents.policies.catalogue import BY_DIAMETER, make_policy
 from agents.policies.maps import search as optimise
 from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
-from agents.policies.maps.vibration_map import stored_map
-from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES
 from agents.records.provenance import commit
 from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError
 from probe_env.schedule import Schedule

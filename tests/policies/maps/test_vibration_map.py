@@ -1,5 +1,7 @@
 """The vibration map: fits what it is given, integrates its cost, and the policies that look things up in it."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,18 +11,18 @@ from scipy.stats import norm
 
 from agents.policies.maps.fit import Wandering, fit_map
 from agents.policies.maps.lookup import best_schedule_for, expected_costs, grid, knots
-from agents.policies.maps.vibration_map import (
-    CONTEXT,
-    VibrationMap,
-    expected_cost,
-    features_of,
-    load_quality,
-    stored_map,
-)
 from agents.policies.on_map import Adaptive, Privileged, TensionScheduled
 from agents.policies.view import HALF_RANGE, MIDDLE, View
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
+from probe_env.envs.surrogate.vibration_map import (
+    CONTEXT,
+    STORED,
+    VibrationMap,
+    expected_cost,
+    features_of,
+    stored_map,
+)
 from probe_env.envs.task import TaskConfig
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension
 from probe_env.physics.model.chain import air_speed
@@ -88,12 +90,16 @@ def test_the_cost_of_a_metre_is_its_expectation(mean, deviation):
     assert cost == pytest.approx(expected, rel=0.03)
 
 
+def quality():
+    return json.loads(STORED.with_suffix(".json").read_text())
+
+
 def test_stored_map_survives_its_file_and_tells_held_out_episodes(tmp_path):
-    stored_map().save(tmp_path / "map.npz")
+    (tmp_path / "map.npz").write_bytes(stored_map().to_bytes())
     loaded = VibrationMap.load(tmp_path / "map.npz")
     features = np.random.default_rng(0).normal(size=(20, 7))
     assert (loaded.distribution(features)[0] == stored_map().distribution(features)[0]).all()
-    assert load_quality()["explained_variance"] > 0.9
+    assert quality()["explained_variance"] > 0.9
 
 
 def test_best_schedule_for_a_tube_is_the_least_cost_and_slower_where_friction_is_high():
@@ -152,13 +158,12 @@ def test_wandering_holds_for_a_segment_and_differs_between_episodes():
 
 
 def test_the_map_was_fitted_on_training_tubes_alone():
-    quality = load_quality()
-    assert quality["contexts"] == "train"
-    assert quality["episodes"] % len(load_contexts("train")) == 0
+    assert quality()["contexts"] == "train"
+    assert quality()["episodes"] % len(load_contexts("train")) == 0
 
 
 def test_what_a_map_policy_is_depends_on_the_map(tmp_path):
-    constant_map(0.0, 0.1).save(tmp_path / "map.npz")
+    (tmp_path / "map.npz").write_bytes(constant_map(0.0, 0.1).to_bytes())
     other = Privileged(CONFIG, vibration=VibrationMap.load(tmp_path / "map.npz"))
     assert other.describe() != Privileged(CONFIG).describe() == Privileged(CONFIG).describe()
 

@@ -8,12 +8,13 @@ import pandas as pd
 import pytest
 
 from agents.policies.catalogue import make_policy
-from agents.policies.policy import OutsideDomain
 from agents.policies.maps.search import MapCost
-from agents.policies.maps.vibration_map import stored_map
 from agents.policies.places import place_at
 from agents.policies.plc import search
 from agents.policies.plc.export import structured_text, table
+from agents.policies.plc.quasi_steady import quasi_steady_rewards
+from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
+from agents.policies.plc.writing import write_law
 from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
@@ -24,12 +25,11 @@ from agents.policies.plc_law import (
     law_at,
     read_constants,
 )
-from agents.policies.plc.quasi_steady import quasi_steady_rewards
-from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
-from agents.policies.plc.writing import write_law
+from agents.policies.policy import OutsideDomain
 from agents.processes.workers import HERE
 from agents.records.provenance import commit
 from probe_env import Context, spread_contexts
+from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
 from probe_env.files import FileError

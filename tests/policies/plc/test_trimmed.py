@@ -10,9 +10,19 @@ from agents.cli import main
 from agents.policies.catalogue import make_policy
 from agents.policies.plc import trim_search
 from agents.policies.plc.export import structured_text
-from agents.policies.plc_law import Constants, PlantData, PlcLaw
 from agents.policies.plc.trim_search import AIMS, TIMES, UNTRIMMED, cells, run_trim_search
-from agents.policies.plc_law import LOWERED, MOST_TRIM, NOISE_AVERAGE, RAISED, Trim, TrimmedLaw, read_trim
+from agents.policies.plc_law import (
+    LOWERED,
+    MOST_TRIM,
+    NOISE_AVERAGE,
+    RAISED,
+    Constants,
+    PlantData,
+    PlcLaw,
+    Trim,
+    TrimmedLaw,
+    read_trim,
+)
 from agents.processes.workers import HERE
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError

@@ -1,14 +1,104 @@
-"""What is unsafe is counted beside the reward: too little tension, too much, and pressure that buckles the cable."""
+"""What a metre costs, what actions ask for, when drive is lost, and what is unsafe beside the reward."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 import probe_env
-from probe_env import Scene, TaskConfig
+from probe_env import Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task.safety import COSTS, cost_terms
+from probe_env.envs.episodes.judge import Tally
+from probe_env.envs.task import (
+    COSTS,
+    Outcome,
+    TaskConfig,
+    action_in,
+    action_of,
+    capped_square,
+    cost_terms,
+    drive_counts,
+    metre_cost,
+    metre_reward,
+    reward_terms,
+    share_between,
+    share_of,
+    slack_in_a_row,
+    value_at,
+)
 from probe_env.physics.closed_forms import buckling_load
+
+RNG = np.random.default_rng(7)
+N = 200
+CONFIG = TaskConfig(vibration_weight=1.7, time_weight=0.13, air_weight=0.31, progress_weight=0.9)
+
+
+def drawn():
+    """Ratios of vibration to its limit, feed speeds and air supplies of N metres, within the task's ranges."""
+    ratio = RNG.uniform(0.0, 2.0 * CONFIG.ratio_cap, N)
+    return ratio, RNG.uniform(*CONFIG.feed_speeds, N), RNG.uniform(*CONFIG.air_supply_rates, N)
+
+
+def test_a_metre_earns_what_its_seconds_and_its_air_are_charged():
+    ratio, feed, air = drawn()
+    squares, none = capped_square(CONFIG, ratio), np.zeros(N)
+    outcome = Outcome(np.ones(N), squares, 1.0 / feed, air / feed, none, none.astype(bool))
+    charged = sum(reward_terms(CONFIG, outcome).values())
+    assert metre_reward(CONFIG, metre_cost(CONFIG, squares, feed, air)) == pytest.approx(charged, rel=1e-13)
+
+
+def test_leaving_a_metre_out_never_pays():
+    """Not even at the slowest feed with all the air, the loudest vibration and the action thrown about each period."""
+    ratio, feed, air = drawn()
+    inspected = metre_reward(CONFIG, metre_cost(CONFIG, capped_square(CONFIG, ratio), feed, air))
+    jerk = CONFIG.jerk_weight * 8.0 / feed / CONFIG.period  # both actions from one end to the other: 2^2 + 2^2
+    assert (inspected - jerk > -CONFIG.uninspected_weight).all()
+    slowest, most = CONFIG.feed_speeds[0], CONFIG.air_supply_rates[1]
+    worst = metre_cost(CONFIG, CONFIG.ratio_cap**2, slowest, most) + CONFIG.jerk_weight * 8.0 / slowest / CONFIG.period
+    assert CONFIG.uninspected_weight == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
+
+
+def test_drive_counts_from_the_length_on_that_the_task_names():
+    assert drive_counts(CONFIG, np.array([0.0, 14.99, 15.0, 60.0])).tolist() == [False, False, True, True]
+
+
+RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)
+
+
+def test_shares_and_values_are_each_other_s_inverse():
+    values = np.linspace(*RANGE, 7)
+    shares = share_between(values, RANGE)
+    assert value_at(shares, RANGE) == pytest.approx(values, rel=1e-15)
+    assert share_of(action_of(shares)) == pytest.approx(shares, abs=1e-15)
+    assert (share_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
+
+
+def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
+    actions = np.array([-1.0, -0.5, 0.0, 1.0])
+    asked = TaskConfig(feed_speeds=RANGE).targets(np.column_stack([actions, actions]))[:, 0]
+    translated = action_in(actions, RANGE, OTHER)
+    assert value_at(0.5 * (translated + 1.0), OTHER) == pytest.approx(asked, rel=1e-14)
+    assert translated[0] < -1.0
+    assert translated[-1] > 1.0
+
+
+def test_what_stands_still_in_one_task_stands_still_in_the_other():
+    here, there = TaskConfig(feed_speeds=RANGE), TaskConfig(feed_speeds=OTHER)
+    standing = action_in(np.array([float(here.standing)]), RANGE, OTHER)
+    assert standing == pytest.approx(float(there.standing), abs=2.0**-22)  # both are float32
+
+
+def test_periods_without_drive_are_counted_in_a_row():
+    """Of many probes at once and of one; an event is counted when the row is as long as it may be, and once."""
+    hangs = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 1]], dtype=bool)
+    rows, tally, counts = np.zeros(2, dtype=int), Tally(), []
+    for hanging in hangs.T:
+        rows = slack_in_a_row(rows, hanging)
+        tally.add_drive(bool(hanging[0]), patience=3)
+        counts.append(rows.tolist())
+        assert tally.slack_periods == rows[0]
+        assert type(tally.slack_periods) is int
+    assert np.array(counts).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]
+    assert tally.lost_drive_events == 1
+
 
 FULL = (0.4, 30.0 / 3600.0)
 MILD = probe_env.Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)
@@ -73,22 +163,6 @@ def test_a_cable_that_is_pressed_beyond_its_load_costs_on_the_way_back():
     assert [info["cost_terms"]["buckling"] == 1.0 for info in infos if not info["diverged"]] == pressed
     assert infos[-1]["episode_kpis"]["cost_buckling"] == sum(pressed) > 0
     assert infos[-1]["episode_kpis"]["cost_lost_drive"] == 0.0  # drawn, it needs no drive
-
-
-def test_batches_tell_the_same_costs_as_single_environments():
-    short = {"growing": False, "period": 0.05, "time_limit": 0.5, "settle_time": 0.05, "tension_limit": 0.3}
-    scene, action = Scene(carrier_length=2.0), np.zeros(2, dtype=np.float32)
-    batch = gym.make_vec("probe_env/Insertion-v1", num_envs=2, config=short, scene=scene)
-    batch.reset(seed=[7, 8])
-    singles = [gym.make("probe_env/Insertion-v1", config=short, scene=scene) for _ in range(2)]
-    for seed, env in zip((7, 8), singles, strict=True):
-        env.reset(seed=seed)
-    for _ in range(5):
-        together = batch.step(np.tile(action, (2, 1)))[4]
-        apart = [env.step(action)[4] for env in singles]
-        assert together["cost"].tolist() == [info["cost"] for info in apart]
-        for name in COSTS:
-            assert together["cost_terms"][name].tolist() == [info["cost_terms"][name] for info in apart]
 
 
 def test_the_load_between_floats_is_that_of_a_bar_on_many_hinged_supports():

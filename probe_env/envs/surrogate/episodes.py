@@ -1,0 +1,411 @@
+"""Episodes of N probes without simulation: a vibration map, closed forms and measured noise predict each period.
+
+Quasi-steady: vibration has no transients but its noise, and no probe diverges. Actions, feed and air dynamics,
+observations, rewards and endings are those of the simulated task. An agent learns here in minutes what takes hours in
+simulation; judge it by simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple, NoReturn, Unpack, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.design import RANGES
+from probe_env.envs.contexts import Context
+from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
+from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
+from probe_env.envs.task import (
+    FAILURES,
+    Ending,
+    Outcome,
+    TaskConfig,
+    air_used,
+    capped_square,
+    cost_terms,
+    ending,
+    observe,
+    passes_of,
+    reward_terms,
+    slack,
+    slack_in_a_row,
+)
+from probe_env.fidelity import PRESETS, SURROGATE, is_surrogate
+from probe_env.physics.closed_forms import buckling_load, sliding_tension
+from probe_env.physics.model.drive import moved_on
+from probe_env.settings import check_known
+
+DRAWS: Final = 7
+"""Normal draws a probe and period: vibration slow and quick, tension, two accelerations, two sensors."""
+DRIVE_STEP: Final = 5e-3
+"""[s] in which the drive moves on: a change of the feed by 0.2 m/s then mistakes the length by 0.5 mm."""
+
+
+class Scatter(NamedTuple):
+    """A stationary Gaussian process of order one: standard deviation, and correlation from one second to the next."""
+
+    deviation: float = 0.0
+    correlation: float = 0.0
+
+    def next(self, value: FloatArray, normal: FloatArray) -> FloatArray:
+        """The next second's values (n,), by standard normal draws (n,)."""
+        return np.asarray(self.correlation * value + self.deviation * np.sqrt(1.0 - self.correlation**2) * normal)
+
+
+class Noise(NamedTuple):
+    """What the map leaves out of a second of an insertion.
+
+    Attributes:
+        bias: of a second's rms against that of a metre, which the map predicts [decades].
+        slow: vibration that lasts: tubes and stretches louder or quieter than the map says [decades].
+        quick: standard deviation of the radial rms from one second to the next [decades].
+        tension: of the natural logarithm of the root tension over that of steady sliding.
+        radial, axial: coefficients of log10 of the accelerations' rms [m/s2], see ``features``.
+        radial_scatter, axial_scatter: around these [decades].
+    """
+
+    bias: float = 0.0
+    slow: Scatter = Scatter()
+    quick: float = 0.0
+    tension: Scatter = Scatter()
+    radial: tuple[float, ...] = (1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+    radial_scatter: Scatter = Scatter()
+    axial: tuple[float, ...] = (1.0, 0.4, 0.0, 0.0, 0.0, 0.0)
+    axial_scatter: Scatter = Scatter()
+
+
+MEASURED: Final = Noise(
+    bias=-0.08020207236051301,
+    slow=Scatter(0.18944268841773143, 0.9368483966542834),
+    quick=0.1595799083051467,
+    tension=Scatter(0.08186281974990066, 0.8967350009110485),
+    radial=(1.285, 0.7304, -0.1902, 0.02426, 0.0693, 0.02863),
+    radial_scatter=Scatter(0.2573665162036093, 0.8908851651815758),
+    axial=(0.8155, 0.3837, -0.04155, 0.1829, 0.0414, 0.3907),
+    axial_scatter=Scatter(0.26028889503501884, 0.9369185350655408),
+)
+"""Of 12,303 seconds of insertions with random feed and air in 24 training tubes at ``fast``."""
+
+
+def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes: FloatArray) -> FloatArray:
+    """(n, 6) inputs of the accelerations.
+
+    Args:
+        vibration: (n,) log10(radial rms / 0.1 mm).
+        feed: (n,) [m/s].
+        length: (n,) inserted [m].
+        tubes: (n, 4) in the order of ``CONTEXT``.
+    """
+    one = np.ones_like(vibration)
+    friction, diameter = tubes[:, 0] / 0.175, 1.0 / tubes[:, 3]
+    return np.column_stack([one, vibration, np.log10(np.maximum(feed, 1e-3)), length / 60.0, friction, diameter])
+
+
+def make_episodes(
+    count: int,
+    config: TaskConfig,
+    *,
+    threads: int | None = None,
+    may_stand: bool = False,
+    **settings: Unpack[EpisodeSettings],
+) -> Episodes:
+    """Episodes of any fidelity: simulated ones, or ``SurrogateEpisodes``, which have the same methods.
+
+    Args, Raises: see ``Episodes`` and ``SurrogateEpisodes``.
+    """
+    if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
+        return cast(Episodes, SurrogateEpisodes(count, config, may_stand=may_stand, **settings))
+    return Episodes(count, config, threads=threads, may_stand=may_stand, **settings)
+
+
+class SurrogateEpisodes:
+    """N episodes side by side; the counterpart of ``Episodes``, with less in their infos and KPIs.
+
+    Args:
+        count: N.
+        config: the task.
+        may_stand: whether the feed action may be the task's ``standing``.
+        noise: what the map leaves out; default: as measured.
+        settings: see ``EpisodeSettings``; ``surrogate_map`` defaults to the shipped map.
+
+    Raises:
+        ValueError: an argument is not valid, or asks for what the map does not predict.
+        TypeError: there is no such setting.
+    """
+
+    kernel_seconds: Final = 0.0
+    window: Final = None
+
+    def __init__(
+        self,
+        count: int,
+        config: TaskConfig,
+        *,
+        may_stand: bool = False,
+        noise: Noise = MEASURED,
+        **settings: Unpack[EpisodeSettings],
+    ) -> None:
+        check_known(type(self).__name__, settings, DEFAULTS)
+        config, settings = placed({}, config, settings)
+        arguments = DEFAULTS | settings
+        given = arguments["surrogate_map"]
+        if isinstance(given, str | Path):
+            given = load_for(Path(given), "the scene", config.scene)
+        self.map = given or stored_map()
+        self.config, self.noise, self.may_stand, self.fidelity = config, noise, may_stand, PRESETS[SURROGATE]
+        _check(config, arguments, self.map)
+        if count < 1:
+            raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
+        feed, air = settling(config, settings)
+        self.starts = Starts(config, arguments["contexts"], arguments["probes"], feed, air)
+        self.start_action = config.action(feed, air)
+        self.limit, self.buckling = rms_limit(config), np.full(count, buckling_load(config.scene.probe))
+        self.probe = {name: np.full(count, getattr(config.scene.probe, name)) for name in RANGES}
+        self.passes = passes_of(count, config, 0)
+        self.context = [Context()] * count
+        self.rng = [np.random.default_rng(k) for k in range(count)]
+        self.tubes = np.ones((count, len(CONTEXT)))
+        zeros = np.zeros(count)
+        self.length, self.start, self.time = zeros.copy(), zeros.copy(), zeros.copy()
+        self.feed, self.air = zeros.copy(), zeros.copy()
+        self.scatter = {name: zeros.copy() for name in ("slow", "tension", "radial", "axial")}
+        self.slack_periods, self.running = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
+        self.actions = np.tile(self.start_action, (count, 1))
+        self.sums: dict[str, FloatArray] = {}
+        self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
+
+    def __len__(self) -> int:
+        return len(self.context)
+
+    @property
+    def observation(self) -> npt.NDArray[np.float32]:
+        """(N, d) the present observation."""
+        return self.observed[:, 0]
+
+    def check_tube(self, context: Context) -> None:
+        """Raise ValueError if the map does not cover a tube."""
+        low, high = self.map.ranges
+        for k, name in enumerate(CONTEXT):
+            if not low[k] - 1e-9 <= getattr(context, name) <= high[k] + 1e-9:
+                raise ValueError(
+                    f"{name} = {getattr(context, name):g} is outside the map's range {low[k]:g} to {high[k]:g}:"
+                    " simulate with fidelity fast or finer"
+                )
+
+    @property
+    def batch(self) -> NoReturn:
+        """None: a policy that looks ahead needs a simulator.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("fidelity = 'surrogate' has no simulator for a policy to look ahead with: give fast or finer")
+
+    def reset(
+        self,
+        which: Sequence[int],
+        rngs: Mapping[int, np.random.Generator],
+        options: Mapping[int, Mapping[str, Any] | None] | None = None,
+    ) -> tuple[npt.NDArray[np.float32], dict[int, dict[str, Any]]]:
+        """Start new episodes of some probes; (N, d) observation and their infos. Options as of ``Episodes.reset``.
+
+        Raises:
+            ValueError: an option is not known or not valid, or the map does not cover a tube or probe.
+        """
+        chosen = list(which)
+        drawn = {k: self.starts.draw(rngs[k], (options or {}).get(k) or {}) for k in chosen}
+        for context, scene in drawn.values():
+            if scene.probe != self.map.scene.probe:
+                raise ValueError("probe: the map is of another one; simulate with fidelity fast or finer")
+            self.check_tube(context)
+        for k, (context, scene) in drawn.items():
+            self.rng[k], self.context[k] = rngs[k], context
+            self.tubes[k] = [getattr(context, name) for name in CONTEXT]
+            self.length[k] = self.start[k] = scene.inserted_length
+            self.feed[k], self.air[k] = self.starts.feed_speed, self.starts.air_supply_rate
+            self.time[k], self.slack_periods[k], self.running[k] = 0.0, 0, True
+            for values in self.sums.values():
+                values[k] = 0.0
+            self.actions[k] = self.start_action
+        every = np.zeros(len(self), dtype=bool)
+        every[chosen] = True
+        normal = self._draw(every)
+        for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
+            self.scatter[name] = np.where(every, self._scatter(name).deviation * normal[:, row], self.scatter[name])
+        measured = self._measured(normal)
+        self.observed[every] = observe(self.config, measured, normal[:, 5:])[every, None]
+        infos = self._infos(measured, {})
+        probe = self.config.scene.probe.model_dump()
+        return self.observation.copy(), {
+            k: infos[k] | {"context": self.context[k].model_dump(), "probe": probe, "diverged": False} for k in chosen
+        }
+
+    def step(self, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
+        """One control period of the active probes (default: all).
+
+        Raises:
+            ValueError: an action is not valid.
+            RuntimeError: an active episode has ended and was not reset.
+        """
+        config, dt = self.config, self.config.period
+        chosen = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        if (chosen & ~self.running).any():
+            raise RuntimeError(f"episode {np.flatnonzero(chosen & ~self.running)[0]} has ended: call reset before step")
+        given = np.where(chosen[:, None], np.asarray(actions, dtype=np.float32), self.actions)
+        targets = config.targets(given, self.may_stand)
+        change = given.astype(float) - self.actions
+        self.actions = given
+        air_before = self.air.copy()
+        travel = self._move(targets, chosen)
+        normal = self._draw(chosen)
+        for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
+            moved = self._scatter(name).next(self.scatter[name], normal[:, row])
+            self.scatter[name] = np.where(chosen, moved, self.scatter[name])
+        measured = self._measured(normal)
+        ratio = measured["radial_rms_m"] / self.limit
+        used = np.where(chosen, air_used(config, air_before, self.air), 0.0)
+        tension = measured["tension_mean_n"]
+        is_slack = slack(config, tension, self.length)
+        costs = cost_terms(config, is_slack, tension, tension, self.buckling)
+        self.time = np.where(chosen, self.time + dt, self.time)
+        self.slack_periods = np.where(chosen, slack_in_a_row(self.slack_periods, is_slack), self.slack_periods)
+        end, never = config.scene.tube.helix_length, np.zeros(len(self), dtype=bool)
+        ended = ending(config, self.length, np.full(len(self), end), self.slack_periods, self.time, chosen, never)
+        over = ended.over
+        left = np.where(over, end - self.length, 0.0)
+        outcome = Outcome(travel, travel * capped_square(config, ratio), np.full(len(self), dt), used, left, never)
+        terms = reward_terms(config, outcome, change)
+        reward = np.where(chosen, sum(terms.values()), 0.0)
+        self.running &= ~over
+        self._count(
+            chosen,
+            {
+                "reward": reward, "inspected": travel, "within": np.where(ratio <= 1.0, travel, 0.0), "air": used,
+                "lost_drive_events": self.slack_periods == config.lost_drive_periods,
+                **{f"cost_{name}": values for name, values in costs.items()},
+                "radial": travel * measured["radial_rms_m"] ** 2,
+                "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
+            },
+        )  # fmt: skip
+        row = observe(config, measured, normal[:, 5:])[:, None]
+        self.observed[chosen] = np.concatenate([self.observed[:, 1:], row], axis=1)[chosen]
+        infos = self._infos(
+            measured,
+            {
+                "cost": np.sum(list(costs.values()), axis=0),
+                "target_feed_speed": targets[:, 0], "target_air_supply_rate": targets[:, 1],
+                **{name: getattr(ended, name) for name in FAILURES},
+            },
+        )  # fmt: skip
+        for k, (earned, parts) in enumerate(zip(_rows(terms), _rows(costs), strict=True)):
+            infos[k]["reward_terms"], infos[k]["cost_terms"] = earned, parts
+            if not chosen[k]:
+                infos[k] = {}
+        for k in np.flatnonzero(over).tolist():
+            infos[k]["episode_kpis"] = self._kpis(k, ended)
+        return Step(self.observation.copy(), reward, ended.terminated, ended.truncated, infos)
+
+    def _move(self, targets: FloatArray, chosen: BoolArray) -> FloatArray:
+        """Move drives on by a period towards targets (N, 2); (N,) length fed [m], up to the helix's end."""
+        config, before = self.config, self.length
+        steps = max(round(config.period / DRIVE_STEP), 1)
+        moved = moved_on(
+            steps, config.period / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before
+        )
+        self.feed, self.air, length = (
+            np.where(chosen, after, now) for after, now in zip(moved, (self.feed, self.air, before), strict=True)
+        )
+        self.length = np.minimum(length, config.scene.tube.helix_length)
+        return self.length - before
+
+    def _draw(self, which: BoolArray) -> FloatArray:
+        """(N, DRAWS) standard normal draws of each probe's own generator; 0 for the others."""
+        normal = np.zeros((len(self), DRAWS))
+        for k in np.flatnonzero(which).tolist():
+            normal[k] = self.rng[k].normal(size=DRAWS)
+        return normal
+
+    def _scatter(self, name: str) -> Scatter:
+        scatter: Scatter = getattr(self.noise, f"{name}_scatter" if name.endswith("ial") else name)
+        return scatter
+
+    def _measured(self, normal: FloatArray) -> dict[str, FloatArray]:
+        """Predicted values where the probes are, (N,) each, see ``observe``."""
+        noise, scene = self.noise, self.config.scene
+        length = np.maximum(self.length, 1.0)
+        mean = self.map.tells(length, np.maximum(self.feed, 1e-3), self.air, self.tubes, scene)[0]
+        vibration = mean + noise.bias + self.scatter["slow"] + noise.quick * normal[:, 1]
+        drive = {"inserted_length": length, "feed_speed": self.feed, "air_supply_rate": self.air}
+        steady = sliding_tension(self.tubes[:, 0], drive | {"helix_diameter": self.tubes[:, 3]}, scene)
+        inputs = features(vibration, self.feed, length, self.tubes)
+        return {
+            **{name: self.tubes[:, k] for k, name in enumerate(CONTEXT)}, **self.probe,
+            "radial_rms_m": 10.0**vibration * 1e-4,
+            "tension_mean_n": steady * self.tubes[:, 2] * np.exp(self.scatter["tension"]),
+            "radial_acceleration_rms_m_per_s2": 10.0 ** (inputs @ np.array(noise.radial) + self.scatter["radial"]),
+            "axial_acceleration_rms_m_per_s2": 10.0 ** (inputs @ np.array(noise.axial) + self.scatter["axial"]),
+            "inserted_length": self.length, "remaining_length": scene.tube.helix_length - self.length,
+            "feed_speed": self.feed, "air_supply_rate": self.air,
+            "feed_action": self.actions[:, 0].astype(float), "air_action": self.actions[:, 1].astype(float),
+        }  # fmt: skip
+
+    def _infos(self, measured: Mapping[str, FloatArray], more: Mapping[str, FloatArray]) -> list[dict[str, Any]]:
+        """Physical values of every probe, SI units; the noise in a flaw's band only where the map is of it."""
+        names = (
+            "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "radial_acceleration_rms_m_per_s2",
+            "tension_mean_n",
+        )  # fmt: skip
+        noise = {"noise_rms_m": measured["radial_rms_m"]} if self.map.measure == "snr" else {}
+        inspected = {"time": self.time, "inspected_length": self.length - self.start}
+        return _rows(inspected | {name: measured[name] for name in names} | noise | dict(more))
+
+    def _count(self, chosen: BoolArray, values: Mapping[str, npt.NDArray[Any]]) -> None:
+        for name, value in values.items():
+            self.sums.setdefault(name, np.zeros(len(self)))[chosen] += value[chosen]
+
+    def _kpis(self, k: int, ended: Ending) -> dict[str, float]:
+        """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""
+        sums = {name: float(values[k]) for name, values in self.sums.items()}
+        inspected, length = sums["inspected"], float(self.config.scene.tube.helix_length - self.start[k])
+        costs = {name: value for name, value in sums.items() if name.startswith("cost_")}
+        rms = {name: np.sqrt(sums[name] / max(inspected, 1e-9)) for name in ("radial", "acceleration")}
+        kpis = {
+            "inspection_time_s": self.time[k], "inspected_m": inspected, "inspected_share": inspected / length,
+            "share_within_limit": sums["within"] / length, "air_m3": sums["air"], "reward": sums["reward"],
+            "lost_drive_events": sums["lost_drive_events"], **ended.kpis(k),
+            "cost": np.sum(list(costs.values()), axis=0),
+            **costs, "radial_rms_m": rms["radial"], "radial_acceleration_rms_m_per_s2": rms["acceleration"],
+        }  # fmt: skip
+        return {name: float(value) for name, value in kpis.items()}
+
+
+def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
+    """Columns (N,) by name as a dictionary a probe."""
+    names = tuple(columns)
+    rows = zip(*[column.tolist() for column in columns.values()], strict=True)
+    return [dict(zip(names, row, strict=False)) for row in rows]  # strict costs a tenth of a step
+
+
+def _check(config: TaskConfig, arguments: Mapping[str, Any], vibration: VibrationMap) -> None:
+    """Raise ValueError where the map does not predict a task."""
+    longest = vibration.scene.tube.helix_length
+    refused = {
+        "growing = False": not config.growing, "passes = 'both'": config.returns,
+        f"probes = {arguments['probes']!r}": arguments["probes"] != "scene",
+        "sensor_dropout": config.sensor_dropout > 0.0, "friction_drift": config.friction_drift != 0.0,
+        f"helix_length = {config.scene.tube.helix_length:g} m (the map ends at {longest:g} m)":
+            config.scene.tube.helix_length > longest * (1.0 + 1e-9),
+    }  # fmt: skip
+    wrong = [name for name, is_so in refused.items() if is_so]
+    if wrong:
+        raise ValueError(
+            f"fidelity = 'surrogate' is for insertions as the vibration map knows them (Insertion-v1), without"
+            f" {', '.join(wrong)}: simulate with standard"
+        )
+    rms_limit(config)  # refuses a vibration measure that no map predicts
+    check_measure(vibration, config)

@@ -1,0 +1,264 @@
+"""Vibration map: radial vibration over inserted length, feed, air and tube, a small network fitted to insertions.
+
+The probe responds within a second or two to a change of feed or air, so the vibration at a length depends on the feed
+and air there. The map therefore predicts what any schedule would cost in any tube: searches for schedules take seconds,
+a controller that knows the tube can look up its best feed, and agents can train in it (see ``episodes``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import ValidationError
+
+from probe_env.arrays import FloatArray
+from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS, STIFFNESS
+from probe_env.envs.task import TaskConfig, capped_square, metre_cost
+from probe_env.files import FileError
+from probe_env.npz import read_arrays
+from probe_env.physics.closed_forms import drag_per_metre
+from probe_env.physics.model.chain import air_speed
+from probe_env.scene import Scene
+from probe_env.settings import explain
+
+FEEDS: Final = (0.04, 0.4)  # [m/s]; slower ones would take most of the time and ring least
+CONTEXT: Final = ("friction", "contact_stiffness", "drag_factor", "helix_diameter")
+SHIPPED_RANGES: Final = np.array(
+    [FRICTION, STIFFNESS, DRAG_FACTOR, (min(HELIX_DIAMETERS), max(HELIX_DIAMETERS))], dtype=float
+).T
+"""Of the tubes that the shipped map is of."""
+SHAPES: Final = {"ranges": (2, len(CONTEXT)), "scaling": (2, len(CONTEXT) + 3)}
+"""Of what a plant's own map has besides."""
+PROFILED: Final = {"displacement": "radial_rms_m", "snr": "noise_rms_m"}
+"""Vibration measures that a map can tell of, and their columns of a profile [m]."""
+STORED: Final = Path(__file__).parents[2] / "data" / "vibration-map.npz"
+
+
+def feeds(config: TaskConfig) -> tuple[float, float]:
+    """Feed speeds [m/s] that are worth a look: ``FEEDS`` of what table 2's task has, in proportion to its fastest."""
+    slow, fast = config.feed_speeds
+    return max(slow, FEEDS[0] * fast / FEEDS[1]), fast
+
+
+@dataclass(frozen=True, eq=False)
+class VibrationMap:
+    """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm.
+
+    Attributes:
+        layers: weights (inputs, outputs) and biases (outputs,) of three layers, tanh between them.
+        scene: bore, length, probe and air of its insertions.
+        ranges: (2, 4) least and greatest of each of ``CONTEXT`` in them.
+        scaling: (2, 7) centre and spread of its inputs; None: they are scaled as table 2's tubes are, see
+            ``features_of``.
+        digest: of its file.
+        measure: "displacement", radial rms, or "snr", the noise in the band of a flaw as radial rms.
+    """
+
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    scene: Scene = field(default_factory=Scene)
+    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)
+    scaling: FloatArray | None = None
+    digest: str = ""
+    measure: str = "displacement"
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, VibrationMap) and self.digest == other.digest != "")
+
+    def __hash__(self) -> int:
+        return hash(self.digest) if self.digest else id(self)
+
+    def tells(
+        self, length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray, scene: Scene
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) of a metre.
+
+        Args:
+            length: (n,) inserted length [m].
+            feed: (n,) feed speed [m/s].
+            air: (n,) air supply [m3/s].
+            context: (n, 4) in the order of ``CONTEXT``, SI units.
+            scene: where; in another bore or air the supply is taken that pulls as strongly here.
+        """
+        inputs = features_of(length, feed, equivalent_air(air, feed, scene, self.scene), context)
+        if self.scaling is not None:
+            inputs = (inputs - self.scaling[0]) / self.scaling[1]
+        return self.distribution(inputs)
+
+    def distribution(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) at ``features`` (n, 7)."""
+        values = features
+        for weights, biases in self.layers[:-1]:
+            values = np.tanh(values @ weights + biases)
+        weights, biases = self.layers[-1]
+        values = values @ weights + biases
+        return values[:, 0], np.exp(np.clip(values[:, 1], -5.0, 1.0))
+
+    @classmethod
+    def load(cls, path: Path = STORED) -> VibrationMap:
+        """Read a stored map (plain arrays only, no pickles).
+
+        Raises:
+            FileNotFoundError: no such file.
+            FileError: not a map: other arrays, or shapes that do not follow on each other.
+        """
+        arrays = read_arrays(path, _expected)
+        sizes = [len(CONTEXT) + 3]
+        for k in range(3):
+            weights, biases = (arrays.get(f"{part}{k}", np.zeros(())) for part in ("weights", "biases"))
+            sizes.append(weights.shape[-1] if weights.ndim == 2 and k < 2 else 2)
+            if weights.shape != (sizes[-2], sizes[-1]) or biases.shape != (sizes[-1],):
+                raise FileError(path, f"layer {k}: not a map of vibration: its arrays are missing or of other shapes")
+        layers = tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(3))
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        if "scene" not in arrays:  # of table 2's tubes
+            return cls(layers, digest=digest)
+        for name, shape in SHAPES.items():
+            if name not in arrays or arrays[name].shape != shape:
+                raise FileError(path, f"{name}: not a map of vibration: missing, or of another shape than {shape}")
+        try:
+            scene = Scene.model_validate_json(str(arrays["scene"]))
+        except ValidationError as error:
+            raise FileError(path, f"scene: {explain(error)}") from error
+        measure = str(arrays.get("measure", "displacement"))
+        if measure not in PROFILED:
+            raise FileError(path, f"measure = {measure!r} is not one of {', '.join(PROFILED)}")
+        return cls(layers, scene, arrays["ranges"], arrays["scaling"], digest, measure)
+
+    def to_bytes(self) -> bytes:
+        """The content of its file, as ``load`` reads it."""
+        buffer = io.BytesIO()
+        arrays = {f"weights{k}": w for k, (w, _) in enumerate(self.layers)}
+        arrays |= {f"biases{k}": b for k, (_, b) in enumerate(self.layers)}
+        if self.scaling is not None:
+            arrays |= {"ranges": self.ranges, "scaling": self.scaling, "scene": np.array(self.scene.model_dump_json())}
+        if self.measure != "displacement":
+            arrays |= {"measure": np.array(self.measure)}
+        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        return buffer.getvalue()
+
+
+def _expected(name: str) -> str:
+    if name in ("scene", "measure"):
+        return "U"
+    return "f" if name in SHAPES or re.fullmatch(r"(weights|biases)[0-2]", name, re.ASCII) else ""
+
+
+def equivalent_air(air: FloatArray, feed: FloatArray, scene: Scene, known: Scene) -> FloatArray:
+    """Air supply (n,) [m3/s] that pulls a metre of probe in one scene as ``air`` does in another.
+
+    Drag goes with the square of the wind relative to the probe, (10).
+
+    Args:
+        air: (n,) air supply in ``scene`` [m3/s].
+        feed: (n,) feed speed [m/s].
+        scene: where it is blown.
+        known: where its equal is looked for.
+    """
+    if _pulled(scene) == _pulled(known):
+        return air
+    wind = air * air_speed(scene, 1.0) - feed
+    stronger = np.sqrt(drag_per_metre(scene) / drag_per_metre(known))
+    return np.asarray((feed + wind * stronger) / air_speed(known, 1.0))
+
+
+def _pulled(scene: Scene) -> tuple[Any, ...]:
+    """What drag depends on besides air supply and feed."""
+    return scene.tube.inner_diameter, scene.air, scene.probe
+
+
+@lru_cache
+def stored_map() -> VibrationMap:
+    """The shipped map."""
+    return VibrationMap.load()
+
+
+def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray) -> FloatArray:
+    """(n, 7) inputs of the map, each within some -2 to 2.
+
+    Args:
+        length: (n,) inserted length [m].
+        feed: (n,) feed speed [m/s].
+        air: (n,) air supply [m3/s].
+        context: (n, 4) in the order of ``CONTEXT``, SI units.
+    """
+    return np.column_stack(
+        [
+            length / 30.0 - 1.0,
+            np.log(feed / 0.12),
+            (air * 3600.0 - 80.0) / 30.0,
+            (context[:, 0] - 0.175) / 0.04,
+            (context[:, 1] - 1.05e5) / 2e4,
+            (context[:, 2] - 1.0) / 0.06,
+            (1.0 / context[:, 3] - 0.65) / 0.2,
+        ]
+    )
+
+
+def expected_cost(
+    mean: FloatArray, deviation: FloatArray, feed: FloatArray, air: FloatArray, config: TaskConfig
+) -> FloatArray:
+    """Expected cost (n,) of a metre (progress left out): vibration, time and air, by the task's weights.
+
+    Args:
+        mean: (n,) of log10(radial rms / 0.1 mm), which is normal.
+        deviation: (n,) of the same.
+        feed: (n,) feed speed [m/s].
+        air: (n,) air supply [m3/s].
+        config: the task; its vibration measure must be one of ``PROFILED``, that of the map.
+    """
+    limit = rms_limit(config)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    logarithms = mean[:, None] + deviation[:, None] * nodes
+    squares = capped_square(config, 10.0**logarithms * 1e-4 / limit) @ (weights / weights.sum())
+    return metre_cost(config, squares, feed, air)
+
+
+def rms_limit(config: TaskConfig) -> float:
+    """The limit of the task as what a map tells of, a radial rms [m].
+
+    Raises:
+        ValueError: a vibration measure that maps do not tell of.
+    """
+    if config.vibration_measure not in PROFILED:
+        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: maps know {' and '.join(PROFILED)} only")
+    as_rms = config.sensor.equivalent_rms(np.array(config.limit))
+    return float(as_rms) if config.vibration_measure == "snr" else config.limit
+
+
+def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
+    """Raise ValueError where a map tells of something else than the task's vibration measure."""
+    if config.vibration_measure in PROFILED and vibration.measure != config.vibration_measure:
+        raise ValueError(
+            f"vibration_measure = {config.vibration_measure!r}, but the map is of {vibration.measure}: make one of"
+            " these tubes with `probe-env map --tube`"
+        )
+
+
+def load_for(path: Path, plant: str, scene: Scene) -> VibrationMap:
+    """The map in a plant's file, if it was made of the tubes and the probe that the plant has now.
+
+    Args:
+        path: of the map.
+        plant: name of the plant's file, for errors.
+        scene: of the plant.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: the map is damaged, or of another bore, length, probe or air.
+    """
+    known, remedy = VibrationMap.load(path), "make it anew with `probe-env map`"
+    for name in ("inner_diameter", "helix_length"):
+        before, now = getattr(known.scene.tube, name), getattr(scene.tube, name)
+        if before != now:
+            raise FileError(path, f"{name} = {before!r} m, and {plant} says {now!r} m: {remedy}")
+    for name in ("probe", "air"):
+        if getattr(known.scene, name) != getattr(scene, name):
+            raise FileError(path, f"made for another [{name}] than {plant} has now: {remedy}")
+    return known

@@ -1,0 +1,37 @@
+"""Registered environments, and the fidelity that each has by name, by default and as settings."""
+
+from typing import get_args, get_type_hints
+
+import gymnasium as gym
+
+import probe_env
+from agents.commands.feed import Render
+from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
+from probe_env.fidelity import BOTH_WAYS, PRESETS
+
+INSPECTION = "probe_env/Inspection-v0"
+
+
+def fidelities(env_id, **given):
+    """Of the single environment, of Gymnasium's batch and of SB3's."""
+    envs = gym.make(env_id, **given), gym.make_vec(env_id, num_envs=2, **given), ProbeVecEnv(env_id, 2, **given)
+    return [env.unwrapped.episodes.fidelity for env in envs]
+
+
+def test_every_environment_is_in_every_list_of_them():
+    ids = {key for key in gym.registry if key.startswith("probe_env/")}
+    assert ids == {f"probe_env/{name}" for name in ("Insertion-v1", "Snapshot-v1", "Design-v1", "Inspection-v0")}
+    assert set(ENVIRONMENTS) == set(get_args(EnvId)) == ids - {"probe_env/Design-v1"}
+    assert set(get_args(get_type_hints(Render)["env_id"])) == set(ENVIRONMENTS)
+    for env_id, kind in ENVIRONMENTS.items():
+        assert env_id.startswith(f"probe_env/{kind.__name__.removesuffix('Env')}-")
+
+
+def test_the_default_is_standard_names_are_presets_and_settings_count():
+    own = probe_env.Fidelity(time_step=1e-4)
+    for env_id in ("probe_env/Insertion-v1", "probe_env/Snapshot-v1"):
+        assert fidelities(env_id) == [PRESETS["standard"]] * 3
+        assert fidelities(env_id, fidelity=own) == [own] * 3
+    assert gym.make("probe_env/Design-v1").unwrapped.fidelity == PRESETS["standard"] == probe_env.Fidelity()
+    for name, preset in BOTH_WAYS.items():
+        assert fidelities(INSPECTION, fidelity=name) == [preset] * 3

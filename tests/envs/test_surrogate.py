@@ -1,0 +1,206 @@
+"""Fidelity "surrogate": the task's own numbers, equal alone and in company, and as loud as the map says."""
+
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from agents.rollouts.plan import Plan, run_plan
+from gymnasium.utils.env_checker import check_env
+
+from agents.learning.config import Training
+from agents.policies.catalogue import named_policies
+from agents.policies.places import place_at, place_of
+from agents.vec_env import ProbeVecEnv
+from probe_env import Context
+from probe_env.envs.surrogate import SurrogateEpisodes
+from probe_env.envs.surrogate.episodes import Noise, Scatter
+from probe_env.envs.surrogate.vibration_map import stored_map
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
+from probe_env.physics.closed_forms import sliding_tension
+
+CONFIG = TaskConfig().all_shown
+QUIET = Noise()
+TUBE = Context(friction=0.18, helix_diameter=1.4)
+
+
+def begun(count, config=CONFIG, **given):
+    episodes = SurrogateEpisodes(count, config, **given)
+    rngs = {k: np.random.default_rng(k) for k in range(count)}
+    episodes.reset(range(count), rngs, {k: {"context": TUBE} for k in range(count)})
+    return episodes
+
+
+def test_its_environment_is_that_of_a_simulated_insertion():
+    env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", contexts="train").unwrapped
+    check_env(env, skip_render_check=True)
+    simulated = gym.make("probe_env/Insertion-v1", contexts="train")
+    assert (env.observation_space, env.action_space) == (simulated.observation_space, simulated.action_space)
+    for one in (env, simulated):
+        one.reset(seed=3)
+    infos = [one.step(np.array([0.1, 0.3], dtype=np.float32))[4] for one in (env, simulated)]
+    assert set(infos[0]) <= set(infos[1])
+    assert infos[0]["reward_terms"].keys() == infos[1]["reward_terms"].keys()
+    assert infos[0]["reward_terms"]["progress"] == pytest.approx(infos[1]["reward_terms"]["progress"], abs=6e-4)
+    assert infos[0]["reward_terms"]["air"] == pytest.approx(infos[1]["reward_terms"]["air"], rel=1e-6)
+
+
+def test_batches_take_it_by_either_name_and_start_ended_episodes_again():
+    assert resolve_fidelity("map") == resolve_fidelity("surrogate") == PRESETS["surrogate"]
+    vector = gym.make_vec("probe_env/Insertion-v1", num_envs=2, fidelity="map")
+    assert isinstance(vector.unwrapped.episodes, SurrogateEpisodes)
+    batch = ProbeVecEnv("probe_env/Insertion-v1", 2, fidelity={"method": "surrogate"}, contexts="train")
+    batch.seed(3)
+    batch.reset()
+    rng, ended = np.random.default_rng(0), 0
+    for _ in range(700):
+        observation, reward, done, infos = batch.step(rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32))
+        assert np.isfinite(observation).all()
+        assert np.isfinite(reward).all()
+        for k in np.flatnonzero(done):
+            ended += 1
+            assert infos[k]["terminal_observation"].shape == observation[k].shape
+            assert infos[k]["episode_kpis"]["complete"] in (0.0, 1.0)
+    assert ended >= 2
+    assert batch.kernel_seconds == 0.0
+
+
+def test_probes_are_alike_alone_and_in_company():
+    many, actions = begun(3), np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3, 2))
+    alone = SurrogateEpisodes(1, CONFIG)
+    alone.reset([0], {0: np.random.default_rng(2)}, {0: {"context": TUBE}})
+    for action in actions:
+        together, single = many.step(action), alone.step(action[2:])
+        # a matrix product of three rows rounds otherwise than one of one, and nothing here makes more of that
+        np.testing.assert_allclose(together.observation[2], single.observation[0], rtol=1e-6)
+        assert together.reward[2] == pytest.approx(single.reward[0], rel=1e-9, abs=1e-12)
+    some = many.step(actions[0], np.array([True, False, True]))
+    assert some.infos[1] == {}
+    assert some.reward[1] == 0.0
+    assert many.time.tolist() == [41.0, 40.0, 41.0]
+
+
+def test_without_noise_it_is_the_map_and_the_closed_form():
+    episodes = begun(1, noise=QUIET)
+    action = CONFIG.actions(np.array([0.2]), np.array([0.02]))
+    for _ in range(60):
+        step = episodes.step(action)
+    info = step.infos[0]
+    assert info["feed_speed"] == pytest.approx(0.2)
+    tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
+    place = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
+    mean = stored_map().tells(*place, tubes, CONFIG.scene)[0][0]
+    assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
+    seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), place, strict=True))
+    pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
+    assert info["tension_mean_n"] == pytest.approx(pulled[0] * TUBE.drag_factor)
+
+
+def test_feed_follows_its_ramp_and_air_its_lag():
+    config = TaskConfig(ramp=0.1, air_lag=2.0)
+    episodes = begun(1, config, noise=QUIET)
+    air, length = episodes.air[0], episodes.length[0]
+    episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
+    assert episodes.feed[0] == pytest.approx(0.3)
+    assert episodes.length[0] - length == pytest.approx(0.25, abs=5e-4)
+    assert episodes.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
+    length = episodes.length[0]
+    episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
+    assert episodes.length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
+
+
+def test_scatter_is_stationary_and_correlated_as_it_says():
+    """20,000 steps of 100 series: Bartlett's scatter is 0.1 % of the deviation and 0.0003 of the correlation."""
+    rng, scatter, values = np.random.default_rng(0), Scatter(deviation=0.2, correlation=0.9), []
+    value = scatter.deviation * rng.normal(size=100)
+    for _ in range(20_000):
+        value = scatter.next(value, rng.normal(size=100))
+        values.append(value)
+    series = np.array(values)
+    assert series.std() == pytest.approx(0.2, rel=0.005)
+    assert np.mean(series[1:] * series[:-1]) / series.var() == pytest.approx(0.9, abs=0.002)
+
+
+def test_a_whole_insertion_earns_the_task_s_terms():
+    episodes, total, terms = begun(1, noise=QUIET), 0.0, 0.0
+    action = CONFIG.actions(np.array([0.4]), np.array([0.02])).astype(np.float32)
+    while episodes.running.any():
+        step = episodes.step(action)
+        total += float(step.reward[0])
+        terms += sum(step.infos[0]["reward_terms"].values())
+    kpis = step.infos[0]["episode_kpis"]
+    assert kpis["reward"] == pytest.approx(total) == pytest.approx(terms)
+    assert kpis["inspected_m"] == pytest.approx(55.0)
+    assert kpis["complete"] == kpis["inspected_share"] == 1.0
+    assert kpis["inspection_time_s"] == pytest.approx(55.0 / 0.4, abs=2.0)
+    assert 0.0 < kpis["share_within_limit"] < 1.0
+    with pytest.raises(RuntimeError, match="episode 0 has ended"):
+        episodes.step(action)
+
+
+REFUSED = [
+    ({"probes": "random"}, {}, "without probes = 'random'"),
+    ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
+    ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another one"),
+    ({"config": {"growing": False}}, {}, "without growing = False"),
+    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps know"),
+    ({"config": {"vibration_measure": "snr"}}, {}, "vibration_measure = 'snr', but the map is of displacement"),
+    ({"config": {"friction_drift": 0.1}}, {}, "without friction_drift"),
+    ({"config": {"sensor_dropout": 0.1}}, {}, "without sensor_dropout"),
+    ({"scene": {"tube": {"helix_length": 80.0}}}, {}, "helix_length = 80 m \\(the map ends at 60 m\\)"),
+    ({"surrogate_map": "configs/tubes/snr-map.npz"}, {}, "but the map is of snr"),
+]
+
+
+def test_what_the_map_does_not_predict_is_refused_by_name():
+    for settings, options, message in REFUSED:
+        given = dict(settings)
+        config = TaskConfig.model_validate(given.pop("config", {}))
+        with pytest.raises(ValueError, match=message):
+            SurrogateEpisodes(1, config, **given).reset([0], {0: np.random.default_rng(0)}, {0: options})
+
+
+def test_other_environments_pictures_and_looking_ahead_are_refused():
+    refused = {
+        "Snapshot-v1": "Insertion-v1\\), without growing = False",
+        "Inspection-v0": "Insertion-v1\\), without passes = 'both'",
+        "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 alone",
+    }
+    for name, message in refused.items():
+        with pytest.raises(ValueError, match=message):
+            gym.make(f"probe_env/{name}", fidelity="surrogate")
+    with pytest.raises(ValueError, match="simulates no motion to draw"):
+        gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
+    with pytest.raises(ValueError, match=r"time_step: method = 'surrogate' simulates no motion"):
+        Fidelity(method="surrogate", time_step=1e-4)
+    place = place_of(None, "test", 1)
+    planner = named_policies(("planner",), place.config.all_shown)
+    with pytest.raises(ValueError, match="no simulator for a policy to look ahead with"):
+        run_plan(Plan(planner, place.contexts, (0,), place.config.all_shown, PRESETS["surrogate"]), None)
+
+
+def test_a_plant_is_predicted_by_the_map_beside_its_file():
+    env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
+    episodes = env.unwrapped.episodes
+    own = place_at(Path("snr"), "test", 1).vibration
+    assert episodes.map == own != stored_map()
+    env.reset(seed=0)
+    info = env.step(env.action_space.sample())[4]
+    assert info["noise_rms_m"] == info["radial_rms_m"]  # the map is of the noise in a flaw's band
+
+
+def test_policies_keep_their_order():
+    place = place_of(None, "test", 6)
+    config = place.config.all_shown
+    policies = named_policies(("constant", "best-schedule", "privileged"), config)
+    table = run_plan(Plan(policies, place.contexts, (0,), config, PRESETS["surrogate"]), None)
+    means = table.groupby("policy")["reward"].mean()
+    assert means["constant"] < means["best-schedule"] - 50.0
+    assert means["best-schedule"] < means["privileged"]
+
+
+def test_agents_train_in_it_and_are_validated_by_simulation():
+    assert Training.model_validate({"environment": {"fidelity": "surrogate"}}).environment.fidelity == "surrogate"
+    with pytest.raises(ValueError, match="agents are chosen by simulation"):
+        Training.model_validate({"validation": {"fidelity": "map"}})
