@@ -73,11 +73,11 @@ class Plc:
 
     def run(self) -> None:
         """Find, or write, or print."""
+        from agents.plant.plc_export import print_law, write_law
         from agents.policies.maps.vibration_map import stored_map
         from agents.policies.places import place_at
         from agents.policies.plc.law import PlantData, read_constants
         from agents.policies.plc.trimmed import read_trim
-        from agents.policies.plc.writing import print_law, write_law
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory to trim with")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from agents.calibration.simulated.study import SETS, SHIFT, WORLDS
-from agents.calibration.unknowns import UNKNOWNS
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table
+from agents.plant.prior import UNKNOWNS
 from agents.recommendation import plants as plants_study
 from agents.records.models import Figures, Record
 from agents.records.reading import read_csv, read_json

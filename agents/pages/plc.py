@@ -10,13 +10,12 @@ from agents.evaluation.report import kpi_cells
 from agents.pages import control
 from agents.pages.headroom import BAR, BLURRED, SHARE, lead_of, with_planner
 from agents.pages.sources import RESULTS, command, markdown, source, stored_table, ways_to_fail
+from agents.plant.plc_export import DESCRIPTIONS, HEADER, structured_text
 from agents.policies.places import place_of
 from agents.policies.plc import trim_search
-from agents.policies.plc.export import structured_text
-from agents.policies.plc.law import STORED, PlantData, read_constants
+from agents.policies.plc.law import STORED, Constants, PlantData, read_constants
 from agents.policies.plc.trimmed import STORED as TRIM
 from agents.policies.plc.trimmed import read_trim
-from agents.policies.plc.writing import HEADER, rows_of
 from agents.records.columns import shown_of
 from agents.records.models import Figures
 from agents.records.reading import read_json
@@ -45,7 +44,7 @@ def plc_constants() -> str:
         f", then {rewards['simulated']:.1f} in simulation on {tubes['simulated']}" if "simulated" in rewards else ""
     )
     return (
-        f"{markdown(HEADER, rows_of(read_constants()))}\n\n"
+        f"{markdown(HEADER, _rows(read_constants()))}\n\n"
         f"Found by CMA-ES on training tubes only: mean reward {rewards['map']:.1f} by the map on {tubes['map']}"
         f"{simulated}. Made by `{command(record)}` at commit {record['commit']}; every trial is in"
         " `agents/policies/data/plc-law-trials.csv`."
@@ -124,3 +123,8 @@ def trim() -> str:
 def plc_text() -> str:
     """Its structured text for table 2's plant."""
     return f"```text\n{structured_text(read_constants(), PlantData.of(place_of(None, 'test').config))}```"
+
+
+def _rows(constants: Constants) -> list[tuple[str, ...]]:
+    """A row a constant."""
+    return [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in constants.model_dump().items()]

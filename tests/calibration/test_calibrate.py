@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from agents.calibration.sources import recorded_of
 from agents.cli import main
+from agents.plant.calibration import recorded_of
 from probe_env import Plant
 
 KEYS = ("friction", "contact_stiffness", "drag_coefficient", "damping_time")

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agents.calibration.gauge import LIMIT, _Objective, gain_of
-from agents.calibration.inference import Case, Likelihood
-from agents.calibration.metres import CHANNELS, Metres
-from agents.calibration.response import Response, stored_response
-from agents.calibration.unknowns import Prior, prior_of
+from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, gain_of
+from agents.plant.prior import Prior, prior_of
+from agents.plant.response import CHANNELS, Metres, Response, stored_response
 from probe_env import Plant, Scene
 from probe_env.arrays import FloatArray
 
@@ -45,9 +43,9 @@ def likelihood_of(response: Response, gain: float, channels: tuple[str, ...] = C
 def test_the_best_gain_is_exact(response: Response, prior: Prior) -> None:
     """It is as likely as no gain of the same log with its tension divided by it, and likelier than any other."""
     normal = np.array([[0.3, -0.5, 0.2, 0.1]])
-    log, best = _Objective(likelihood_of(response, 1.3), 0, prior, True).logarithm(normal)
+    log, best = GainLikelihood(likelihood_of(response, 1.3), 0, prior, True).logarithm(normal)
     by_hand = {
-        k: _Objective(likelihood_of(response, 1.3 / np.exp(best[0] + k)), 0, prior, False).logarithm(normal)[0][0]
+        k: GainLikelihood(likelihood_of(response, 1.3 / np.exp(best[0] + k)), 0, prior, False).logarithm(normal)[0][0]
         for k in (-0.02, 0.0, 0.02)
     }
     assert log[0] == pytest.approx(by_hand[0.0], rel=1e-9)

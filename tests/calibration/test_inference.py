@@ -8,11 +8,10 @@ from conftest import Seeds
 from oracles.scatter import CHANCE, of_another
 from scipy.stats import chi2, norm
 
-from agents.calibration import inference
-from agents.calibration.inference import Case, Likelihood, sampled
-from agents.calibration.metres import CHANNELS, Metres
-from agents.calibration.response import Response, observed, stored_response
-from agents.calibration.unknowns import Prior, prior_of
+from agents.plant import inference
+from agents.plant.inference import Case, Likelihood, sampled
+from agents.plant.prior import Prior, prior_of
+from agents.plant.response import CHANNELS, Metres, Response, observed, stored_response
 from probe_env import Plant, Scene
 from probe_env.arrays import FloatArray
 
@@ -125,7 +124,7 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(response:
 def test_too_short_or_silent_a_log_is_refused(response: Response) -> None:
     """Before anything is sampled, by its name."""
     case = drawn_log(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1))
-    few = case._replace(metres=case.metres.where(np.arange(len(LENGTH)) < 5))
+    few = drawn_log(response, np.array([0.2, 1e5, 0.44, 6e-5]), np.random.default_rng(1), length=LENGTH[:5])
     with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8"):
         sampled(response, [few], prior_of(Plant()))
     m = case.metres

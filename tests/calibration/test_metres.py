@@ -7,8 +7,8 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from agents.calibration.metres import metres_of
-from agents.logs.log import Log
+from agents.plant.logs import Log
+from agents.plant.response import metres_of
 
 
 def log_of(feed: list[float], tension: list[float], noise: list[float]) -> Log:

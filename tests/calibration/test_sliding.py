@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agents.calibration.inference import Case
-from agents.calibration.metres import Metres
-from agents.calibration.sliding import by_sliding
-from agents.calibration.unknowns import prior_of
+from agents.plant.inference import Case, by_sliding
+from agents.plant.prior import prior_of
+from agents.plant.response import Metres
 from probe_env import Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms import friction_from_tension, sliding_tension, steady_root_tension

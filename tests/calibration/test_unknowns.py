@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.calibration.unknowns import DAMPING, DRAG, FRICTION, STIFFNESS, UNKNOWNS, prior_of
+from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, UNKNOWNS, prior_of
 from probe_env import Plant
 
 NAMES = list(UNKNOWNS)

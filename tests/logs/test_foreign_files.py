@@ -9,8 +9,8 @@ from datetime import datetime, time, timedelta
 import numpy as np
 import pytest
 
-from agents.logs.cleaning import Bounds
-from agents.logs.log import read_log
+from agents.plant.cleaning import Bounds
+from agents.plant.logs import read_log
 from probe_env.files import FileError
 
 HEAD = "time [s];length [m];feed [m/s];air [m3/h]"
@@ -348,7 +348,7 @@ def test_what_is_no_file(tmp_path, monkeypatch):
         read_log(tmp_path / "pipe")
     with pytest.raises(FileNotFoundError):
         read_log(tmp_path / "nowhere.csv")
-    monkeypatch.setattr("agents.logs.log.MOST_BYTES", 100)
+    monkeypatch.setattr("agents.plant.tables.MOST_BYTES", 100)
     (tmp_path / "large.csv").write_bytes(bytes(101))
     with pytest.raises(FileError, match="101 bytes are more than the 100"):
         read_log(tmp_path / "large.csv")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from agents.cli import main
-from agents.logs.log import read_log
+from agents.plant.logs import read_log
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env.schedule import Schedule
 

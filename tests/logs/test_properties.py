@@ -8,11 +8,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agents.logs.cleaning import Bounds
-from agents.logs.log import read_log
-from agents.logs.quantities import QUANTITIES, known_as, split_head
-from agents.logs.thinning import held, kept_rows, outside
-from agents.logs.units import factor
+from agents.plant.cleaning import Bounds, held, kept_rows, outside
+from agents.plant.logs import read_log
+from agents.plant.quantities import QUANTITIES, known_as, si_factor, split_head
 from probe_env.schedule import Schedule
 
 QUIET = settings(max_examples=25, deadline=None, database=None, derandomize=True)
@@ -123,7 +121,7 @@ def test_rows_are_kept_where_lines_leave_the_band(insertion, tolerance):
 ]))  # fmt: skip
 def test_units_convert(value, unit):
     name, text, expected = unit
-    assert value * factor(text, QUANTITIES[name]) == pytest.approx(value * expected, rel=1e-12)
+    assert value * si_factor(text, QUANTITIES[name]) == pytest.approx(value * expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +129,7 @@ def test_units_convert(value, unit):
 )
 def test_other_units_are_refused(text):
     with pytest.raises(ValueError, match="unit"):
-        factor(text, QUANTITIES["feed_speed"])
+        si_factor(text, QUANTITIES["feed_speed"])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import get_args
 import pandas as pd
 import pytest
 
-from agents.calibration.unknowns import UNKNOWNS
+from agents.plant.prior import UNKNOWNS
 from agents.policies.plc.law import Constants
 from probe_env import Context, Design, Fidelity, Plant, Scene, Simulator
 from probe_env.settings import Model

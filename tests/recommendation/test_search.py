@@ -7,10 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from agents.calibration.response import stored_response
+from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_reward, recommended
+from agents.plant.response import stored_response
 from agents.policies.catalogue import DATA
-from agents.recommendation.expectation import beyond
-from agents.recommendation.search import MARGIN, _cheapest, expected_reward, recommended
 from probe_env import Context, Plant
 from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
 from probe_env.scene import Probe
@@ -34,7 +33,7 @@ def test_the_cheapest_path_is_that_of_all_paths() -> None:
         sum(staged[k, p] for k, p in enumerate(path)) + sum(change[a, b] for a, b in itertools.pairwise(path))
         for path in paths
     ]
-    assert _cheapest(staged, change) == list(paths[int(np.argmin(costs))])
+    assert cheapest_path(staged, change) == list(paths[int(np.argmin(costs))])
 
 
 def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:

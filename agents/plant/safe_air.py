@@ -1,6 +1,7 @@
-"""Air that leaves a margin in every tube: enough to pull the probe in, not so much that it buckles on the way back.
+"""Range of the air supply that is safe in every tube of a round trip, by the closed forms of steady sliding.
 
-By the closed forms of steady sliding, which know neither vibration nor a change of feed or air: hence the margin.
+Enough air pulls the probe in; too much buckles the cable on withdrawal. The closed forms know neither vibration nor
+changes of feed and air, hence the margin.
 """
 
 from __future__ import annotations
@@ -13,26 +14,25 @@ from typing import Final
 
 import numpy as np
 
-from agents.calibration.metres import Metres
+from agents.plant.recommendation import MARGIN, tensions
+from agents.plant.response import Metres
 from agents.policies.maps.lookup import FIRST
-from agents.recommendation.expectation import tensions
-from agents.recommendation.search import MARGIN
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, drive_counts
 from probe_env.physics.closed_forms import buckling_load, steady_root_tension
 
 PLACES: Final = 23
-"""Lengths at which the root tension of the way in is looked at."""
+"""Number of lengths at which the root tension of the insertion is computed."""
 
 
 def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
-    """The least air for the way in and the most for the way back [m3/h]: whole ones, or the device's own steps.
+    """The least air for insertion and the most for withdrawal [m3/h]: whole ones, or the device's own steps.
 
     Args:
         config: the task: range of the air, required tension, probe and bore.
         tubes: all of them.
-        feeds: slowest and fastest feed [m/s]; the fastest is pulled least, the slowest pressed most.
+        feeds: slowest and fastest feed [m/s]; the fastest is pulled least, the slowest compressed most.
 
     Raises:
         ValueError: no air of the range is safe.
@@ -60,7 +60,7 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
 
 
 def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
-    """(a,) least root tension of the way in [N] over the tubes and the lengths at which the drive counts, by air."""
+    """(a,) smallest root tension of the insertion [N] over tubes and lengths at which the drive counts, by air."""
     lengths = np.linspace(FIRST, config.scene.tube.helix_length, PLACES)
     lengths = lengths[drive_counts(config, lengths)]
     air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
@@ -69,12 +69,14 @@ def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed:
 
 
 def pressed(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
-    """Root pressure of the way back in a tube [N], with all of the cable in; it grows with the air [m3/h]."""
+    """Root compression on withdrawal [N] with all of the cable inserted; it grows with the air [m3/h]."""
     scene = config.scene
     drawn = {
-        "tube": {"helix_diameter": tube.helix_diameter}, "contact": {"friction": tube.friction},
+        "tube": {"helix_diameter": tube.helix_diameter},
+        "contact": {"friction": tube.friction},
         "air": {"drag_coefficient": scene.air.drag_coefficient * tube.drag_factor},
         "carrier_length": scene.tube.helix_length - scene.probe.guide_length,
-        "feed_speed": -feed, "air_supply_rate": -air / 3600.0,
-    }  # fmt: skip
+        "feed_speed": -feed,
+        "air_supply_rate": -air / 3600.0,
+    }
     return -steady_root_tension(scene.model_copy(update=drawn))

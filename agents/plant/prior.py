@@ -1,4 +1,4 @@
-"""What a log is asked for, and what is held possible before it is looked at."""
+"""Unknown parameters of a plant, and what is possible for them before a log is read."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from probe_env.files import FileError
 FRICTION: Final = (0.05, 0.35)
 STIFFNESS: Final = (5e4, 1.9e5)  # [N/m]
 DAMPING: Final = (4.5e-5, 1.2e-4)
-"""[s]; with less the scheme of ``fast`` and ``standard`` diverged at 2e-4 s in some tubes of the bank."""
+"""[s]; with less the scheme of ``fast`` and ``standard`` diverged at 2e-4 s in some training tubes."""
 DRAG: Final = (0.85, 1.15)
-"""Of the drag coefficient that the file or table 2 names, where it is not told how well it is known."""
+"""Range of the drag coefficient, relative to the plant's or table 2's value, where none is given."""
 
 
 class Unknown(NamedTuple):
-    """A quantity that is looked for.
+    """An unknown parameter.
 
     Attributes:
         table, field: of the plant's file.
         unit: SI.
-        low, high: range that the response was learnt in.
-        text: for people.
+        low, high: range in which the response was trained.
+        text: its name in tables.
     """
 
     table: str
@@ -46,19 +46,19 @@ UNKNOWNS: Final = {
     "drag_coefficient": Unknown("air", "drag_coefficient", "", 0.1, 2.0, "drag coefficient"),
     "damping_time": Unknown("probe", "damping_time", "s", *DAMPING, "damping time"),
 }
-"""In the order in which they stand in arrays."""
+"""In the order of their columns in arrays."""
 Quantile = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is held possible of each unknown: its quantile function, or a number where it is known.
+    """Prior distribution of the unknowns.
 
     Attributes:
-        known: name -> value of what is not looked for.
-        quantile: name -> quantile function of what is.
-        ranges: name -> least and greatest value that is held possible.
-        assumed: what was assumed, in words.
+        known: name -> value of those that are fixed.
+        quantile: name -> quantile function of the others.
+        ranges: name -> smallest and largest possible value.
+        assumed: ranges that were assumed, as texts.
     """
 
     known: dict[str, float]
@@ -68,13 +68,13 @@ class Prior:
 
     @property
     def shared(self) -> tuple[str, ...]:
-        """What all tubes have alike and is looked for: everything but the friction."""
+        """Unknowns that all tubes have in common: all but the friction."""
         return tuple(name for name in self.quantile if name != "friction")
 
     def values(self, normal: FloatArray, tubes: int) -> FloatArray:
         """(tubes, n, 4) values in the order of ``UNKNOWNS`` at standard normal coordinates (n, tubes + shared).
 
-        The frictions of the tubes come first, so that the prior in these coordinates is standard normal.
+        The frictions of the tubes come first. The prior in these coordinates is standard normal.
         """
         shares = np.clip(ndtr(normal), 1e-9, 1.0 - 1e-9)
         table = np.empty((tubes, len(normal), len(UNKNOWNS)))
@@ -89,13 +89,13 @@ class Prior:
 
 
 def prior_of(plant: Plant, file: str = "tube") -> Prior:
-    """What a plant's file leaves open: ranges and normals as they stand there, a number is known.
+    """The prior of a plant: ranges and normals as in its file; a number is known.
 
-    Friction is always looked for: where the file has a number or nothing, all that the response was learnt for is
-    possible, and so it is of the stiffness and the damping where the file says nothing. Drag is then within 15 %.
+    The friction is never fixed. Friction, stiffness and damping that are not given have the ranges in which the
+    response was trained, and so has a friction that is given as a number; drag that is not given is within ``DRAG``.
 
     Raises:
-        FileError: a figure that lies beyond what the response was learnt for; names field, value and range.
+        FileError: a value outside the range in which the response was trained; names field, value and range.
     """
     known: dict[str, float] = {}
     quantile: dict[str, Quantile] = {}
@@ -104,35 +104,30 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
     for name, unknown in UNKNOWNS.items():
         table = getattr(plant, unknown.table)
         figure: Figure = getattr(table, unknown.field)
-        said = unknown.field in table.model_fields_set
         low, high = unknown.low, unknown.high
-        if isinstance(figure, Between | Normal):
-            ranges[name] = _within(figure, unknown, file)
-            quantile[name] = _quantile(figure, *ranges[name])
-            continue
-        if said and name != "friction":
+        if isinstance(figure, Between):
+            low, high = (_checked(value, unknown, file) for value in (figure.low, figure.high))
+            quantile[name] = _quantile(figure, low, high)
+        elif isinstance(figure, Normal):
+            _checked(figure.mean, unknown, file)
+            quantile[name] = _quantile(figure, low, high)  # clipped there
+        elif name != "friction" and unknown.field in table.model_fields_set:
             known[name] = _checked(figure, unknown, file)
             continue
-        if name == "drag_coefficient":
-            low, high = (share * figure for share in DRAG)
+        else:
+            if name == "drag_coefficient":
+                low, high = (share * figure for share in DRAG)
+            quantile[name] = _quantile(Between(low=low, high=high) if name == "friction" else None, low, high)
+            assumed.append(f"{unknown.text} {low:g} to {high:g} {unknown.unit}".strip())
         ranges[name] = (low, high)
-        quantile[name] = _quantile(Between(low=low, high=high), low, high, geometric=low > 0.0 and name != "friction")
-        assumed.append(f"{unknown.text} {low:g} to {high:g}{' ' if unknown.unit else ''}{unknown.unit}")
     return Prior(known, quantile, ranges, tuple(assumed))
 
 
-def _quantile(figure: Figure, low: float, high: float, geometric: bool = False) -> Quantile:
-    if geometric:
+def _quantile(figure: Between | Normal | None, low: float, high: float) -> Quantile:
+    """Quantile function of a figure; None: log-uniform."""
+    if figure is None:
         return lambda shares: np.asarray(low * (high / low) ** shares)
     return lambda shares: quantiles(figure, shares, low, high)
-
-
-def _within(figure: Between | Normal, unknown: Unknown, file: str) -> tuple[float, float]:
-    """Least and greatest value of a figure, which must be among those that the response was learnt for."""
-    if isinstance(figure, Normal):
-        _checked(figure.mean, unknown, file)
-        return unknown.low, unknown.high  # cut off there
-    return _checked(figure.low, unknown, file), _checked(figure.high, unknown, file)
 
 
 def _checked(value: float, unknown: Unknown, file: str) -> float:
