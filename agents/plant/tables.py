@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from agents.plant.quantities import NAMES, ColumnOption, known_as, looks_like_unit
 from probe_env.files import MEBI, FileError, read_bytes
@@ -33,9 +34,10 @@ HEADS_SHOWN: Final = 12
 
 SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spaces"}
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-_COMMENT: Final = re.compile(r"\s*[#%!]|[\s|:+=-]*$")
+_COMMENT: Final = r"^\s*[#%!]|^[\s|:+=-]*$"
 """Comments, empty lines, rules between head and rows."""
-_SPACED_TIME: Final = re.compile(r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)")
+_SPACED_TIME: Final = r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)"
+_END_PIPES: Final = r"^\s*\||\|\s*$"
 _NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
 
 ZIP: Final = b"PK\x03\x04"
@@ -154,11 +156,12 @@ def _text_table(path: Path, text: str, options: Sequence[ColumnOption]) -> Table
     steps = any(
         line.startswith(CSV_COMMENT) and line.partition(":")[2].strip() == "steps" for line in lines[: head - 1]
     )
-    numbers = [k for k, line in enumerate(lines[head:], start=head + 1) if not _COMMENT.match(line)]
-    units, numbers = _units(_split(lines[numbers[0] - 1], separator) if numbers else [], heads, numbers)
+    body = pa.array(lines[head:], pa.large_string())
+    numbers = np.flatnonzero(~np.asarray(pc.match_substring_regex(body, _COMMENT))) + head + 1
+    units, numbers = _units(_split(lines[numbers[0] - 1], separator) if len(numbers) else [], heads, numbers)
     _check_rows(path, f"line {head}", numbers)
-    columns = _text_columns(path, lines, numbers, separator, len(heads))
-    return Table(path, tuple(heads), units, columns, np.array(numbers), separator=separator, steps=steps)
+    columns = _text_columns(path, body.take(pa.array(numbers - head - 1)), numbers, separator, len(heads))
+    return Table(path, tuple(heads), units, columns, numbers, separator=separator, steps=steps)
 
 
 def _find_head(
@@ -191,7 +194,7 @@ def heads_shown(heads: Sequence[str]) -> str:
     return ", ".join(repr(head[:60]) for head in heads[:HEADS_SHOWN]) + (" ..." if len(heads) > HEADS_SHOWN else "")
 
 
-def _units(row: Sequence[str], heads: Sequence[str], rest: list[Any]) -> tuple[tuple[str, ...], list[Any]]:
+def _units(row: Sequence[str], heads: Sequence[str], rest: Any) -> tuple[tuple[str, ...], Any]:
     """Units of the columns if the row below the heads has them, and the rows that remain."""
     filled = [cell.strip() for cell in row if cell.strip()]
     none = ("",) * len(heads)
@@ -202,7 +205,7 @@ def _units(row: Sequence[str], heads: Sequence[str], rest: list[Any]) -> tuple[t
 
 
 def _check_rows(path: Path, head: str, rows: Sequence[Any]) -> None:
-    if not rows:
+    if not len(rows):
         raise FileError(path, f"{head}: a head, but no rows below it: at least two are needed")
 
 
@@ -210,18 +213,12 @@ def _uncommented(line: str) -> str:
     return re.sub(r"^\s*[#%!]", "", line)
 
 
-def _bare(line: str, separator: str) -> str:
-    """A line without pipes at its ends, or with one tab in place of any spaces."""
-    if separator == "|":
-        return re.sub(r"^\s*\||\|\s*$", "", line)
-    return "\t".join(_SPACED_TIME.sub(r"\1T\2", line).split()) if separator == " " else line
-
-
 def _split(line: str, separator: str) -> list[str]:
     """Cells of a head or a row of units."""
     if separator == " ":
-        return re.split(r"\s+(?![\[(])", _SPACED_TIME.sub(r"\1T\2", line).strip())  # a unit belongs to its word
-    line = _bare(line, separator)
+        return re.split(r"\s+(?![\[(])", re.sub(_SPACED_TIME, r"\1T\2", line).strip())  # a unit belongs to its word
+    if separator == "|":
+        line = re.sub(_END_PIPES, "", line)
     cells = line.split(separator)
     if '"' in line:
         with suppress(csv.Error):
@@ -229,35 +226,48 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _text_columns(path: Path, lines: list[str], numbers: list[int], separator: str, count: int) -> tuple[Any, ...]:
+def _text_columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: int) -> tuple[Any, ...]:
     """Texts (rows,) of every column."""
-    quoted = any('"' in lines[number - 1] for number in numbers)
-    bare = (lines[number - 1] if quoted else _bare(lines[number - 1], separator) for number in numbers)
-    delimiter = "\t" if separator == " " and not quoted else separator
-    reader = csv.reader(bare, delimiter=delimiter, strict=True, skipinitialspace=quoted)
+    if pc.any(pc.match_substring(lines, '"')).as_py():
+        rows = _quoted_rows(path, lines.to_pylist(), numbers, separator, count)
+        cells = pa.array(rows, pa.list_(pa.large_string()))
+    elif separator == " ":
+        joined = pc.replace_substring_regex(lines, _SPACED_TIME, r"\1T\2")
+        cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(joined))
+    else:
+        if separator == "|":
+            lines = pc.replace_substring_regex(lines, _END_PIPES, "")
+        end = re.escape(separator) + r"[ ]*$"
+        closed = np.asarray(pc.count_substring(lines, separator)) == count  # a separator behind the last cell
+        if (closed & np.asarray(pc.match_substring_regex(lines, end))).any():
+            lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
+        cells = pc.split_pattern(lines, separator)
+    lengths = np.asarray(pc.list_value_length(cells))
+    wrong = np.flatnonzero(lengths != count)
+    if len(wrong):
+        k = int(wrong[0])
+        hint = "correct that line or delete it"
+        if k == len(lengths) - 1 and lengths[k] < count:
+            hint = "the file ends within it: delete that line"
+        elif separator == "," and len(wrong) == len(lengths) and lengths[k] > count:
+            hint = "decimal commas and separating commas cannot be told apart: export it with semicolons"
+        values = f"{lengths[k]} values for {count} columns, separated by {SEPARATORS[separator]}"
+        raise FileError(path, f"line {numbers[k]}: {values} - {hint}")
+    flat = pc.list_flatten(cells)
+    return tuple(flat.take(pa.array(np.arange(k, len(flat), count))) for k in range(count))
+
+
+def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str, count: int) -> list[list[str]]:
+    reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
     rows: list[list[str]] = []
-    wrong = []
     try:
         for row in reader:
-            if len(row) == count + 1 and not row[-1].strip():
-                row.pop()
-            if len(row) != count:
-                wrong.append((len(rows), len(row)))
-            rows.append(row)
+            rows.append(row[:-1] if len(row) == count + 1 and not row[-1].strip() else row)
             if reader.line_num != len(rows):
                 raise FileError(path, f"line {numbers[len(rows) - 1]}: a quote that this line does not close")
     except csv.Error as error:
         raise FileError(path, f"line {numbers[len(rows)]}: not CSV: {error}") from error
-    if wrong:
-        k, length = wrong[0]
-        hint = "correct that line or delete it"
-        if k == len(rows) - 1 and length < count:
-            hint = "the file ends within it: delete that line"
-        elif separator == "," and len(wrong) == len(rows) and length > count:
-            hint = "decimal commas and separating commas cannot be told apart: export it with semicolons"
-        values = f"{length} values for {count} columns, separated by {SEPARATORS[separator]}"
-        raise FileError(path, f"line {numbers[k]}: {values} - {hint}")
-    return tuple(pa.array(cells, pa.large_string()) for cells in zip(*rows, strict=True))
+    return rows
 
 
 def _sheet_rows(path: Path, content: bytes, sheet: str | None) -> list[tuple[int, list[str]]]:

@@ -1,21 +1,29 @@
 """What holds for every log: it feeds the same after thinning, a clean file stays as it is, units convert."""
 
 import itertools
+import sys
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from agents.cli import main
 from agents.plant.cleaning import Bounds, held, kept_rows, outside
 from agents.plant.logs import read_log
 from agents.plant.quantities import QUANTITIES, known_as, si_factor, split_head
+from agents.policies.catalogue import make_policy
+from agents.records.shipped import file_or_shipped, shipped_names
+from probe_env import TaskConfig
 from probe_env.schedule import Schedule
 
 QUIET = settings(max_examples=25, deadline=None, database=None, derandomize=True)
 TOLERANCE = 1e-3
 """[m], the usual one."""
+RIG = "Zeit [s];Weg [m];v;Luft [m3/h]\n0;5,0;200;63\n1;5,2;200;63\n2;5,4;200;63\n"
 
 
 @st.composite
@@ -109,42 +117,43 @@ def test_rows_are_kept_where_lines_leave_the_band(insertion, tolerance):
     assert set(ends) <= set(rows)
 
 
-@QUIET  # the first example loads pint
-@given(st.floats(1e-3, 1e3), st.sampled_from([
-    ("feed_speed", "mm/s", 1e-3), ("feed_speed", "ft/min", 0.3048 / 60.0), ("feed_speed", "m/min", 1.0 / 60.0),
-    ("feed_speed", "m s^-1", 1.0), ("air_supply", "Nm³/h", 1.0 / 3600.0), ("air_supply", "l/min", 1e-3 / 60.0),
-    ("air_supply", "Nl/min", 1e-3 / 60.0), ("air_supply", "m^3/s", 1.0), ("air_supply", "ft3/min", 0.3048**3 / 60.0),
-    ("root_tension", "kN", 1e3), ("root_tension", "lbf", 4.4482216152605), ("root_tension", "daN", 10.0),
-    ("radial_acceleration_rms", "g", 9.80665), ("radial_acceleration_rms", "mg", 9.80665e-3),
-    ("axial_acceleration_rms", "m/s² rms", 1.0), ("rf_noise_rms", "µm", 1e-6), ("rf_noise_rms", "μm", 1e-6),
-    ("inserted_length", "mm", 1e-3), ("inserted_length", "ft", 0.3048), ("time", "ms", 1e-3), ("time", "Std.", 3600.0),
-]))  # fmt: skip
-def test_units_convert(value, unit):
-    name, text, expected = unit
-    assert value * si_factor(text, QUANTITIES[name]) == pytest.approx(value * expected, rel=1e-12)
+def test_units_convert():
+    expected = {
+        "feed_speed": {"mm/s": 1e-3, "ft/min": 0.3048 / 60.0, "m/min": 1.0 / 60.0, "m s^-1": 1.0},
+        "air_supply": {
+            "Nm³/h": 1 / 3600.0, "l/min": 1e-3 / 60.0, "Nl/min": 1e-3 / 60.0, "m^3/s": 1.0, "ft3/min": 0.3048**3 / 60.0
+        },
+        "root_tension": {"kN": 1e3, "lbf": 4.4482216152605, "daN": 10.0},
+        "radial_acceleration_rms": {"g": 9.80665, "mg": 9.80665e-3, "m/s² rms": 1.0},
+        "rf_noise_rms": {"µm": 1e-6, "μm": 1e-6},
+        "inserted_length": {"mm": 1e-3, "ft": 0.3048},
+        "time": {"ms": 1e-3, "Std.": 3600.0, "sek": 1.0},
+    }  # fmt: skip
+    found = {name: {unit: si_factor(unit, QUANTITIES[name]) for unit in units} for name, units in expected.items()}
+    for name, units in expected.items():
+        assert found[name] == pytest.approx(units, rel=1e-12)
+    other = ["g", "kg", "V", "%", "°C", "bar", "m/s/s/s", "1", "-", "9**9**9**9", "m" * 1000, "__import__('os')"]
+    for unit in other:
+        with pytest.raises(ValueError, match="unit"):
+            si_factor(unit, QUANTITIES["feed_speed"])
 
 
-@pytest.mark.parametrize(
-    "text", ["g", "kg", "V", "%", "°C", "bar", "m/s/s/s", "1", "-", "9**9**9**9", "m" * 1000, "__import__('os')"]
-)
-def test_other_units_are_refused(text):
-    with pytest.raises(ValueError, match="unit"):
-        si_factor(text, QUANTITIES["feed_speed"])
-
-
-@pytest.mark.parametrize(
-    ("head", "quantity", "unit"),
-    [
-        *((q.column, q.name, q.unit) for q in QUANTITIES.values() if "s2" not in q.column),
-        ("Einschubgeschwindigkeit [m/min]", "feed_speed", "m/min"), ("FEED SPEED (mm/s)", "feed_speed", "mm/s"),
-        ("Luft-Volumenstrom", None, ""), ("Weg in mm", "inserted_length", "mm"), ("Zeitstempel", "time", ""),
-        ("Radialbeschleunigung RMS [g]", "radial_acceleration_rms", "g"), ("root_tension_kN", "root_tension", "kN"),
-        ("feed_set", None, ""), ("[m]", None, ""), ("", None, ""), ("Geschwindigkeit Soll [m/s]", None, "m/s"),
-        ("axial_acceleration_rms_m_per_s2", "axial_acceleration_rms", "m/s2"),
-    ],
-)  # fmt: skip
-def test_heads(head, quantity, unit):
-    assert (known_as(head), split_head(head)[1]) == (quantity, unit)
+def test_heads():
+    expected = {q.column: (q.name, q.unit) for q in QUANTITIES.values() if "s2" not in q.column} | {
+        "Einschubgeschwindigkeit [m/min]": ("feed_speed", "m/min"),
+        "FEED SPEED (mm/s)": ("feed_speed", "mm/s"),
+        "Luft-Volumenstrom": (None, ""),
+        "Weg in mm": ("inserted_length", "mm"),
+        "Zeitstempel": ("time", ""),
+        "Radialbeschleunigung RMS [g]": ("radial_acceleration_rms", "g"),
+        "root_tension_kN": ("root_tension", "kN"),
+        "axial_acceleration_rms_m_per_s2": ("axial_acceleration_rms", "m/s2"),
+        "feed_set": (None, ""),
+        "[m]": (None, ""),
+        "": (None, ""),
+        "Geschwindigkeit Soll [m/s]": (None, "m/s"),
+    }
+    assert {head: (known_as(head), split_head(head)[1]) for head in expected} == expected
 
 
 def test_what_went_wrong_is_mended_and_counted(tmp_path):
@@ -195,8 +204,8 @@ def test_channels_are_averaged_over_their_interval(tmp_path):
         assert log.measured["rf_noise_rms"][k] == pytest.approx(np.sqrt(np.mean(noise[a:b] ** 2)), rel=1e-4)
 
 
-def test_a_million_rows(tmp_path):
-    count = 1_000_000
+def test_many_rows(tmp_path):
+    count = 200_000
     time = np.arange(count) * 0.01
     length = 5.0 + np.cumsum(np.where(time % 500.0 < 30.0, 0.0, 0.006)) * 0.01
     block = "".join(f"{t:.2f},{x:.4f},63.0\n" for t, x in zip(time, length, strict=True))
@@ -206,5 +215,85 @@ def test_a_million_rows(tmp_path):
     assert log.mended.rows == count
     assert len(log.time) < 1.2 * time[-1]  # about a row a second is left
     assert np.abs(np.interp(time, log.time, log.inserted_length) - length).max() <= TOLERANCE + 5e-5
-    assert len(log.dwells) == 20
-    assert sum(dwell.duration for dwell in log.dwells) == pytest.approx(600.0, abs=20 * 0.5)
+    assert len(log.dwells) == 4
+    assert sum(dwell.duration for dwell in log.dwells) == pytest.approx(120.0, abs=4 * 0.5)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def refused(capsys, *arguments):
+    """The one line of a command that is refused, and writes nothing."""
+    before = sorted(Path().rglob("*"))
+    assert main(["log", *map(str, arguments)]) == 2
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
+    assert printed.err.strip().isprintable()
+    assert sorted(Path().rglob("*")) == before
+    return printed.err
+
+
+def test_the_shipped_log_is_shown_and_made_a_schedule(here, capsys):
+    file = file_or_shipped("logs", "example-rig")
+    assert shipped_names("logs") == ("example-rig",)
+    assert main(["log", "example-rig", "--plot", "plots/rig.png"]) == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 80
+    unwrapped = " ".join(printed.split())
+    for text in (
+        "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "leaves the task's range of 0.02 to 0.4 m/s",
+        "written: output/example-rig-clean.csv, plots/rig.png",
+    ):  # fmt: skip
+        assert text in unwrapped
+    assert Path("plots/rig.png").read_bytes().startswith(b"\x89PNG")
+    log, schedule = read_log(file), Schedule.read("output/example-rig-clean.csv")
+    (dwell,) = log.dwells
+    assert dwell.inserted_length == pytest.approx(30.1, abs=0.1)  # where the operator stopped at 30 m, and the ramp
+    assert dwell.duration == pytest.approx(20.0, abs=2.1)  # less two ramps and two rows
+    assert schedule.at(dwell.time + 0.5 * dwell.duration)[0] == 0.0
+    assert schedule.position == pytest.approx(log.time)
+    policy = make_policy("output/example-rig-clean.csv", TaskConfig())
+    assert policy.schedule.at([120.0])[0] == 0.0  # in the standstill
+    assert policy.stands
+    assert policy.schedule.start_length == pytest.approx(log.inserted_length[0])
+
+
+def test_columns_may_be_given_several_times_and_the_input_is_never_written(here, capsys):
+    rig = Path("rig.csv")
+    rig.write_text(RIG)
+    assert main(["log", "rig.csv", "--columns", "v=feed_speed[mm/s]", "--columns", "Weg=inserted_length"]) == 0
+    assert Schedule.read("output/rig-clean.csv").feed_speed == pytest.approx((0.2, 0.2, 0.2))
+    capsys.readouterr()
+    Path("link.csv").hardlink_to(rig)
+    for output in ("rig.csv", "./rig.csv", "link.csv"):
+        assert "is the log itself" in refused(capsys, "rig.csv", "--output", output)
+    assert rig.read_text() == RIG
+    assert "is not a CSV file" in refused(capsys, "rig.csv", "--output", "rig.txt")
+    assert "is not a picture" in refused(capsys, "rig.csv", "--plot", "rig.exe")
+    assert "logs that ship, by name: example-rig" in refused(capsys, "nowhere.csv")
+    assert "gap = 0.0 is outside the accepted range 0.001 to 3600 s" in refused(capsys, "example-rig", "--gap", "0")
+    assert "air_supply_rate" in refused(capsys, "example-rig", "--air-supply", "nan")
+
+
+def test_what_a_file_says_does_not_reach_the_terminal_raw(here, capsys):
+    name, formula = "rig\x1b[31m\n.csv", RIG.replace("v;", "=cmd|' /C calc'!A0;")
+    Path(name).write_text(formula.replace("Zeit", "Zeit\u202e"))
+    assert "no column is known as time" in refused(capsys, name)
+    Path(name).write_text(formula)
+    assert main(["log", name, "--output", "clean.csv"]) == 0
+    assert main(["log", name]) == 0
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed
+    assert "cmd" not in printed + Path("clean.csv").read_text()
+
+
+def test_without_pint_one_line_names_the_extra(here, capsys, monkeypatch):
+    assert find_spec("pint")
+    monkeypatch.setitem(sys.modules, "pint", None)
+    assert 'this command needs pint, which is not installed: pip install "probe-env[' in refused(capsys, "example-rig")
+    head = "time_s,inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
+    Path("clean.csv").write_text(head + "0,5,0.2,63\n1,5.2,0.2,63\n")
+    assert main(["log", "clean.csv"]) == 0  # what is clean has SI units
