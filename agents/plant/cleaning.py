@@ -132,7 +132,7 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
         mended.missing += int(np.isnan(column).sum())
         values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
     speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
-    length, notes = encoder, ()
+    length, notes = encoder, tuple[str, ...]()
     if speed is not None:
         means = speed[:-1] if table.steps else 0.5 * (speed[1:] + speed[:-1])
         fed = np.concatenate([[0.0], np.cumsum(means * steps)])

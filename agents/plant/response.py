@@ -209,7 +209,7 @@ class Response:
         for k, (weights, biases) in enumerate(self.layers):
             arrays |= {f"weights{k}": weights, f"biases{k}": biases}
         buffer = io.BytesIO()
-        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        np.savez(buffer, **arrays)
         write_atomically(path, buffer.getvalue())
 
 

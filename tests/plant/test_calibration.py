@@ -333,8 +333,12 @@ def test_intervals_cover_under_correlated_scatter() -> None:
 
 
 @pytest.mark.processor
-def test_the_shipped_log_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str], short: None) -> None:
+def test_the_shipped_log_is_calibrated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
+    monkeypatch.setattr(inference, "BURN", 60)
+    monkeypatch.setattr(inference, "STEPS", 60)
     assert main(["calibrate", "example-rig", "--output", str(tmp_path)]) == 0
     record = json.loads((tmp_path / "calibration.json").read_text())
     for name in ("friction", "contact_stiffness", "drag_coefficient", "damping_time"):
