@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from agents.policies.domain import OutsideDomain
 from agents.policies.law import Law, OfDiameter
 from agents.policies.maps.lookup import FIRST, SPACING
 from agents.policies.maps.vibration_map import expected_cost, feeds
-from agents.policies.places import Place, place_of
+from agents.policies.places import place_of
 from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Context, Plant, Scene
@@ -119,7 +119,14 @@ def recommend(
             plan_of(specs, unseen, 1, confirmation.fidelity)
     optimum = recommended(seen.contexts, response, seen.config)
     write_atomically(output, optimum.schedule.to_csv())
-    write_json(output.with_suffix(".json"), _record(optimum, plant, seen) | provenance())
+    record = {
+        "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
+        "calibrated": plant is not None and plant.posterior is not None,
+        "draws": len(seen.contexts),
+        "expected_reward": optimum.reward,
+        "least_root_tension_n": optimum.tension,
+    }
+    write_json(output.with_suffix(".json"), record | provenance())
     named = [f"{NAME}={output}"]
     if law:
         feedback = recommended_law(seen.contexts, response, seen.config)
@@ -135,16 +142,6 @@ def recommend(
         own = [name_and_spec(spec)[0] for spec in confirmation.own] or [NAME]  # judged in the report's first line
         evaluate(plan, confirmation.folder, against=NAME, workers=workers, own=own)
     return optimum
-
-
-def _record(optimum: Optimum, plant: Plant | None, place: Place) -> dict[str, Any]:
-    return {
-        "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
-        "calibrated": plant is not None and plant.posterior is not None,
-        "draws": len(place.contexts),
-        "expected_reward": optimum.reward,
-        "least_root_tension_n": optimum.tension,
-    }
 
 
 def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
