@@ -73,10 +73,9 @@ class Plc:
 
     def run(self) -> None:
         """Find, or write, or print."""
+        from agents.plant.plc_export import print_law, write_law
         from agents.policies.places import place_at
-        from agents.policies.plc.law import PlantData, read_constants
-        from agents.policies.plc.trimmed import read_trim
-        from agents.policies.plc.writing import print_law, write_law
+        from agents.policies.plc_law import PlantData, read_constants, read_trim
         from probe_env.envs.surrogate.vibration_map import stored_map
 
         if self.trimmed and not self.st:
@@ -99,3 +98,27 @@ class Plc:
         trim = read_trim() if self.trimmed else None
         write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
         print_law(constants, trim)
+
+
+@dataclass(frozen=True)
+class World:
+    """Find what the map leaves out, so that agents can train in it, and how far rewards there are off."""
+
+    limit: int = 24
+    """Training tubes that are recorded, the first, which are balanced."""
+    simulated: Path = Path("results/evaluation/episodes.csv")
+    """Episodes of an evaluation at fast on the test tubes, which rewards are compared with."""
+    output: Path = Path("output/world")
+    """Folder of map-world.json and map-world.csv."""
+
+    def run(self) -> None:
+        """Record, find, compare, print."""
+        from agents.publishing.places import check_checkout
+        from agents.terminal.tables import print_table
+        from agents.worlds.measure import HEADER, cells, run_world
+
+        if self.simulated == World.simulated and not self.simulated.exists():
+            check_checkout("world")  # an installed package has no stored evaluation
+        summary = run_world(self.limit, self.simulated, self.output)
+        print_table("Rewards in the world of the map", HEADER, cells(summary), left=1)
+        print(f"written: {self.output}/ (map-world.json, map-world.csv)")

@@ -42,10 +42,8 @@ class ReadLog:
 
     def run(self) -> None:
         """Read, write, print."""
-        from agents.logs.cleaning import Bounds
-        from agents.logs.log import read_log
-        from agents.logs.pictures import check_picture, draw_log
-        from agents.logs.telling import print_log
+        from agents.plant.cleaning import Bounds
+        from agents.plant.logs import check_picture, draw_log, print_log, read_log
         from agents.records.atomic import write_atomically
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import name_of

@@ -37,11 +37,8 @@ class Calibrate:
         for needed in ("emcee", "corner"):  # before half a minute of sampling
             import_module(needed)
 
-        from agents.calibration.calibration import calibrate
-        from agents.calibration.pictures import draw_bands, draw_corner
-        from agents.calibration.response import stored_response
-        from agents.calibration.sources import recorded_of
-        from agents.calibration.telling import print_calibration
+        from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
+        from agents.plant.response import stored_response
         from agents.policies.places import plant_at
         from agents.records.provenance import provenance, write_json
         from probe_env import Plant
@@ -90,9 +87,9 @@ class Recommend:
 
     def run(self) -> None:
         """Search, store, simulate, print."""
-        from agents.calibration.response import stored_response
+        from agents.plant.recommendation import Confirmation, recommend
+        from agents.plant.response import stored_response
         from agents.policies.places import plant_at
-        from agents.recommendation.recommend import Confirmation, recommend
 
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")

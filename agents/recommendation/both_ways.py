@@ -20,16 +20,15 @@ import optuna
 import pandas as pd
 from tqdm import tqdm
 
-from agents.policies.both_ways import BothWays, fidelity_of, way_in
+from agents.evaluation.plan import Plan, Policy, run_plan
+from agents.evaluation.statistics import a90_95, paired_difference
+from agents.plant.safe_air import safe_air
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.maps.lookup import FIRST
 from agents.policies.places import Place, both_ways, place_of, with_probe
+from agents.policies.wrappers import BothWays, fidelity_of, way_in
 from agents.processes.workers import Workers
-from agents.recommendation.safe_air import safe_air
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.rollouts.depths import a90_95
-from agents.rollouts.plan import Plan, Policy, run_plan
-from agents.rollouts.statistics import paired_difference
 from agents.terminal.names import name_of
 from agents.terminal.tables import print_table
 from probe_env import Context, Plant

@@ -8,18 +8,17 @@ from typing import Any, Final
 
 import pandas as pd
 
-from agents.calibration.response import stored_response
+from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.statistics import paired_difference
+from agents.plant.recommendation import LAW, NAME, recommended, recommended_law
+from agents.plant.response import stored_response
 from agents.policies.catalogue import named_policies
-from agents.policies.domain import OutsideDomain
 from agents.policies.fixed import Scheduled
 from agents.policies.law import Lawful
 from agents.policies.places import place_of
+from agents.policies.policy import OutsideDomain
 from agents.processes.workers import Workers
-from agents.recommendation.recommend import LAW, NAME
-from agents.recommendation.search import recommended, recommended_law
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import paired_difference
 from agents.terminal.tables import print_table
 from probe_env import Plant
 from probe_env.envs.plants.tables import Between, Supply, Tubes, Walls

@@ -11,17 +11,17 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from agents.calibration.calibration import Recorded, calibrate
-from agents.calibration.response import stored_response
 from agents.calibration.simulated.groups import run_groups
 from agents.calibration.simulated.insertions import Program, insert
 from agents.calibration.simulated.trials import TUBES, Trial, trials
+from agents.evaluation.statistics import student_interval
+from agents.plant.calibration import Recorded, calibrate
+from agents.plant.recommendation import recommended
+from agents.plant.response import stored_response
 from agents.policies.catalogue import DATA
 from agents.processes.workers import Workers
-from agents.recommendation.search import recommended
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.tables import Columns
-from agents.rollouts.statistics import student_interval
 from agents.terminal.tables import print_terms
 from probe_env import Context, Plant, StabilityWarning
 from probe_env.arrays import FloatArray

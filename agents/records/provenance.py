@@ -20,7 +20,7 @@ from probe_env.machine import available_cores
 CHECKOUT = Path(__file__).parents[2]
 CODE = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
 """What a result depends on: changes of anything else do not make a commit unclean."""
-DATA = ("probe_env/data", "agents/policies/data", "agents/calibration/data", "configs/tubes/*-map.*")
+DATA = ("probe_env/data", "agents/policies/data", "agents/plant/data", "configs/tubes/*-map.*")
 """Results that ship with the packages, each with its own provenance."""
 STAGE_VARIABLE = "PROBE_ENV_STAGE"
 """Environment variable that names the stage of `probe-env results` that a command is run for."""

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.logs.log import read_log
+from agents.plant.logs import read_log
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Replayed, Scheduled
 from agents.records.shipped import file_or_shipped

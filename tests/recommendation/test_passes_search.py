@@ -11,6 +11,8 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
+from agents.plant.recommendation import MARGIN
+from agents.plant.safe_air import pressed, pulled, safe_air
 from agents.policies.catalogue import make_policy
 from agents.policies.places import both_ways, place_of, with_probe
 from agents.processes.workers import HERE
@@ -26,8 +28,6 @@ from agents.recommendation.both_ways import (
     run_search,
     starts,
 )
-from agents.recommendation.safe_air import pressed, pulled, safe_air
-from agents.recommendation.search import MARGIN
 from probe_env import Plant
 from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
 from probe_env.inspection.tally import POD_NAMES

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agents.logs.log import read_log
+from agents.plant.logs import read_log
 from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
 from agents.policies.maps.lookup import FIRST

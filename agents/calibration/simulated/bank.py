@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 from scipy.stats import qmc
 
-from agents.calibration.metres import CHANNELS, metres_of
 from agents.calibration.simulated.insertions import Program, Specimen, insert
-from agents.calibration.unknowns import FRICTION, STIFFNESS
+from agents.plant.prior import FRICTION, STIFFNESS
+from agents.plant.response import CHANNELS, metres_of
 from agents.records.arrays import read_arrays
 from agents.records.atomic import write_atomically
 from agents.terminal.work import Work, announce

@@ -9,10 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from agents.calibration.inference import LEAST_METRES
-from agents.calibration.metres import CHANNELS, Metres
-from agents.calibration.response import INPUTS, Response, inputs_of, observed
 from agents.calibration.simulated.bank import make_bank
+from agents.plant.inference import LEAST_METRES
+from agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, observed
 from agents.records.provenance import provenance, write_json
 from agents.terminal.tables import print_terms
 from probe_env import Scene

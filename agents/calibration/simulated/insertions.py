@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from agents.logs.log import Log
+from agents.plant.logs import Log
 from probe_env import Context, Fidelity
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes

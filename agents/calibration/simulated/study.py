@@ -11,13 +11,12 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kstest
 
-from agents.calibration.calibration import Recorded, calibrate
-from agents.calibration.metres import CHANNELS
-from agents.calibration.response import Response, stored_response
 from agents.calibration.simulated.groups import run_groups
 from agents.calibration.simulated.trials import TUBES, Trial, trials
-from agents.calibration.unknowns import UNKNOWNS
-from agents.logs.log import Log
+from agents.plant.calibration import Recorded, calibrate
+from agents.plant.logs import Log
+from agents.plant.prior import UNKNOWNS
+from agents.plant.response import CHANNELS, Response, stored_response
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.tables import Columns

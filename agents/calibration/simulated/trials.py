@@ -10,8 +10,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from agents.calibration.simulated.insertions import Program, Specimen, insert
-from agents.calibration.unknowns import UNKNOWNS, Prior, prior_of
-from agents.logs.log import Log
+from agents.plant.logs import Log
+from agents.plant.prior import UNKNOWNS, Prior, prior_of
 from probe_env import Context, Plant, Scene, StabilityWarning
 from probe_env.arrays import FloatArray
 from probe_env.envs.plants.tables import Tubes

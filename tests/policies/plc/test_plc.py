@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from agents.plant.plc_export import structured_text, table, write_law
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.search import MapCost
 from agents.policies.places import place_at
 from agents.policies.plc import search
-from agents.policies.plc.export import structured_text, table
 from agents.policies.plc.quasi_steady import quasi_steady_rewards
 from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
-from agents.policies.plc.writing import write_law
 from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
+from agents.plant.plc_export import structured_text
 from agents.policies.catalogue import make_policy
 from agents.policies.plc import trim_search
-from agents.policies.plc.export import structured_text
 from agents.policies.plc.trim_search import AIMS, TIMES, UNTRIMMED, cells, run_trim_search
 from agents.policies.plc_law import (
     LOWERED,

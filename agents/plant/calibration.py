@@ -1,0 +1,349 @@
+"""Calibration of a plant from its logs: ``calibration.json``, tables, pictures, and whether the model fits."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from agents.plant.inference import (
+    LIMIT,
+    Case,
+    Gain,
+    Likelihood,
+    Posterior,
+    Sliding,
+    by_sliding,
+    check_cases,
+    gain_of,
+    sampled,
+)
+from agents.plant.logs import Log, read_log
+from agents.plant.prior import UNKNOWNS, Prior, prior_of
+from agents.plant.response import CHANNELS, Response, metres_of
+from agents.records.shipped import file_or_shipped
+from agents.terminal.names import name_of, name_problem
+from agents.terminal.tables import print_table, print_terms
+from probe_env import Plant
+from probe_env.arrays import FloatArray
+from probe_env.settings import within
+
+LEVEL: Final = 0.90
+"""Of the intervals."""
+AT_EDGE: Final = 0.06, 0.5
+"""A posterior leans against an edge if more than the second share of it is within the first share of the range."""
+LABELS: Final = {
+    "root_tension": ("root tension [N]", 1.0),
+    "radial_acceleration_rms": ("radial acceleration rms [m/s²]", 1.0),
+    "axial_acceleration_rms": ("axial acceleration rms [m/s²]", 1.0),
+    "rf_noise_rms": ("radial rms by the noise [mm]", 1e3),
+}
+DRAWN: Final = 64
+"""Draws in a picture of bands."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A log and the tube it was recorded in.
+
+    Attributes:
+        name: of the log.
+        log: read and repaired.
+        tube: name of the tube; logs of one name share a friction.
+        helix_diameter: of that tube [m].
+    """
+
+    name: str
+    log: Log
+    tube: str
+    helix_diameter: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Result of a calibration.
+
+    Attributes:
+        prior: of the unknowns.
+        cases: the logs by metres.
+        tubes: names.
+        posterior: draws and misfit.
+        sliding: estimate from the tension alone, per tube; None without a tension.
+        beyond: what of each log is outside the training ranges of the response.
+        limits: largest accepted misfit of each channel, and of all.
+        gains: gain of the tension gauge, per log; None without a tension.
+    """
+
+    prior: Prior
+    cases: tuple[Case, ...]
+    tubes: tuple[str, ...]
+    posterior: Posterior
+    sliding: tuple[Sliding | None, ...]
+    beyond: tuple[tuple[str, ...], ...]
+    limits: FloatArray
+    gains: tuple[Gain | None, ...]
+
+    def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
+        """Mean and 90 % interval of an unknown, of one tube or over all of them."""
+        column = list(UNKNOWNS).index(name)
+        draws = self.posterior.draws[:, :, column] if tube is None else self.posterior.draws[tube, :, column]
+        low, high = np.quantile(draws, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+        return {"mean": float(draws.mean()), "low": float(low), "high": float(high)}
+
+    @property
+    def misfits(self) -> list[str]:
+        """Why the model cannot have produced these logs, one text each; empty where it can."""
+        reasons = []
+        for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
+            if gauge and gauge.ratio > LIMIT:
+                reasons.append(
+                    f"{case.name}: root tension fits the rest and what was held possible only if the gauge reads"
+                    f" {gauge.gain:.2f} times what it should (twice the log of the likelihoods' ratio is"
+                    f" {gauge.ratio:.1f}, one log in thirty: {LIMIT:g})"
+                )
+            for k, name in enumerate((*CHANNELS, "all channels together")):
+                if misfit[k] > self.limits[k]:
+                    reasons.append(
+                        f"{case.name}: {name.replace('_', ' ')} strays {np.sqrt(misfit[k]):.1f} times as far from the"
+                        f" model as simulated logs do (one in a hundred: {np.sqrt(self.limits[k]):.1f})"
+                    )
+        return reasons
+
+    @property
+    def leaning(self) -> list[str]:
+        """Unknowns whose posterior lies at an edge of the prior, one text each."""
+        texts = []
+        width, share = AT_EDGE
+        for column, name in enumerate(UNKNOWNS):
+            if name in self.prior.known:
+                continue
+            low, high = self.prior.ranges[name]
+            at = (self.posterior.draws[:, :, column] - low) / (high - low)
+            for side, near in (("least", at < width), ("greatest", at > 1.0 - width)):
+                if near.mean() > share:
+                    texts.append(f"{UNKNOWNS[name].text} leans against the {side} value held possible")
+        return texts
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model fits the logs."""
+        if self.misfits:
+            return "misspecified: the model cannot have made these logs, whatever friction - do not use the figures"
+        if self.leaning:
+            return "doubtful: the logs are best explained at an edge of what was held possible"
+        return "the logs are what the model gives with these figures"
+
+    def to_json(self) -> dict[str, Any]:
+        """``calibration.json``: estimates, draws, verdict."""
+        draws = self.posterior.draws
+        kept = np.arange(draws.shape[1])
+        tube = kept % len(self.tubes)  # over all tubes: each in turn
+        return {
+            **{name: self.summary(name) | {"unit": UNKNOWNS[name].unit} for name in UNKNOWNS},
+            "verdict": self.verdict,
+            "misspecified": bool(self.misfits),
+            "reasons": [*self.misfits, *self.leaning, *(text for texts in self.beyond for text in texts)],
+            "tubes": {
+                name: {
+                    "friction": self.summary("friction", k),
+                    "logs": [case.name for case in self.cases if case.tube == k],
+                    "helix_diameter": next(c.scene.tube.helix_diameter for c in self.cases if c.tube == k),
+                    "by_tension_alone": _sliding_json(self.sliding[k]),
+                }
+                for k, name in enumerate(self.tubes)
+            },
+            "held_possible": {name: list(range_) for name, range_ in self.prior.ranges.items()},
+            "known": self.prior.known,
+            "draws": {
+                name: [float(f"{v:.6g}") for v in draws[tube, kept, column]]
+                for column, name in enumerate(UNKNOWNS)
+                if name not in self.prior.known
+            },
+        }
+
+
+def _sliding_json(fit: Sliding | None) -> dict[str, dict[str, float]] | None:
+    return fit and {name: dict(zip(("mean", "low", "high"), v, strict=True)) for name, v in fit._asdict().items()}
+
+
+def recorded_of(
+    paths: Sequence[Path], plant: Plant, helix_diameters: Sequence[float], tubes: Sequence[str], columns: Sequence[str]
+) -> list[Recorded]:
+    """The logs with their tubes; all arguments are checked before the first log is read.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: a log that cannot be read; a number of diameters or names that differs from that of the logs;
+            diameters that are not the plant's.
+    """
+    if not paths:
+        raise ValueError("logs: give one log at least")
+    diameters = list(helix_diameters) or list(plant.diameters)
+    if len(diameters) == 1:
+        diameters *= len(paths)
+    if len(diameters) != len(paths):
+        what = "--helix-diameters" if helix_diameters else "tube.helix_diameter"
+        raise ValueError(
+            f"{what}: {len(diameters)} for {len(paths)} logs: give --helix-diameters, one for all or one each [m]"
+        )
+    for diameter in diameters:
+        within("helix_diameter", diameter, 0.3, 1e4, "m")
+        if len(plant.diameters) > 1 and not any(abs(diameter - known) < 1e-6 for known in plant.diameters):
+            listed = ", ".join(f"{known:g}" for known in plant.diameters)
+            raise ValueError(f"--helix-diameters: {diameter:g} m is none of the plant's: {listed} m")
+    names = list(tubes) or [f"{diameter:g} m" for diameter in diameters]
+    if len(names) != len(paths):
+        raise ValueError(f"--tubes: {len(names)} names for {len(paths)} logs: give one for each log")
+    for name in names:
+        if problem := name_problem(name):
+            raise ValueError(f"--tubes: {name[:100]!r} {problem}")
+        distinct = sorted({diameter for diameter, other in zip(diameters, names, strict=True) if other == name})
+        if len(distinct) > 1:
+            listed = " and ".join(f"{d:g}" for d in distinct)
+            raise ValueError(f"--tubes: {name!r} has helix diameters of {listed} m: a tube has one")
+    files = [file_or_shipped("logs", path) for path in paths]
+    labels = [name_of(file) for file in files]
+    if len(set(labels)) < len(labels):
+        labels = [str(path) for path in paths]
+    return [
+        Recorded(label, read_log(file, columns), name, diameter)
+        for label, file, name, diameter in zip(labels, files, names, diameters, strict=True)
+    ]
+
+
+def calibrate(
+    recorded: Sequence[Recorded], plant: Plant, response: Response, file: str = "tube", progress: bool = True
+) -> Calibration:
+    """Estimate the friction of each tube, and the stiffness, drag and damping that all tubes share.
+
+    Args:
+        recorded: the logs.
+        plant: where they were recorded; the helix diameter is that of each log.
+        response: expected measurements.
+        file: of the plant, for errors.
+        progress: whether a bar is shown.
+
+    Raises:
+        ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.
+    """
+    prior = prior_of(plant, file)
+    tubes = tuple(dict.fromkeys(entry.tube for entry in recorded))
+    cases = []
+    for entry in recorded:
+        scene = plant.scene.model_copy(update={"tube": {"helix_diameter": entry.helix_diameter}})
+        cases.append(Case(entry.name, tubes.index(entry.tube), scene, metres_of(entry.log)))
+    check_cases(cases)
+    beyond = tuple(tuple(f"{c.name}: {text}" for text in response.outside(c.metres, c.scene)) for c in cases)
+    sliding = tuple(by_sliding([c for c in cases if c.tube == k], prior) for k in range(len(tubes)))
+    posterior = sampled(response, cases, prior, progress=progress)
+    gains = tuple(gain_of(posterior.likelihood, number, prior) for number in range(len(cases)))
+    return Calibration(prior, tuple(cases), tubes, posterior, sliding, beyond, response.misfit, gains)
+
+
+def print_calibration(calibration: Calibration, own: bool = True) -> None:
+    """Print estimates, intervals and the verdict; ``own``: whether a file describes the tubes."""
+    prior = calibration.prior
+    estimates: list[tuple[str, Sequence[float], str]] = []
+    for k, name in enumerate(calibration.tubes):
+        where = f" in {name}" if len(calibration.tubes) > 1 else ""
+        estimates.append((f"friction{where}", [*calibration.summary("friction", k).values()], ""))
+        if sliding := calibration.sliding[k]:
+            estimates.append((f"friction{where} by the tension alone", sliding.friction, ""))
+    for name, unknown in UNKNOWNS.items():
+        if name in prior.quantile and name != "friction":
+            estimates.append((unknown.text, [*calibration.summary(name).values()], unknown.unit))
+    rows = [(text, *(f"{value:.4g}" for value in values), unit) for text, values, unit in estimates]
+    print_table("What the logs tell: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
+    logs = (
+        f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.felt)}"
+        for case in calibration.cases
+    )
+    geometry = dict.fromkeys(
+        f"bore {1e3 * case.scene.tube.inner_diameter:g} mm, helix of {case.scene.tube.helix_diameter:g} m, floats of"
+        f" {1e3 * case.scene.probe.carrier_float_diameter:g} mm"
+        for case in calibration.cases
+    )
+    terms = {"logs": "; ".join(logs), "taken for": "; ".join(geometry)}
+    if not own:
+        terms["taken for"] += (
+            ". That is table 2's: a --tube says what yours are; another bore or helix tells another friction"
+        )
+    if prior.assumed:
+        terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(prior.assumed)
+    if prior.known:
+        known = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.known.items())
+        terms["known"] = "by the file: " + "; ".join(text.strip() for text in known)
+    print_terms(terms)
+    for text in (text for texts in calibration.beyond for text in texts):
+        print_terms({"note": f"beyond what the response was learnt from: {text}"})
+    for text in (*calibration.misfits, *calibration.leaning):
+        print_terms({"note": text})
+    print_terms({"verdict": calibration.verdict})
+
+
+def draw_corner(calibration: Calibration, path: Path) -> Path:
+    """Corner plot of the draws of every tube's friction and of the shared unknowns."""
+    import corner
+
+    from agents.records.drawing import BLUE, plain, save
+
+    draws, columns, labels = calibration.posterior.draws, [], []
+    for column, name in enumerate(UNKNOWNS):
+        if name in calibration.prior.known:
+            continue
+        several = name == "friction" and len(calibration.tubes) > 1
+        for tube in range(len(calibration.tubes) if several else 1):
+            columns.append(draws[tube, :, column])
+            unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
+            labels.append(UNKNOWNS[name].text + (f"\n{plain(calibration.tubes[tube])}" if several else "") + unit)
+    before, small = logging.root.manager.disable, {"fontsize": 9}
+    logging.disable(logging.WARNING)  # corner warns the root logger where draws are too few for contours
+    style = {"color": BLUE, "label_kwargs": small, "title_kwargs": small, "title_fmt": ".3g", "show_titles": True}
+    try:
+        figure = corner.corner(np.column_stack(columns), labels=labels, quantiles=(0.05, 0.5, 0.95), **style)
+    finally:
+        logging.disable(before)
+    figure.set_size_inches(2.2 * len(columns) + 1.0, 2.2 * len(columns) + 1.0)
+    return save(figure, path)
+
+
+def draw_bands(calibration: Calibration, response: Response, path: Path) -> Path:
+    """Every channel of every log over length, with the predicted 90 % band."""
+    from matplotlib.figure import Figure
+
+    from agents.records.drawing import BLUE, GREY, GRID, plain, save
+
+    likelihood = Likelihood(response, calibration.cases)
+    present = [name for name in CHANNELS if any(name in case.metres.felt for case in calibration.cases)]
+    figure = Figure(figsize=(4.6 * len(calibration.cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
+    axes = figure.subplots(len(present), len(calibration.cases), squeeze=False, sharex="col", sharey="row")
+    rng = np.random.default_rng(0)
+    for place, case in enumerate(calibration.cases):
+        draws = calibration.posterior.draws[case.tube]
+        table = draws[rng.choice(len(draws), min(DRAWN, len(draws)), replace=False)]
+        strays, spread = likelihood.strays(place, table)
+        mean = likelihood.seen[place] - strays * spread
+        sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
+        low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
+        names = [CHANNELS[k] for k in likelihood.chosen[place]]
+        for axis, name in zip(axes[:, place], present, strict=True):
+            axis.grid(**GRID)
+            label, scale = LABELS[name]
+            if place == 0:
+                axis.set_ylabel(label, fontsize=8)
+            if name not in names:
+                continue
+            column, x = names.index(name), case.metres.length
+            axis.fill_between(x, scale * low[:, column], scale * high[:, column], color=BLUE, alpha=0.2, linewidth=0)
+            axis.plot(x, scale * middle[:, column], color=BLUE, linewidth=1.0, label="expected, with 90 %")
+            axis.plot(x, scale * case.metres.felt[name], ".", color="black", markersize=3.0, label="log")
+            if name != "root_tension":
+                axis.set_yscale("log")
+        axes[0][place].set_title(plain(case.name), fontsize=9, color=GREY)
+        axes[-1][place].set_xlabel("inserted length [m]")
+    axes[0][0].legend(fontsize=7, loc="best")
+    return save(figure, path)

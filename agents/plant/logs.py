@@ -1,0 +1,244 @@
+"""Logs of inspection rigs: read, repaired and thinned to a clean file that every command takes as a schedule."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from agents.plant.cleaning import (
+    DIGITS,
+    DWELL,
+    Bounds,
+    Cleaned,
+    Mended,
+    cleaned,
+    held,
+    kept_rows,
+    outside,
+    portion_means,
+)
+from agents.plant.columns import channels_of
+from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
+from agents.plant.tables import IntArray, Table, read_table
+from agents.terminal.tables import print_table, print_terms
+from probe_env.arrays import FloatArray
+from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError, one_line
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, MOST_POINTS, RANGES
+
+DECIMALS: Final[Mapping[str, str]] = {"auto": "", "point": ".", "comma": ","}
+USUAL: Final = Bounds()
+PICTURES: Final = (".png", ".pdf", ".svg")
+DWELLS_SHOWN: Final = 10
+
+
+class Dwell(NamedTuple):
+    """A standstill: when it begins [s], where [m] and how long it lasts [s]."""
+
+    time: float
+    inserted_length: float
+    duration: float
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Feed, air and measurements of a rig in SI units; every row holds until the next, the last one without end.
+
+    Attributes:
+        time: (n,) seconds from the beginning, strictly rising.
+        inserted_length: (n,) at that time [m], never falling.
+        feed_speed: (n,) mean until the next row [m/s], 0 in standstills; its integral is the inserted length.
+        air_supply_rate: (n,) mean until the next row [m3/s].
+        measured: name -> (n,) mean root tension [N], rms accelerations [m/s2], rms of the eddy-current noise [m] until
+            the next row; some of ``agents.plant.quantities.MEASURED``.
+        mended: counts of repairs.
+        notes: sentences about what does not agree.
+        deviation: largest distance of the straight lines from the length at the rows of the file, or from the band that
+            its noise leaves open (``agents.plant.cleaning.Cleaned.band``) [m].
+    """
+
+    time: FloatArray
+    inserted_length: FloatArray
+    feed_speed: FloatArray
+    air_supply_rate: FloatArray
+    measured: Mapping[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    mended: Mended = field(default_factory=lambda: Mended(0))
+    notes: tuple[str, ...] = ()
+    deviation: float = 0.0
+
+    @property
+    def dwells(self) -> tuple[Dwell, ...]:
+        """Standstills of a second and more."""
+        edges = np.flatnonzero(np.diff((self.feed_speed[:-1] == 0.0).astype(np.int8), prepend=0, append=0))
+        standstills = (
+            Dwell(float(self.time[a]), float(self.inserted_length[a]), float(self.time[b] - self.time[a]))
+            for a, b in zip(edges[::2], edges[1::2], strict=True)
+        )
+        return tuple(dwell for dwell in standstills if dwell.duration >= DWELL)
+
+    @property
+    def channels(self) -> dict[str, FloatArray]:
+        """Quantity -> its column (n,) of the clean file, in that column's unit."""
+        values = {"inserted_length": self.inserted_length, "feed_speed": self.feed_speed}
+        values |= {"air_supply": self.air_supply_rate}
+        values |= {name: self.measured[name] for name in MEASURED if name in self.measured}
+        return {name: column / QUANTITIES[name].scale for name, column in values.items()}
+
+    def to_csv(self) -> str:
+        """The log as CSV text, in the units that its columns name; ``Schedule.read`` and ``read_log`` take it."""
+        columns = {"time": self.time, **self.channels, "air_supply": self.air_supply_rate * HOUR}
+        digits = {"time": 12, "inserted_length": 10, "feed_speed": 9}
+        lines = [f"{CSV_COMMENT} steps", ",".join(QUANTITIES[name].column for name in columns)]
+        for row in zip(*columns.values(), strict=True):
+            lines.append(",".join(f"{value:.{digits.get(name, 6)}g}" for name, value in zip(columns, row, strict=True)))
+        return "\n".join(lines) + "\n"
+
+
+def read_log(
+    path: str | Path,
+    columns: Sequence[str] = (),
+    *,
+    bounds: Bounds = USUAL,
+    sheet: str | None = None,
+    decimal: str = "auto",
+    air_supply_rate: float | None = None,
+) -> Log:
+    """Read the log of an inspection rig: text with any separator, or an Excel sheet.
+
+    Args:
+        path: of the file.
+        columns: "HEAD=QUANTITY" or "HEAD=QUANTITY[UNIT]" for heads that are not known.
+        bounds: limits of repairs and thinning.
+        sheet: of a workbook; None: the first.
+        decimal: "point" or "comma", where the file leaves it open.
+        air_supply_rate: of a log without that column [m3/s].
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not a log that can be read or repaired; names line, column, value and what to do.
+        ValueError: an argument is not valid.
+        ModuleNotFoundError: pint or openpyxl is not installed (``probe-env[agents]``).
+    """
+    path, options = Path(path), parse_columns(columns)
+    if decimal not in DECIMALS:
+        raise ValueError(f"decimal = {decimal!r} is not one of {', '.join(DECIMALS)}")
+    highest = RANGES[AIR][1] / HOUR
+    if air_supply_rate is not None and not 0.0 <= air_supply_rate <= highest:
+        raise ValueError(f"air_supply_rate = {air_supply_rate!r} is outside the accepted range 0 to {highest:g} m3/s")
+    table = read_table(path, sheet, options)
+    channels = channels_of(table, options, DECIMALS[decimal], air_supply_rate)
+    return _thinned(table, cleaned(channels, bounds), bounds)
+
+
+def _thinned(table: Table, whole: Cleaned, bounds: Bounds) -> Log:
+    """The log of a clean file; one that is clean already keeps all rows."""
+    share = 0.49 * bounds.tolerance  # for standing still, for straight lines, the rest for digits
+    rows: IntArray
+    if whole.steps:
+        length, rows = whole.length.copy(), np.arange(len(whole.time))
+    else:
+        length, ends = held(whole.time, whole.length, whole.band, share)
+        band = np.minimum(whole.band[0], length), np.maximum(whole.band[1], length)
+        rows = kept_rows(whole.time, length, band, ends, share, bounds.every)
+    if len(rows) > MOST_POINTS:
+        raise FileError(table.path, f"{len(rows)} rows are left, more than {MOST_POINTS}: raise --every or --tolerance")
+    time, kept = whole.time[rows], np.round(length[rows], DIGITS)
+    speed = np.diff(kept) / np.diff(time)
+    if speed.max() > RANGES[FEED][1]:
+        k = int(speed.argmax())
+        raise table.error_between(
+            whole.rows[rows[k]],
+            whole.rows[rows[k + 1]],
+            f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s, and no feed"
+            f" does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance for a noisy encoder",
+        )
+    values = {name: portion_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
+    length[rows] = kept
+    deviation = float(outside(whole.time, rows, length, whole.band).max())
+    speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
+    return Log(time, kept, speed, air, measured, whole.mended, whole.notes, deviation)
+
+
+def print_log(log: Log, path: Path) -> None:
+    """Print the ranges of the channels, the repairs and the standstills."""
+    mended, dwells = log.mended, log.dwells
+    rows = [
+        (name.replace("_", " "), QUANTITIES[name].unit, f"{v.min():.4g}", f"{v.max():.4g}")
+        for name, v in log.channels.items()
+    ]
+    print_table(one_line(path.name), ("channel", "unit", "least", "most"), rows, left=2)
+    start, end = log.inserted_length[[0, -1]]
+    repairs = {
+        "gaps": (mended.gaps, f"bridged, the longest of {mended.longest_gap:.3g} s"),
+        "missing": (mended.missing, "values interpolated"),
+        "no time": (mended.untimed, "rows left out"),
+        "duplicates": (mended.duplicates, "rows averaged with the one of the same time"),
+        "backward": (mended.backward, f"rows smoothed, by {1e3 * mended.most_backward:.2g} mm at most"),
+    }
+    terms = {
+        "rows": f"{mended.rows}, of which {len(log.time)} are written",
+        "duration": f"{log.time[-1]:.6g} s",
+        "length": f"{start:.4f} m to {end:.4f} m, within {1e3 * log.deviation:.2f} mm at every row",
+        **{name: f"{count} {text}" if count else "none" for name, (count, text) in repairs.items()},
+        "dwells": str(len(dwells) or "none"),
+    }
+    print_terms(terms)
+    if dwells:
+        title = f"standstills, the first {DWELLS_SHOWN}" if len(dwells) > DWELLS_SHOWN else "standstills"
+        rows_of_dwells = [(f"{d.inserted_length:.3f}", f"{d.time:.2f}", f"{d.duration:.2f}") for d in dwells]
+        print_table(title, ("at [m]", "from [s]", "lasting [s]"), rows_of_dwells[:DWELLS_SHOWN], left=0)
+    for text in (*log.notes, *beyond_task(log)):
+        print_terms({"note": text})
+
+
+def beyond_task(log: Log) -> tuple[str, ...]:
+    """Sentences about feed and air outside the ranges of the task."""
+    config, sentences = TaskConfig(), []
+    for name, values, (low, high), unit, scale, effect in (
+        (
+            "feed speed",
+            log.feed_speed,
+            config.feed_speeds,
+            "m/s",
+            1.0,
+            "stops and starts below it, and falls behind above it",
+        ),
+        ("air supply", log.air_supply_rate, config.air_supply_rates, "m3/h", HOUR, "takes the nearest of these"),
+    ):
+        below, above = (values < low * (1.0 - 1e-6)).sum(), (values > high * (1.0 + 1e-6)).sum()
+        if below or above:
+            sentences.append(
+                f"The {name} leaves the task's range of {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
+                f" below and {above} above it. A replay {effect}."
+            )
+    return tuple(sentences)
+
+
+def check_picture(path: Path) -> None:
+    """Raise ValueError if a file of this name cannot hold a picture."""
+    if path.suffix not in PICTURES:
+        raise ValueError(f"plot = {str(path)!r} is not a picture: it must end with one of {', '.join(PICTURES)}")
+
+
+def draw_log(log: Log, path: Path) -> Path:
+    """Draw a log: one row per channel, over time on the left and over inserted length on the right."""
+    from matplotlib.figure import Figure
+
+    from agents.records.drawing import BLUE, GRID, save
+
+    figure = Figure(figsize=(10.0, 1.0 + 1.6 * len(log.channels)), layout="constrained")
+    axes = figure.subplots(len(log.channels), 2, sharex="col", sharey="row", squeeze=False)
+    for (left, right), (name, column) in zip(axes, log.channels.items(), strict=True):
+        left.set_ylabel(f"{name.replace('_', ' ')}\n[{QUANTITIES[name].unit}]", fontsize=8)
+        style = "default" if name == "inserted_length" else "steps-post"
+        for axis, where in ((left, log.time), (right, log.inserted_length)):
+            axis.plot(where, column, color=BLUE, linewidth=1.0, drawstyle=style)
+            axis.grid(**GRID)
+    axes[-1][0].set_xlabel("time [s]")
+    axes[-1][1].set_xlabel("inserted length [m]")
+    return save(figure, path)

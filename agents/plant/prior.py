@@ -1,0 +1,141 @@
+"""Unknown parameters of a plant, and what is possible for them before a log is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from probe_env import Plant
+from probe_env.arrays import FloatArray
+from probe_env.envs.plants.tables import Between, Figure, Normal, quantiles
+from probe_env.files import FileError
+
+FRICTION: Final = (0.05, 0.35)
+STIFFNESS: Final = (5e4, 1.9e5)  # [N/m]
+DAMPING: Final = (4.5e-5, 1.2e-4)
+"""[s]; with less the scheme of ``fast`` and ``standard`` diverged at 2e-4 s in some training tubes."""
+DRAG: Final = (0.85, 1.15)
+"""Range of the drag coefficient, relative to the plant's or table 2's value, where none is given."""
+
+
+class Unknown(NamedTuple):
+    """An unknown parameter.
+
+    Attributes:
+        table, field: of the plant's file.
+        unit: SI.
+        low, high: range in which the response was trained.
+        text: its name in tables.
+    """
+
+    table: str
+    field: str
+    unit: str
+    low: float
+    high: float
+    text: str
+
+
+UNKNOWNS: Final = {
+    "friction": Unknown("contact", "friction", "", *FRICTION, "friction"),
+    "contact_stiffness": Unknown("contact", "stiffness", "N/m", *STIFFNESS, "contact stiffness"),
+    "drag_coefficient": Unknown("air", "drag_coefficient", "", 0.1, 2.0, "drag coefficient"),
+    "damping_time": Unknown("probe", "damping_time", "s", *DAMPING, "damping time"),
+}
+"""In the order of their columns in arrays."""
+Quantile = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Prior distribution of the unknowns.
+
+    Attributes:
+        known: name -> value of those that are fixed.
+        quantile: name -> quantile function of the others.
+        ranges: name -> smallest and largest possible value.
+        assumed: ranges that were assumed, as texts.
+    """
+
+    known: dict[str, float]
+    quantile: dict[str, Quantile]
+    ranges: dict[str, tuple[float, float]]
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Unknowns that all tubes have in common: all but the friction."""
+        return tuple(name for name in self.quantile if name != "friction")
+
+    def values(self, normal: FloatArray, tubes: int) -> FloatArray:
+        """(tubes, n, 4) values in the order of ``UNKNOWNS`` at standard normal coordinates (n, tubes + shared).
+
+        The frictions of the tubes come first. The prior in these coordinates is standard normal.
+        """
+        shares = np.clip(ndtr(normal), 1e-9, 1.0 - 1e-9)
+        table = np.empty((tubes, len(normal), len(UNKNOWNS)))
+        for k, name in enumerate(UNKNOWNS):
+            if name in self.known:
+                table[:, :, k] = self.known[name]
+            elif name == "friction":
+                table[:, :, k] = self.quantile[name](shares[:, :tubes]).T
+            else:
+                table[:, :, k] = self.quantile[name](shares[:, tubes + self.shared.index(name)])
+        return table
+
+
+def prior_of(plant: Plant, file: str = "tube") -> Prior:
+    """The prior of a plant: ranges and normals as in its file; a number is known.
+
+    The friction is never fixed. Friction, stiffness and damping that are not given have the ranges in which the
+    response was trained, and so has a friction that is given as a number; drag that is not given is within ``DRAG``.
+
+    Raises:
+        FileError: a value outside the range in which the response was trained; names field, value and range.
+    """
+    known: dict[str, float] = {}
+    quantile: dict[str, Quantile] = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    assumed = []
+    for name, unknown in UNKNOWNS.items():
+        table = getattr(plant, unknown.table)
+        figure: Figure = getattr(table, unknown.field)
+        low, high = unknown.low, unknown.high
+        if isinstance(figure, Between):
+            low, high = (_checked(value, unknown, file) for value in (figure.low, figure.high))
+            quantile[name] = _quantile(figure, low, high)
+        elif isinstance(figure, Normal):
+            _checked(figure.mean, unknown, file)
+            quantile[name] = _quantile(figure, low, high)  # clipped there
+        elif name != "friction" and unknown.field in table.model_fields_set:
+            known[name] = _checked(figure, unknown, file)
+            continue
+        else:
+            if name == "drag_coefficient":
+                low, high = (share * figure for share in DRAG)
+            quantile[name] = _quantile(Between(low=low, high=high) if name == "friction" else None, low, high)
+            assumed.append(f"{unknown.text} {low:g} to {high:g} {unknown.unit}".strip())
+        ranges[name] = (low, high)
+    return Prior(known, quantile, ranges, tuple(assumed))
+
+
+def _quantile(figure: Between | Normal | None, low: float, high: float) -> Quantile:
+    """Quantile function of a figure; None: log-uniform."""
+    if figure is None:
+        return lambda shares: np.asarray(low * (high / low) ** shares)
+    return lambda shares: quantiles(figure, shares, low, high)
+
+
+def _checked(value: float, unknown: Unknown, file: str) -> float:
+    if not unknown.low <= value <= unknown.high:
+        unit = f" {unknown.unit}" if unknown.unit else ""
+        raise FileError(
+            file,
+            f"{unknown.table}.{unknown.field} = {value:g}{unit} is outside {unknown.low:g} to {unknown.high:g}{unit},"
+            " for which the response of the probe was learnt",
+        )
+    return float(value)

@@ -1,0 +1,375 @@
+"""Calibration: priors, metres, estimates from logs of known truth, gauge errors, and the command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Seeds
+from oracles.scatter import CHANCE, of_another
+from scipy.stats import chi2, norm
+
+from agents.cli import main
+from agents.plant import inference
+from agents.plant.calibration import recorded_of
+from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, by_sliding, gain_of, sampled
+from agents.plant.logs import Log
+from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
+from agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
+from probe_env import Plant, Scene
+from probe_env.arrays import FloatArray
+from probe_env.physics.closed_forms import friction_from_tension, sliding_tension, steady_root_tension
+
+RESPONSE, PRIOR = stored_response(), prior_of(Plant())
+LENGTH = np.arange(6.5, 50.0)
+TRUTH = np.array([0.2, 1e5, 0.44, 6e-5])
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few steps: enough for a mean and an interval."""
+    monkeypatch.setattr(inference, "BURN", 200)
+    monkeypatch.setattr(inference, "STEPS", 200)
+
+
+def log_like(
+    truth: FloatArray,
+    rng: np.random.Generator | None,
+    diameter: float = 1.3,
+    tube: int = 0,
+    length: FloatArray = LENGTH,
+    channels: Sequence[str] = CHANNELS,
+    gain: float = 1.0,
+) -> Case:
+    """A log at a truth (4,): drawn from the response, or without scatter if there is no generator."""
+    scene = Scene.fitted({"tube": {"helix_diameter": diameter}})
+    feed = np.interp(length, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
+    air = np.interp(length, [5.0, 30.0, 50.0], [0.018, 0.025, 0.03])
+    mean, spread = RESPONSE.tells(truth[None], Metres(length, feed, air, {}), scene)
+    strays = np.zeros(mean[0].shape)
+    if rng:
+        factor = np.linalg.cholesky(RESPONSE.covariance(length, list(range(len(CHANNELS)))))
+        strays = (factor @ rng.normal(size=len(factor))).reshape(strays.shape)
+    felt = 10.0 ** (mean[0] + spread[0] * strays)
+    felt[:, 0] *= gain
+    return Case("log", tube, scene, Metres(length, feed, air, {n: felt[:, CHANNELS.index(n)] for n in channels}))
+
+
+def with_felt(case: Case, felt: dict[str, FloatArray]) -> Case:
+    """The case with other measurements."""
+    m = case.metres
+    return case._replace(metres=Metres(m.length, m.feed, m.air, felt))
+
+
+def test_nothing_given_leaves_all_open() -> None:
+    """All four are unknown, over the training ranges; drag within 15 % of table 2's."""
+    expected = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "damping_time": DAMPING}
+    assert {name: PRIOR.ranges[name] for name in expected} == expected
+    assert PRIOR.ranges["drag_coefficient"] == pytest.approx([share * 0.44 for share in DRAG])
+    assert len(PRIOR.assumed) == 4
+
+
+def test_a_number_is_known_but_for_the_friction() -> None:
+    plant = Plant(
+        contact={"friction": 0.2, "stiffness": 8e4}, air={"drag_coefficient": 0.4}, probe={"damping_time": 6e-5}
+    )
+    prior = prior_of(plant)
+    assert prior.known == {"contact_stiffness": 8e4, "drag_coefficient": 0.4, "damping_time": 6e-5}
+    assert prior.shared == ()
+    table = prior.values(np.zeros((3, 2)), 2)
+    assert table.shape == (2, 3, 4)
+    np.testing.assert_allclose(table[:, :, 1:], np.broadcast_to([8e4, 0.4, 6e-5], (2, 3, 3)))
+    np.testing.assert_allclose(table[:, :, 0], sum(FRICTION) / 2.0)
+
+
+def test_figures_become_their_quantiles() -> None:
+    """A standard normal coordinate of 0 is the median, of +-1.645 the 5th and the 95th percentile."""
+    plant = Plant(
+        contact={"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"mean": 1e5, "std": 1e4}},
+        air={"drag_coefficient": 0.44}, probe={"damping_time": 5e-5},
+    )  # fmt: skip
+    low, middle, high = prior_of(plant).values(np.array([[z, z] for z in (-1.6449, 0.0, 1.6449)]), 1)[0, :, :2]
+    np.testing.assert_allclose([low[0], middle[0], high[0]], [0.105, 0.15, 0.195], rtol=1e-4)
+    np.testing.assert_allclose([low[1], middle[1], high[1]], [83551.5, 1e5, 116448.5], rtol=1e-3)
+
+
+def test_values_outside_the_training_ranges_are_refused() -> None:
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"contact": {"friction": {"low": 0.1, "high": 0.6}}}, "contact.friction = 0.6 is outside 0.05 to 0.35"),
+        ({"contact": {"stiffness": 1e6}}, r"contact.stiffness = 1e\+06 N/m is outside 50000 to 190000 N/m"),
+        ({"probe": {"damping_time": 1e-5}}, "probe.damping_time = 1e-05 s is outside"),
+        ({"air": {"drag_coefficient": {"mean": 3.0, "std": 0.1}}}, "air.drag_coefficient = 3 is outside"),
+    ]
+    for tables, problem in cases:
+        with pytest.raises(ValueError, match=f"mine.toml: {problem}"):
+            prior_of(Plant.model_validate(tables), "mine.toml")
+
+
+def recorded(feed: list[float], tension: list[float], noise: list[float], parts: int = 1) -> Log:
+    """A log from 5 m on, with ``parts`` rows a second."""
+    fed = np.repeat(feed, parts)
+    length = 5.0 + np.concatenate([[0.0], np.cumsum(fed)[:-1]]) / parts
+    measured = {"root_tension": np.repeat(tension, parts), "rf_noise_rms": np.repeat(noise, parts)}
+    time = np.arange(len(fed)) / parts
+    return Log(time, length, fed, np.full(len(fed), 0.02), MappingProxyType(measured))
+
+
+def test_metres_are_means_over_time_and_of_squares() -> None:
+    noise = [3e-5, 4e-5, 3e-5, 4e-5, 1e-5, 1e-5, 1e-5, 1e-5]
+    averaged = metres_of(recorded([0.25] * 8, [1, 2, 3, 4, 5, 5, 5, 5], noise))
+    np.testing.assert_allclose(averaged.length, [5.5, 6.5])
+    np.testing.assert_allclose(averaged.feed, 0.25)
+    np.testing.assert_allclose(averaged.felt["root_tension"], [2.5, 5.0])
+    np.testing.assert_allclose(averaged.felt["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
+    assert len(metres_of(recorded([0.0] * 5, [1.0] * 5, [1e-5] * 5))) == 0
+    coarse, *fine = (metres_of(recorded([0.25] * 12, list(range(12)), [1e-5] * 12, parts)) for parts in (1, 2, 5))
+    for finer in fine:
+        np.testing.assert_allclose(finer.felt["root_tension"], coarse.felt["root_tension"])
+
+
+def test_a_standstill_and_its_restart_do_not_count() -> None:
+    """Ten seconds of rest change nothing but the metre that they interrupt, of which half is left out."""
+    moving = metres_of(recorded([0.25] * 16, [2.0] * 16, [1e-5] * 16))
+    feed, tension = [0.25] * 4 + [0.0] * 10 + [0.25] * 12, [2.0] * 4 + [9.0] * 13 + [2.0] * 9
+    stood = metres_of(recorded(feed, tension, [1e-5] * 26))
+    np.testing.assert_allclose(moving.felt["root_tension"], 2.0)
+    np.testing.assert_allclose(stood.felt["root_tension"], 2.0)
+    assert len(moving) == 4
+    np.testing.assert_allclose(stood.length, [5.5, 7.5, 8.5])  # of the second metre a quarter is left
+
+
+@pytest.mark.slow
+@pytest.mark.processor
+def test_truths_are_where_the_posterior_says(short: None, seeds: Seeds) -> None:
+    """Ten logs of the response's own making, of truths from the prior: the rank of each among its draws is uniform.
+
+    So are the ranks of one unknown over logs, which have nothing in common, but not those of four in one log: each
+    unknown has bounds of its own, eight in all. As normal scores the ranks have a mean of 0 and a square of 1. Every
+    other metre of a log is enough.
+    """
+    logs = 10
+    truths = PRIOR.values(np.random.default_rng(seeds(1)[0]).normal(size=(logs, 1 + len(PRIOR.shared))), 1)[0]
+    ranks = np.empty((logs, 4))
+    for k, (truth, seed) in enumerate(zip(truths, seeds(logs), strict=True)):
+        case = log_like(truth, np.random.default_rng([4, seed]), length=LENGTH[::2])
+        draws = sampled(RESPONSE, [case], PRIOR, seed=seed).draws[0]
+        ranks[k] = ((draws < truth).sum(axis=0) + 0.5) / (len(draws) + 1)
+    scores = norm.ppf(ranks)
+    assert (np.abs(scores.mean(axis=0)) < norm.isf(CHANCE / 16) / np.sqrt(logs)).all()
+    low, high = chi2.ppf([CHANCE / 16, 1.0 - CHANCE / 16], logs)
+    squares = (scores**2).sum(axis=0)
+    assert ((low < squares) & (squares < high)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.processor
+def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
+    """Three logs give a friction more precisely than one; each of two tubes has its own friction."""
+    truth, ratios, worlds = np.array([0.18, 9e4, 0.44, 6e-5]), [], 4
+    for seed in seeds(worlds):
+        rng = np.random.default_rng([2, seed])
+        logs = [log_like(truth, rng, length=LENGTH[::2]) for _ in range(3)]  # every other metre is enough
+        one, three = (sampled(RESPONSE, logs[:n], PRIOR, seed).draws[0, :, 0].std() for n in (1, 3))
+        ratios.append(np.log(three / one))
+    # exp(-0.274), for drag, which acts alike, is known no better; scatters by 0.069 over 16 worlds
+    assert np.mean(ratios) < -0.274 + of_another(0.069, 16, members=worlds) < 0.0
+    others = [log_like(np.array([own, 9e4, 0.44, 6e-5]), rng, tube=k) for k, own in enumerate((0.18, 0.12))]
+    draws = sampled(RESPONSE, others, PRIOR).draws
+    # 0.183 +- 0.0051 and 0.122 +- 0.0032 over 16 worlds
+    assert np.median(draws[0, :, 0]) > 0.183 - of_another(0.0051, 16, among=2) > 0.15
+    assert np.median(draws[1, :, 0]) < 0.122 + of_another(0.0032, 16, among=2) < 0.15
+
+
+def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(inference, "BURN", 10)
+    monkeypatch.setattr(inference, "STEPS", 20)
+    rng = np.random.default_rng(0)
+    cases = [
+        log_like(np.array([own, 9e4, 0.44, 6e-5]), rng, tube=k, length=LENGTH[::4]) for k, own in enumerate((0.3, 0.1))
+    ]
+    first, second = (sampled(RESPONSE, cases, PRIOR).draws for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert first.shape[0] == 2
+    np.testing.assert_array_equal(first[0, :, 1:], first[1, :, 1:])
+    assert np.median(first[0, :, 0]) > np.median(first[1, :, 0])
+
+
+@pytest.mark.processor
+def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Seeds) -> None:
+    """The mean square of its own deviations is 1 within its scatter; numbers that follow nothing are far beyond."""
+    rng = np.random.default_rng(seeds(1)[0])
+    case = log_like(TRUTH, rng)
+    own = Likelihood(RESPONSE, [case]).misfit(0, TRUTH)
+    # mean squares of 44 numbers each; the sensors' scatter, which was not drawn, makes them smaller
+    assert (own[:4] < chi2.isf(CHANCE / 4, len(LENGTH)) / len(LENGTH)).all()
+    noisy = {name: values * np.exp(rng.normal(size=len(values))) for name, values in case.metres.felt.items()}
+    assert (Likelihood(RESPONSE, [with_felt(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
+
+
+def test_too_short_or_silent_a_log_is_refused() -> None:
+    """Before anything is sampled, by its name."""
+    with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8"):
+        sampled(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
+    with pytest.raises(ValueError, match="log: measures none of root_tension"):
+        sampled(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
+
+
+def test_a_missing_channel_is_left_out() -> None:
+    """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
+    case = log_like(TRUTH, np.random.default_rng(1))
+    part = with_felt(case, {n: case.metres.felt[n] for n in CHANNELS[1:]})
+    assert Likelihood(RESPONSE, [part]).chosen == [[1, 2, 3]]
+    np.testing.assert_array_equal(observed(part.metres, [1, 2, 3]), observed(case.metres, [0, 1, 2, 3])[:, 1:])
+    whole = RESPONSE.covariance(LENGTH, [0, 1, 2, 3]).reshape(len(LENGTH), 4, len(LENGTH), 4)
+    block = RESPONSE.covariance(LENGTH, [1, 2, 3]).reshape(len(LENGTH), 3, len(LENGTH), 3)
+    np.testing.assert_allclose(whole[:, 1:, :, 1:], block)
+
+
+def test_the_scatter_is_settled_as_a_geometric_mean() -> None:
+    likelihood, draws = settled(1.0), np.array([TRUTH, TRUTH * [2.0, 1.0, 1.0, 1.0]])
+    spread = likelihood.strays(0, draws)[1]
+    likelihood.settle(draws[None, :1])
+    np.testing.assert_allclose(likelihood.settled[0], spread[0])
+    likelihood.settle(draws[None])
+    np.testing.assert_allclose(likelihood.settled[0], np.sqrt(spread[0] * spread[1]))
+
+
+def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
+    """Of a log without scatter whose tension is read with a gain; the scatter is that at the truth."""
+    truth = np.array([0.12, 9e4, 0.44, 7e-5])
+    likelihood = Likelihood(RESPONSE, [log_like(truth, None, diameter=1.6, channels=channels, gain=gain)])
+    likelihood.settle(truth[None, None])
+    return likelihood
+
+
+def test_the_best_gain_is_exact() -> None:
+    """It is as likely as no gain of the same log with its tension divided by it, and likelier than any other."""
+    normal = np.array([[0.3, -0.5, 0.2, 0.1]])
+    log, best = GainLikelihood(settled(1.3), 0, PRIOR, True).logarithm(normal)
+    near = {
+        k: GainLikelihood(settled(1.3 / np.exp(best[0] + k)), 0, PRIOR, False).logarithm(normal)[0][0]
+        for k in (-0.02, 0.0, 0.02)
+    }
+    assert log[0] == pytest.approx(near[0.0], rel=1e-9)
+    assert near[0.0] > max(near[-0.02], near[0.02])
+
+
+def test_a_gauge_that_reads_too_much_is_found() -> None:
+    """A gain of 1.5 is beyond the 15 % that drag may be, and the tension's bend fixes the friction; 1.1 is within."""
+    true, drag, scaled = (gain_of(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
+    assert true is not None
+    assert drag is not None
+    assert scaled is not None
+    assert max(true.ratio, drag.ratio) < LIMIT < scaled.ratio
+    assert scaled.gain > 1.5 / 1.15 / 1.15  # drag may be at either edge of its prior
+    assert gain_of(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
+
+
+def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | float = 0.0) -> Case:
+    """A log of steady sliding: feed and air change over 50 m."""
+    scene = Scene.fitted({"tube": {"inner_diameter": bore, "helix_diameter": 1.4}})
+    length = np.arange(5.5, 55.0)
+    bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
+    tension = drag * steady_tension(np.full((1, 1), friction), bare, scene, 1.4)[0] * np.exp(noise)
+    return with_felt(Case("log", 0, scene, bare), {"root_tension": tension})
+
+
+def test_sliding_is_the_inverse_of_the_closed_form() -> None:
+    """Without scatter the friction is found: drag is table 2's, and so is the middle of its prior."""
+    for bore in (0.022, 0.0242, 0.026):
+        for friction in (0.08, 0.2, 0.33):
+            fit = by_sliding([sliding_log(friction, 1.0, bore)], PRIOR)
+            assert fit is not None
+            assert fit.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
+            assert fit.friction[1] < friction < fit.friction[2]
+    case = sliding_log(0.2, 1.0, 0.0242)
+    assert by_sliding([with_felt(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
+
+
+def test_the_tension_is_that_of_the_scene() -> None:
+    """The closed form over arrays is the one over a scene's own floats, and the estimate is its inverse."""
+    scene = Scene().model_copy(update={"carrier_length": 40.0})
+    seen = {
+        "inserted_length": np.array([scene.inserted_length]), "feed_speed": np.array([scene.feed_speed]),
+        "air_supply_rate": np.array([scene.air_supply_rate]), "helix_diameter": np.array([1.2]),
+    }  # fmt: skip
+    tension = sliding_tension(np.array([[0.15]]), seen, scene)[0]
+    assert tension == pytest.approx(steady_root_tension(scene), rel=1e-2)  # floats there are single, not spread out
+    back = friction_from_tension(seen | {"root_tension": tension}, scene)
+    assert back == pytest.approx(0.15, rel=1e-7)
+
+
+def test_drag_is_distinguished_from_friction() -> None:
+    """A pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off."""
+    fit = by_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
+    assert fit is not None
+    for (mean, low, high), true in ((fit.friction, 0.2), (fit.drag_coefficient, 1.1 * 0.44)):
+        assert low < true < high
+        assert mean == pytest.approx(true, rel=0.05)
+
+
+def test_intervals_cover_under_correlated_scatter() -> None:
+    """Of 40 logs whose deviations decay over 3 m, at least 27 are covered by 90 % intervals.
+
+    Fewer come with a chance of 2e-5, were the coverage just 0.9 (binomial).
+    """
+    covered = 0
+    apart = np.abs(np.subtract.outer(np.arange(50.0), np.arange(50.0)))
+    for seed in range(40):
+        rng = np.random.default_rng([5, seed])
+        noise = np.linalg.cholesky(np.exp(-apart / 3.0) + 1e-9 * np.eye(50)) @ rng.normal(size=50) * 0.05
+        friction = float(rng.uniform(0.08, 0.3))
+        fit = by_sliding([sliding_log(friction, 1.0, 0.0242, noise)], PRIOR)
+        assert fit is not None
+        covered += fit.friction[1] <= friction <= fit.friction[2]
+    assert covered >= 27
+
+
+@pytest.mark.processor
+def test_the_shipped_log_is_calibrated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
+    monkeypatch.setattr(inference, "BURN", 60)
+    monkeypatch.setattr(inference, "STEPS", 60)
+    assert main(["calibrate", "example-rig", "--output", str(tmp_path)]) == 0
+    record = json.loads((tmp_path / "calibration.json").read_text())
+    for name in ("friction", "contact_stiffness", "drag_coefficient", "damping_time"):
+        assert record[name]["low"] < record[name]["mean"] < record[name]["high"]
+        assert len(record["draws"][name]) == len(record["draws"]["friction"])
+    assert record["friction"]["low"] <= 0.2 <= record["friction"]["high"]
+    (tube,) = record["tubes"].values()
+    assert tube["by_tension_alone"]["friction"]["mean"] == pytest.approx(0.2, abs=0.02)
+    assert not record["misspecified"], record["reasons"]
+    assert {p.name for p in tmp_path.iterdir()} == {"calibration.json", "corner.png", "bands.png"}
+    assert "verdict" in capsys.readouterr().out
+    (tmp_path / "tube.toml").write_text('posterior = "calibration.json"\n')
+    plant = Plant.from_toml(tmp_path / "tube.toml")
+    assert plant.scene.contact.friction == pytest.approx(record["friction"]["mean"], abs=0.01)
+
+
+def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
+    """The files need not even exist."""
+    usual: dict[str, Any] = {
+        "paths": [Path("a.csv"), Path("b.csv")], "plant": Plant(), "helix_diameters": [], "tubes": [], "columns": []
+    }  # fmt: skip
+    three, two = (Plant(tube={"helix_diameter": diameters}) for diameters in ((1.0, 1.2, 1.4), (1.0, 1.2)))
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"paths": []}, "logs: give one log at least"),
+        ({"helix_diameters": [1.0, 1.2, 1.4]}, "--helix-diameters: 3 for 2 logs"),
+        ({"helix_diameters": [0.1]}, "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
+        ({"tubes": ["a"]}, "--tubes: 1 names for 2 logs"),
+        ({"tubes": ["a", "a"], "helix_diameters": [1.0, 1.2]}, "'a' has helix diameters of 1 and 1.2 m"),
+        ({"plant": three}, "tube.helix_diameter: 3 for 2 logs"),
+        ({"plant": two, "helix_diameters": [9.0]}, "--helix-diameters: 9 m is none of the plant's: 1, 1.2 m"),
+    ]
+    for arguments, problem in cases:
+        with pytest.raises(ValueError, match=problem):
+            recorded_of(**(usual | arguments))

@@ -1,0 +1,327 @@
+"""Files of other people's rigs are read as they meant them, or refused in one line that says where and what to do."""
+
+import io
+import os
+import struct
+import zipfile
+from datetime import datetime, time, timedelta
+
+import numpy as np
+import pytest
+
+from agents.plant.cleaning import Bounds
+from agents.plant.logs import read_log
+from probe_env.files import FileError
+
+HEAD = "time [s];length [m];feed [m/s];air [m3/h]"
+ROWS = ((0, 5.0), (1, 5.2), (2, 5.4), (3, 5.6))
+"""Time [s] and length [m] of all readable files, at 0.2 m/s and 63 m3/h."""
+SHORT, LONG = "{t};{x};{v};{a}", "{t};{mm};200.0;63.0"
+
+
+def lines(separator=";", sign=".", head=HEAD, row=SHORT, **fields):
+    """The text of the log that all files here hold; ``fields`` are functions of time and length, or date formats."""
+    fields = {"mm": lambda _, x: f"{1e3 * x:.1f}"} | fields
+    texts = []
+    for t, x in ROWS:
+        moment = datetime(2024, 5, 31, 23, 59, 58) + timedelta(seconds=t)
+        values = {k: moment.strftime(f) if isinstance(f, str) else f(t, x) for k, f in fields.items()}
+        text = row.format(t=t, x=f"{x:.2f}", v="0.20", a="63.0", **values)
+        texts.append(text.replace(".", sign).replace(";", separator))
+    return "\n".join([head.replace(";", separator), *texts])
+
+
+def sheet(*rows):
+    """A workbook whose second sheet, "Messung", has these rows."""
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.title = "Notizen"
+    book.active.append(["nothing"])
+    page = book.create_sheet("Messung")
+    for row in rows:
+        page.append(row)
+    buffer = io.BytesIO()
+    book.save(buffer)
+    return buffer.getvalue()
+
+
+CLOCK = "{c};{x};{v};{a}"
+DATED, DAYS = "Datum;Zeit;length [m];feed [m/s];air [m3/h]", "{d};{c};{x};{v};{a}"
+GERMAN = "Zeit [s];Weg [mm];Vorschub [mm/s];Luft (Nm³/h)"
+GERMAN_LOG = lines(sign=",", head=GERMAN, row=LONG)
+OTHER = "Kanal 1;Kanal 2;Kanal 3;Kanal 4"
+NAMED = ("Kanal 1=time", "Kanal 2=inserted_length[m]", "Kanal 3=feed_speed[m/s]", "Kanal 4=air_supply[m3/h]")
+MIDNIGHT = [time(23, 59, 57), time(23, 59, 58), time(23, 59, 59), time(0)]
+SHEET_HEAD = ["Zeit", "Weg [m]", "Luft [m3/h]"]
+FOREIGN = {
+    "commas": lines(","),
+    "semicolons and decimal commas": lines(sign=","),
+    "tabs": lines("\t"),
+    "pipes": lines("|"),
+    "a table of pipes": lines(" | ").replace("\n", " |\n| ").replace("time", "| time", 1) + " |",
+    "spaces": lines("   ", sign=","),
+    "spaces before": "  " + lines("  ").replace("\n", "\n   "),
+    "a separator at the end": lines().replace("\n", ";\n").replace("m3/h];", "m3/h]") + ";",
+    "quotes and decimal commas": lines(",", ",", HEAD.replace(";", '";"').join('""'), '"{t}";"{x}";"{v}";"{a}"'),
+    "a byte order mark": ("\ufeff" + lines()).encode(),
+    "UTF-16": GERMAN_LOG.encode("utf-16"),
+    "UTF-16 without a mark": GERMAN_LOG.encode("utf-16-be"),
+    "UTF-16, little end first": GERMAN_LOG.encode("utf-16-le"),
+    "Windows' Western European": GERMAN_LOG.encode("cp1252"),
+    "lines of Windows and Ctrl-Z": lines().replace("\n", "\r\n") + "\r\n\x1a",
+    "lines of an old Macintosh": lines().replace("\n", "\r"),
+    "a preamble": "Rig 3; probe 7\nOperator;N. N.\n\n# by hand\n" + lines() + "\n\n% the end\n",
+    "the head in a comment": "#" + lines(),
+    "units below": lines(head="time;length;feed;air\ns;m;m/s;m³/h"),
+    "units below in brackets": lines(head="time;length;feed;air\n[s];[m];[m/s];[m^3/h]"),
+    "German heads": GERMAN_LOG,
+    "names of clean files": lines(",", head="time_s;inserted_length_m;feed_speed_m_per_s;air_supply_m3_per_h"),
+    "units in names": lines(
+        head="time_ms;length_mm;feed_mm_per_s;air_m3_per_h", row="{ms};{mm};200.0;63.0", ms=lambda t, _: f"{1e3 * t}"
+    ),
+    "any heads": (lines(head=OTHER), NAMED),
+    "a head with its unit": (
+        lines(head="a [s];b [m];c (m/s);d [m3/h];", row=SHORT + ";"),
+        ("a=time", "b [m]=inserted_length", "c (m/s)=feed_speed", "d=air_supply"),
+    ),
+    "a head with =": (lines(head=HEAD.replace("feed [m/s]", "v=x/t")), ("v=x/t=feed_speed[m/s]",)),
+    "feet and litres a minute": lines(
+        head="time [min];length [ft];feed [ft/min];air [l/min]", row="{m};{f};39.3700787;1050.0",
+        m=lambda t, _: f"{t / 60.0:.9f}", f=lambda _, x: f"{x / 0.3048:.9f}",
+    ),
+    "timestamps": lines(row=CLOCK, c="%Y-%m-%dT%H:%M:%S"),
+    "timestamps with fractions and a zone": lines(row=CLOCK, c="%Y-%m-%d %H:%M:%S.250+02:00"),
+    "timestamps between spaces": lines("  ", row=CLOCK, c="%Y-%m-%d %H:%M:%S"),
+    "German dates": lines(row=CLOCK, c="%d.%m.%Y %H:%M:%S,5"),
+    "a clock across midnight": lines(row=CLOCK, c="%H:%M:%S"),
+    "a clock with decimal commas": lines(sign=",", row=CLOCK, c="%H:%M:%S.500"),
+    "a date and a clock": lines(head=DATED, row=DAYS, d="%d.%m.%Y", c="%H:%M:%S"),
+    "a named date": (lines(head=DATED.replace("Datum", "D"), row=DAYS, d="%Y-%m-%d", c="%H:%M:%S"), ("D=date",)),
+    "a date of the start alone": lines(head=DATED, row=DAYS, d=lambda *_: "31/5/24", c="%H:%M:%S"),
+    "a date beside seconds": lines(head=DATED, row=DAYS, d="%d.%m.%Y", c=lambda t, _: f"{t}"),
+    "no time at first": lines(row=CLOCK, c="%H:%M:%S").replace("\n", "\nn/a;4.9;0.2;63.0\n", 1),
+    "seconds from anywhere": lines(row=CLOCK, c=lambda t, _: f"{1.7e9 + t:.1f}"),
+    "thousands by points": lines(head=GERMAN, row="{t};{k};200,0;63,0", k=lambda _, x: f"{x:.3f},0"),
+    "thousands by apostrophes": lines(
+        head=GERMAN, row="{t};{k};200.0;63.0", k=lambda _, x: f"{x:.3f}.0".replace(".", "’", 1)
+    ),
+    "thousands by thin spaces": lines(
+        head=GERMAN, row="{t};{k};200,0;63,0", k=lambda _, x: f"{x:.3f},0".replace(".", "\u202f")
+    ),
+    "exponents and signs": lines(row="+{t}E+0;{mm}e-3;2.0E-1;+6.3e1"),
+    "other columns": lines(head=HEAD + ";p [bar];note", row=SHORT + ";1.013;ok"),
+    "a sheet": sheet(
+        ["rig 3"], ["Zeit", "Weg", "Vorschub", "Luft"], ["s", "mm", "mm/s", "m³/h"],
+        *([t, 1e3 * x, 200, 63.0] for t, x in ROWS),
+    ),
+    "a sheet with clock and text": sheet(SHEET_HEAD, *([MIDNIGHT[t], f"{x:.2f}", 63] for t, x in ROWS)),
+    "a sheet with a date and a clock": sheet(
+        ["Datum", *SHEET_HEAD], *([datetime(2024, 5, 31 - (t < 3)), MIDNIGHT[t], x, 63] for t, x in ROWS)
+    ),
+    "a sheet with dates": sheet(
+        SHEET_HEAD, *([datetime(2024, 1, 1) + timedelta(seconds=t), x, 63] for t, x in ROWS)
+    ),
+}  # fmt: skip
+
+
+def test_foreign_files_are_read_as_they_are_meant(tmp_path):
+    path, failures = tmp_path / "rig.log", {}
+    for name, case in FOREIGN.items():
+        content, columns = case if isinstance(case, tuple) else (case, ())
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        try:
+            log = read_log(path, columns, sheet="Messung" if name.startswith("a sheet") else None)
+            assert log.time == pytest.approx([0, 1, 2, 3], abs=1e-6)
+            assert log.inserted_length == pytest.approx([5.0, 5.2, 5.4, 5.6], abs=2e-6)
+            assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
+            assert log.air_supply_rate == pytest.approx([63.0 / 3600.0] * 4, rel=1e-6)
+            assert log.notes == ()  # the speed column agrees
+        except (AssertionError, ValueError) as error:
+            failures[name] = error
+    assert not failures
+
+
+BAD = lines()
+NUMBER = "line 4, column 'length [m]': {!r} is not a finite number"
+CHANGED = [
+    ("feed", "\x1b[31mfeed", "line 1: not a text file: a control character (0x1b)"),
+    ("5.40", "5.4\0", "line 4: not a text file"),
+    ("1;5.20;0.20;63.0", "1;5.20", "line 3: 2 values for 4 columns"),
+    ("1;5.20;0.20;63.0", "1;5.20;0.20;63.0;7;8", "line 3: 6 values for 4 columns"),
+    *(("5.40", cell, NUMBER.format(cell)) for cell in ("fast", "inf", "1e999", "=1+1", "5,40,1.5")),
+    ("2;5.40;0.20;63.0", HEAD, "line 4, column 'time [s]': 'time [s]' is not a finite"),
+    ("5.40", "5,40", "line 4, column 'length [m]': '5,40' has another decimal sign"),
+    ("\n2;", "\n0.5;", "line 4, column 'time [s]': the time '0.5' is 0.5 s before the row"),
+    ("\n3;", "\n3e9;", "line 5, column 'time [s]': 3e+09 s are more than the 100000 s"),
+    ("\n3;", "\n9;", "lines 4 to 5: no rows for 7 s, more than the 5 s"),
+    ("m/s", "furlongs/s?", "column 'feed [furlongs/s?]': 'furlongs/s?' is not a unit"),
+    ("m/s", "wubbles", "column 'feed [wubbles]': the unit 'wubbles' is not known"),
+    ("m/s", "kg", "column 'feed [kg]': 'kg' is not a unit of feed_speed - give one like m/s"),
+    ("m/s", "m**9**9**9**9", "is not a unit"),
+    (" [m/s]", "", "column 'feed' has no unit: give it, --columns 'feed=feed_speed[UNIT]'"),
+    ("length [m]", "Vorschub [m/s]", "columns 'Vorschub [m/s]' and 'feed [m/s]' are both feed_speed"),
+    ("time", "clock?", "no column is known as time; found: 'clock? [s]', 'length [m]'"),
+    ("air", "p", "no column is known as air_supply; found: 'time [s]'"),
+    ("length [m];feed", "p [m];q", "no column is known as feed_speed or inserted_length"),
+    ("3;5.60", "3;5.10", "line 5, column 'length [m]': the probe moves back to 5.1 m from 5.4 m"),
+    ("3;5.60", "3;9.60", "lines 4 to 5: the inserted length leaps from 5.4 to 9.6 m, at 4.2 m/s"),
+    ("63.0", "6300.0", "line 2, column 'air [m3/h]': air_supply = 6300 m3/h is outside"),
+    ("5.20", '"5.20', "line 3"),
+]
+"""What is changed in a good log -> message."""
+HOLE = HEAD + "\n" + "\n".join(f"{t};{'' if 2 < t < 12 else 5.5};0.0;63.0" for t in range(20))
+
+
+def with_days(d, c):
+    return lines(head=DATED, row=DAYS, d=d, c=c)
+
+
+def with_clock(c):
+    return lines(row=CLOCK, c=c)
+
+
+BROKEN = [
+    ("", "empty: a head"),
+    ("\n \n\n", "empty: a head"),
+    ("\n" * 2500 + BAD, "line 1: no head that names two quantities; found: none"),
+    (HEAD, "line 1: a head, but no rows"),
+    ("time;feed;air\ns;m/s;m3/h\n", "line 1: a head, but no rows"),
+    ("\n".join(BAD.split("\n")[:2]), "1 rows have a time: at least two"),
+    (lines(head=OTHER), "line 1: no head that names two quantities; found: 'Kanal 1', 'Kanal 2'"),
+    ("Dear all,\nthis is not a log.\n", "no head that names two quantities"),
+    (bytes(range(256)) * 8, "line 2: not a text file (byte 0x81)"),
+    (np.random.default_rng(0).bytes(4096), "not a text file"),
+    (b"\xff\xfe" + BAD.encode("utf-16-le")[:-1], "not a text file"),
+    (BAD[:-9], "line 5: 3 values for 4 columns, separated by ';' - the file ends within it"),
+    (lines(",", row="{t};5,0;0,2;63,0"), "export it with semicolons"),
+    (lines(row="{t};nan;{v};{a}"), "line 2, column 'length [m]': no value in the whole column"),
+    (lines(head=GERMAN, row="{t};{x}0;200;63"), "line 2, column 'Weg [mm]': '5.000' may have a decimal sign or thous"),
+    (lines(",", ",", GERMAN, '{t};"{x}0";200;63'), "'5,000' may have a decimal sign or thousands"),
+    (lines(row="7;{x};{v};{a}"), "the time never changes"),
+    (with_clock("2024-02-31T%H:%M:%S"), "line 2, column 'time [s]': '2024-02-31T23"),
+    (with_clock(lambda t, _: f"25:00:0{t}"), "line 2, column 'time [s]': '25:00:00' is not a"),
+    (with_clock(lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]'"),
+    (with_clock(lambda t, _: f"2024-05-31T12:00:0{t}{'Z' * (t == 2)}"), "line 4, column 'time [s]': times with a zone"),
+    (
+        with_days(lambda t, _: f"{1 + t // 2:02d}.06.2024", lambda t, _: f"09:00:0{t}"),
+        "lines 3 to 4: no rows for 86401 s",
+    ),
+    (
+        with_days(lambda t, _: f"0{1 + t // 2}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"),
+        "lines 3 to 4: no rows for 82801 s",
+    ),
+    (
+        with_days(lambda t, _: f"6/{1 + t // 2}/24", lambda t, _: f"09:00:0{t}"),
+        "line 2, column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024",
+    ),
+    (HOLE, "lines 4 to 14: column 'length [m]' has no values for 10 s, more than the 5 s"),
+    (lines(row="{t};{mm};{v};{a}"), "line 2, column 'length [m]': inserted_length = 5000 m is outside"),
+    (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
+    (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
+    (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
+    (b"PK\x05\x06" + bytes(18), "not a text file"),
+    (sheet(["a", "b"]), "row 1: no head that names two quantities; found: 'nothing'"),
+]
+
+
+def archive(parts):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in parts.items():
+            file.writestr(name, content)
+    return buffer.getvalue()
+
+
+SHEET_ROWS = ["time [s]", "feed [m/s]", "air [m3/h]"], [0, 0.2, 63], [1, 0.2, 63]
+GOOD_SHEET = sheet(*SHEET_ROWS)
+
+
+def with_part(old, new):
+    """The good workbook with something replaced in its second sheet."""
+    with zipfile.ZipFile(io.BytesIO(GOOD_SHEET)) as file:
+        parts = {part: file.read(part) for part in file.namelist()}
+    page = "xl/worksheets/sheet2.xml"
+    assert old in parts[page]
+    return archive(parts | {page: parts[page].replace(old, new)})
+
+
+ENTITIES = b'<!DOCTYPE w [<!ENTITY a "' + b"ha" * 1000 + b'">' + b"".join(
+    b'<!ENTITY %c "%s">' % (k + 1, b"&%c;" % k * 60) for k in range(97, 103)
+)  # fmt: skip
+UNREADABLE = "not an Excel workbook that can be read"
+SHEETS = [
+    (
+        archive({"xl/a.xml": b"0" * 1000}).replace(struct.pack("<I", 1000), struct.pack("<I", 4_000_000_000)),
+        "1 parts of 4000000000 bytes unpacked are more than a log may have",
+    ),
+    (GOOD_SHEET[:-200], "not an Excel workbook"),
+    (archive({"a.txt": b"1"}), f"{UNREADABLE} (KeyError)"),
+    (with_part(b"<row", b"<<row"), UNREADABLE),
+    (with_part(b"<worksheet", ENTITIES + b"]><worksheet>&g;</worksheet><worksheet"), UNREADABLE),
+    (sheet(*SHEET_ROWS[:2], [1, True, 63]), "row 3, column 'feed [m/s]': 'True' is not a finite number"),
+    (
+        sheet(SHEET_ROWS[0], [0, "=1+1", 63], [1, "=1+1", 63]),  # a formula that nobody computed
+        "row 2, column 'feed [m/s]': no value in the whole column",
+    ),
+    (with_part(b"</sheetData>", b"<row/>" * 10**5 + b"</sheetData>"), "row 10004: more rows than a sheet has"),
+    (with_part(b"</sheetData>", b'<row r="1048577"><c><v>1</v></c></row></sheetData>'), "more rows than a sheet has"),
+    (sheet(SHEET_ROWS[0], [0] * 300), "row 2: more than 256 columns"),
+]
+
+
+def test_broken_files_are_refused_in_one_line(tmp_path):
+    cases = [(content, message, None) for content, message in BROKEN]
+    for old, new, message in CHANGED:
+        assert old in BAD
+        cases.append((BAD.replace(old, new, 1), message, None))
+    cases += [(content, message, "Messung") for content, message in SHEETS]
+    cases.append((GOOD_SHEET, "no sheet 'sheet\\x1b[31m'; there are 'Notizen', 'Messung'", "sheet\x1b[31m"))
+    path, failures = tmp_path / "rig.log", []
+    for content, message, name in cases:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        try:
+            failures.append((message, read_log(path, sheet=name)))
+        except FileError as error:
+            if not str(error).startswith(str(path)) or message not in str(error) or not str(error).isprintable():
+                failures.append((message, str(error)))
+    assert not failures
+
+
+def test_a_sheet_may_claim_any_size(tmp_path):
+    path = tmp_path / "rig.xlsx"
+    path.write_bytes(with_part(b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
+    assert read_log(path, sheet="Messung").mended.rows == 2
+
+
+def test_what_is_no_file(tmp_path, monkeypatch):
+    with pytest.raises(FileError, match="a folder, not a file"):
+        read_log(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="a pipe or a device"):
+        read_log(tmp_path / "pipe")
+    with pytest.raises(FileNotFoundError):
+        read_log(tmp_path / "nowhere.csv")
+    monkeypatch.setattr("agents.plant.tables.MOST_BYTES", 100)
+    (tmp_path / "large.csv").write_bytes(bytes(101))
+    with pytest.raises(FileError, match="101 bytes are more than the 100"):
+        read_log(tmp_path / "large.csv")
+
+
+def test_columns_and_bounds_that_make_no_sense(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(BAD)
+    for columns, message in {
+        ("feed",): "columns = 'feed' is not HEAD=QUANTITY",
+        ("feed=speed",): "columns = 'feed=speed' is not HEAD=QUANTITY",
+        ("a=time", "b=time"): "columns = 'b=time': time is named twice",
+        ("nowhere=time",): "column 'nowhere' of --columns is not there; found: 'time [s]'",
+        ("feed=feed_speed", "feed=rf_noise_rms"): "column 'feed' is named twice in --columns",
+        ("feed=feed_speed[kg]",): "column 'feed [m/s]': 'kg' is not a unit of feed_speed",
+    }.items():
+        with pytest.raises(ValueError) as caught:  # noqa: PT011 (the message is compared below)
+            read_log(path, columns)
+        assert message in str(caught.value)
+    for name, value in {"gap": 0.0, "every": 6.0, "tolerance": float("nan"), "backward": -1.0}.items():
+        with pytest.raises(ValueError, match=name):
+            Bounds(**{name: value})

@@ -1,0 +1,287 @@
+"""What holds for every log: it feeds the same after thinning, a clean file stays as it is, units convert."""
+
+import itertools
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from agents.cli import main
+from agents.plant.cleaning import Bounds
+from agents.plant.logs import read_log
+from agents.plant.quantities import QUANTITIES, known_as, si_factor, split_head
+from agents.policies.catalogue import make_policy
+from agents.records.shipped import file_or_shipped, shipped_names
+from probe_env import TaskConfig
+from probe_env.schedule import Schedule
+
+QUIET = settings(max_examples=25, deadline=None, database=None, derandomize=True)
+TOLERANCE = 1e-3
+"""[m], the usual one."""
+RIG = "Zeit [s];Weg [m];v;Luft [m3/h]\n0;5,0;200;63\n1;5,2;200;63\n2;5,4;200;63\n"
+
+
+@st.composite
+def insertions(draw):
+    """Time [s], true length [m] and encoder [m] of an insertion with standstills, sampled unevenly."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    n, spacing = draw(st.integers(20, 600)), draw(st.sampled_from([0.02, 0.1, 0.5]))
+    time = np.cumsum(np.append(0.0, spacing * rng.uniform(0.5, 1.5, n - 1)))
+    speeds = rng.uniform(0.02, 0.4, 1 + n // 20) * (rng.uniform(size=1 + n // 20) > 0.3)
+    length = 5.0 + np.append(0.0, np.cumsum(np.diff(time) * speeds[np.arange(n - 1) // 20]))
+    noise = draw(st.sampled_from([0.0, 2e-4, 2e-3]))
+    return time, length, length + noise * rng.uniform(-1.0, 1.0, n)
+
+
+def written(path, time, encoder, **measured):
+    columns = {
+        "time_s": time,
+        "inserted_length_m": encoder,
+        "air_supply_m3_per_h": np.full(len(time), 63.0),
+        **measured,
+    }
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.9f", ";", header=";".join(columns), comments="")
+    return path
+
+
+@QUIET
+@given(insertions(), st.sampled_from([0.2, 1.0, 5.0]))
+@example((np.arange(9.0), np.full(9, 5.0), np.full(9, 5.0)), 1.0)
+def test_thinning_keeps_what_is_fed(tmp_path_factory, insertion, every):
+    time, length, encoder = insertion
+    log = read_log(written(tmp_path_factory.mktemp("log") / "rig.csv", time, encoder), bounds=Bounds(every=every))
+    fed = log.inserted_length[0] + np.append(0.0, np.cumsum(log.feed_speed[:-1] * np.diff(log.time)))
+    assert fed == pytest.approx(log.inserted_length, abs=1e-9)
+    noise = np.abs(encoder - length).max()
+    wrong = np.abs(np.interp(time, log.time, fed) - length).max()
+    assert wrong <= TOLERANCE + noise + 2e-6  # between the encoder's least and greatest, each off by its noise
+    assert log.deviation <= TOLERANCE
+    assert np.diff(log.time).max() <= max(every, np.diff(time).max()) + 1e-6
+
+
+@QUIET
+@given(insertions())
+def test_a_clean_file_stays_as_it_is_and_is_a_schedule(tmp_path_factory, insertion):
+    time, _, encoder = insertion
+    folder = tmp_path_factory.mktemp("log")
+    noise = np.random.default_rng(len(time)).uniform(1e-6, 1e-4, len(time))
+    log = read_log(written(folder / "rig.csv", time, encoder, rf_noise_rms_m=noise))
+    (folder / "clean.csv").write_text(log.to_csv())
+    reread = read_log(folder / "clean.csv")
+    assert reread.to_csv() == log.to_csv()
+    assert reread.mended == replace(reread.mended, untimed=0, duplicates=0, missing=0, backward=0)
+    schedule = Schedule.read(folder / "clean.csv")
+    assert (schedule.over, schedule.interpolation) == ("time", "steps")
+    played = np.cumsum(schedule.at(log.time[:-1])[0] * np.diff(log.time))
+    assert played == pytest.approx(log.inserted_length[1:] - log.inserted_length[0], abs=1e-5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_standstills_last_and_are_exactly_none(tmp_path, noise):
+    time = np.arange(0.0, 60.0, 0.1)
+    speed = np.where((time >= 20.0) & (time < 35.0), 0.0, 0.1)
+    length = 5.0 + np.append(0.0, np.cumsum(speed[:-1] * 0.1))
+    encoder = length + noise * np.random.default_rng(1).normal(size=len(time))
+    log = read_log(written(tmp_path / "rig.csv", time, encoder))
+    (dwell,) = log.dwells
+    # the noise hides the tolerance and itself, at both ends, at 0.1 m/s: hundredths of a second; rows are 0.1 s apart
+    assert dwell.time == pytest.approx(20.0, abs=0.15)
+    assert dwell.duration == pytest.approx(15.0, abs=0.3)
+    assert dwell.inserted_length == pytest.approx(7.0, abs=TOLERANCE + noise)
+    inside = (log.time >= dwell.time) & (log.time < dwell.time + dwell.duration)
+    assert (log.feed_speed[inside] == 0.0).all()
+    assert inside.sum() >= 14  # a row a second, so that what is measured keeps its resolution
+
+
+def test_slow_creeping_is_no_standstill(tmp_path):
+    time = np.arange(0.0, 100.0, 0.5)
+    log = read_log(written(tmp_path / "rig.csv", time, 5.0 + 1e-3 * time))
+    assert log.dwells == ()
+    assert log.inserted_length[-1] == pytest.approx(5.0995, abs=TOLERANCE)
+
+
+def test_units_convert():
+    expected = {
+        "feed_speed": {"mm/s": 1e-3, "ft/min": 0.3048 / 60.0, "m/min": 1.0 / 60.0, "m s^-1": 1.0},
+        "air_supply": {
+            "Nm³/h": 1 / 3600.0, "l/min": 1e-3 / 60.0, "Nl/min": 1e-3 / 60.0, "m^3/s": 1.0, "ft3/min": 0.3048**3 / 60.0
+        },
+        "root_tension": {"kN": 1e3, "lbf": 4.4482216152605, "daN": 10.0},
+        "radial_acceleration_rms": {"g": 9.80665, "mg": 9.80665e-3, "m/s² rms": 1.0},
+        "rf_noise_rms": {"µm": 1e-6, "μm": 1e-6},
+        "inserted_length": {"mm": 1e-3, "ft": 0.3048},
+        "time": {"ms": 1e-3, "Std.": 3600.0, "sek": 1.0},
+    }  # fmt: skip
+    found = {name: {unit: si_factor(unit, QUANTITIES[name]) for unit in units} for name, units in expected.items()}
+    for name, units in expected.items():
+        assert found[name] == pytest.approx(units, rel=1e-12)
+    other = ["g", "kg", "V", "%", "°C", "bar", "m/s/s/s", "1", "-", "9**9**9**9", "m" * 1000, "__import__('os')"]
+    for unit in other:
+        with pytest.raises(ValueError, match="unit"):
+            si_factor(unit, QUANTITIES["feed_speed"])
+
+
+def test_heads():
+    expected = {q.column: (q.name, q.unit) for q in QUANTITIES.values() if "s2" not in q.column} | {
+        "Einschubgeschwindigkeit [m/min]": ("feed_speed", "m/min"),
+        "FEED SPEED (mm/s)": ("feed_speed", "mm/s"),
+        "Luft-Volumenstrom": (None, ""),
+        "Weg in mm": ("inserted_length", "mm"),
+        "Zeitstempel": ("time", ""),
+        "Radialbeschleunigung RMS [g]": ("radial_acceleration_rms", "g"),
+        "root_tension_kN": ("root_tension", "kN"),
+        "axial_acceleration_rms_m_per_s2": ("axial_acceleration_rms", "m/s2"),
+        "feed_set": (None, ""),
+        "[m]": (None, ""),
+        "": (None, ""),
+        "Geschwindigkeit Soll [m/s]": (None, "m/s"),
+    }
+    assert {head: (known_as(head), split_head(head)[1]) for head in expected} == expected
+
+
+def test_what_went_wrong_is_mended_and_counted(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(
+        "time [s];length [m];air [m3/h];noise [µm]\n"
+        "0;5.00;60;3\n1;5.10;60;3\n1;5.12;66;4\n;5.15;60;3\n2;5.22;;3\n3;5.30;66;3\n4;5.295;66;3\n7;5.60;66;n/a\n8;5.7;66;3\n"
+    )
+    log = read_log(path)
+    mended = log.mended
+    assert (mended.rows, mended.untimed, mended.duplicates, mended.missing) == (9, 1, 1, 2)
+    assert (mended.gaps, mended.longest_gap) == (1, 3.0)
+    assert (mended.backward, mended.most_backward) == (1, pytest.approx(0.005))
+    by_time = dict(zip(log.time, zip(log.inserted_length, log.air_supply_rate * 3600.0, strict=True), strict=True))
+    assert by_time[1.0] == pytest.approx((5.11, 63.0))
+    assert by_time[2.0] == pytest.approx((5.22, 64.5))
+    assert by_time[3.0][0] == pytest.approx(5.2975, abs=TOLERANCE)
+    assert log.measured["rf_noise_rms"][1] == pytest.approx(np.sqrt(12.5) * 1e-6)
+
+
+def test_speed_alone_is_integrated_and_speed_beside_the_encoder_compared(tmp_path):
+    path = tmp_path / "rig.csv"
+    time = np.arange(0.0, 20.0, 0.1)
+    speed = 0.1 + 0.005 * time
+    rows = [f"{t:.1f},{v:.6f},63.5" for t, v in zip(time, speed, strict=True)]
+    path.write_text("\n".join(["t [s],Vorschub [m/s],Luft [m3/h]", *rows]))
+    log = read_log(path, bounds=Bounds(start_length=7.0))
+    length = 7.0 + 0.1 * log.time + 0.0025 * log.time**2
+    assert log.inserted_length == pytest.approx(length, abs=TOLERANCE)
+    rows = [f"{row},{5.0 + 0.2 * t:.4f}" for row, t in zip(rows, time, strict=True)]
+    path.write_text("\n".join(["t [s],Vorschub [m/s],Luft [m3/h],Weg [m]", *rows]))
+    log = read_log(path)
+    assert log.inserted_length == pytest.approx(5.0 + 0.2 * log.time, abs=TOLERANCE)
+    (note,) = log.notes
+    assert "disagree" in note
+    assert "the encoder is taken" in note
+
+
+def test_channels_are_averaged_over_their_interval(tmp_path):
+    time = np.arange(0.0, 10.0, 0.01)
+    rng = np.random.default_rng(2)
+    tension, noise = rng.normal(10.0, 3.0, len(time)), rng.uniform(0.0, 1e-4, len(time))
+    path = written(tmp_path / "rig.csv", time, 5.0 + 0.1 * time, root_tension_n=tension, rf_noise_rms_m=noise)
+    log = read_log(path)
+    edges = np.append(np.searchsorted(time, log.time[:-1] - 1e-9), len(time) - 1)
+    for k, (a, b) in enumerate(itertools.pairwise(edges)):
+        assert log.measured["root_tension"][k] == pytest.approx(tension[a:b].mean(), rel=1e-6)
+        assert log.measured["rf_noise_rms"][k] == pytest.approx(np.sqrt(np.mean(noise[a:b] ** 2)), rel=1e-4)
+
+
+def test_many_rows(tmp_path):
+    count = 200_000
+    time = np.arange(count) * 0.01
+    length = 5.0 + np.cumsum(np.where(time % 500.0 < 30.0, 0.0, 0.006)) * 0.01
+    block = "".join(f"{t:.2f},{x:.4f},63.0\n" for t, x in zip(time, length, strict=True))
+    path = tmp_path / "rig.csv"
+    path.write_text("time [s],Weg [m],Luft [m3/h]\n" + block)
+    log = read_log(path)
+    assert log.mended.rows == count
+    assert len(log.time) < 1.2 * time[-1]  # about a row a second is left
+    assert np.abs(np.interp(time, log.time, log.inserted_length) - length).max() <= TOLERANCE + 5e-5
+    assert len(log.dwells) == 4
+    assert sum(dwell.duration for dwell in log.dwells) == pytest.approx(120.0, abs=4 * 0.5)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def refused(capsys, *arguments):
+    """The one line of a command that is refused, and writes nothing."""
+    before = sorted(Path().rglob("*"))
+    assert main(["log", *map(str, arguments)]) == 2
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
+    assert printed.err.strip().isprintable()
+    assert sorted(Path().rglob("*")) == before
+    return printed.err
+
+
+def test_the_shipped_log_is_shown_and_made_a_schedule(here, capsys):
+    file = file_or_shipped("logs", "example-rig")
+    assert shipped_names("logs") == ("example-rig",)
+    assert main(["log", "example-rig", "--plot", "plots/rig.png"]) == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 80
+    unwrapped = " ".join(printed.split())
+    for text in (
+        "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "leaves the task's range of 0.02 to 0.4 m/s",
+        "written: output/example-rig-clean.csv, plots/rig.png",
+    ):  # fmt: skip
+        assert text in unwrapped
+    assert Path("plots/rig.png").read_bytes().startswith(b"\x89PNG")
+    log, schedule = read_log(file), Schedule.read("output/example-rig-clean.csv")
+    (dwell,) = log.dwells
+    assert dwell.inserted_length == pytest.approx(30.1, abs=0.1)  # where the operator stopped at 30 m, and the ramp
+    assert dwell.duration == pytest.approx(20.0, abs=2.1)  # less two ramps and two rows
+    assert schedule.at(dwell.time + 0.5 * dwell.duration)[0] == 0.0
+    assert schedule.position == pytest.approx(log.time)
+    policy = make_policy("output/example-rig-clean.csv", TaskConfig())
+    assert policy.schedule.at([120.0])[0] == 0.0  # in the standstill
+    assert policy.stands
+    assert policy.schedule.start_length == pytest.approx(log.inserted_length[0])
+
+
+def test_columns_may_be_given_several_times_and_the_input_is_never_written(here, capsys):
+    rig = Path("rig.csv")
+    rig.write_text(RIG)
+    assert main(["log", "rig.csv", "--columns", "v=feed_speed[mm/s]", "--columns", "Weg=inserted_length"]) == 0
+    assert Schedule.read("output/rig-clean.csv").feed_speed == pytest.approx((0.2, 0.2, 0.2))
+    capsys.readouterr()
+    Path("link.csv").hardlink_to(rig)
+    for output in ("rig.csv", "./rig.csv", "link.csv"):
+        assert "is the log itself" in refused(capsys, "rig.csv", "--output", output)
+    assert rig.read_text() == RIG
+    assert "is not a CSV file" in refused(capsys, "rig.csv", "--output", "rig.txt")
+    assert "is not a picture" in refused(capsys, "rig.csv", "--plot", "rig.exe")
+    assert "logs that ship, by name: example-rig" in refused(capsys, "nowhere.csv")
+    assert "gap = 0.0 is outside the accepted range 0.001 to 3600 s" in refused(capsys, "example-rig", "--gap", "0")
+    assert "air_supply_rate" in refused(capsys, "example-rig", "--air-supply", "nan")
+
+
+def test_what_a_file_says_does_not_reach_the_terminal_raw(here, capsys):
+    name, formula = "rig\x1b[31m\n.csv", RIG.replace("v;", "=cmd|' /C calc'!A0;")
+    Path(name).write_text(formula.replace("Zeit", "Zeit\u202e"))
+    assert "no column is known as time" in refused(capsys, name)
+    Path(name).write_text(formula)
+    assert main(["log", name, "--output", "clean.csv"]) == 0
+    assert main(["log", name]) == 0
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed
+    assert "cmd" not in printed + Path("clean.csv").read_text()
+
+
+def test_without_pint_one_line_names_the_extra(here, capsys, monkeypatch):
+    assert find_spec("pint")
+    monkeypatch.setitem(sys.modules, "pint", None)
+    assert 'this command needs pint, which is not installed: pip install "probe-env[' in refused(capsys, "example-rig")
+    head = "time_s,inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
+    Path("clean.csv").write_text(head + "0,5,0.2,63\n1,5.2,0.2,63\n")
+    assert main(["log", "clean.csv"]) == 0  # what is clean has SI units

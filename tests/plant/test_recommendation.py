@@ -1,0 +1,149 @@
+"""Recommended schedules: optimal, within the device's ranges and steps, taut enough; the command and its refusals."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.cli import main
+from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_reward, recommended
+from agents.plant.response import stored_response
+from agents.policies.catalogue import DATA
+from agents.records.reading import read_csv
+from probe_env import Context, Plant
+from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
+from probe_env.scene import Probe
+from probe_env.schedule import Schedule
+
+RESPONSE = stored_response()
+PLANT = Plant(
+    tube=Tubes(inner_diameter=23e-3, helix_length=45.0),
+    air=Supply(air_supply_rates=(0.0084, 0.034), air_supply_step=0.001),
+    feed=FeedDevice(feed_speeds=(0.03, 0.35), feed_speed_step=0.005),
+)
+TUBES = [Context(friction=mu, helix_diameter=1.3) for mu in (0.12, 0.16, 0.2)]
+TUBE = "[tube]\nhelix_length = 24.0\n[contact]\nfriction = { low = 0.1, high = 0.2 }\n"
+
+
+def test_the_cheapest_path_is_that_of_all_paths() -> None:
+    """Of 4 points at 6 places all 4096 paths were tried; a place may forbid some points."""
+    rng = np.random.default_rng(0)
+    staged, change = rng.random((6, 4)), rng.random((4, 4))
+    staged[3, :3] = np.inf
+    paths = list(itertools.product(range(4), repeat=6))
+    costs = [
+        sum(staged[k, p] for k, p in enumerate(path)) + sum(change[a, b] for a, b in itertools.pairwise(path))
+        for path in paths
+    ]
+    assert cheapest_path(staged, change) == list(paths[int(np.argmin(costs))])
+
+
+def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:
+    """Whole steps within the ranges, to the end of the helix, with the margin of the root tension."""
+    config = PLANT.configured()
+    optimum = recommended(TUBES, RESPONSE, config)
+    feed, air = np.array(optimum.schedule.feed_speed), np.array(optimum.schedule.air_supply_rate)
+    assert optimum.schedule.position[-1] == 45.0
+    assert ((feed >= 0.03) & (feed <= 0.35)).all()
+    assert ((air >= 0.0084) & (air <= 0.034)).all()
+    np.testing.assert_allclose(feed / 0.005, np.round(feed / 0.005), atol=1e-9)
+    np.testing.assert_allclose(air / 0.001, np.round(air / 0.001), atol=1e-9)
+    assert optimum.tension >= MARGIN * config.required_tension
+
+
+def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
+    """No constant change of its feed is expected to be better by more than the price on change could hide."""
+    config = Plant().configured()
+    schedule = recommended(TUBES, RESPONSE, config).schedule
+    others = [Schedule.read(DATA / "best-schedule.csv")]
+    for factor in (0.7, 1.4):
+        feed = tuple(np.clip(factor * np.array(schedule.feed_speed), *config.feed_speeds).tolist())
+        others.append(Schedule("inserted_length", "linear", schedule.position, feed, schedule.air_supply_rate))
+    own, *rewards = (expected_reward(other, TUBES, RESPONSE, config) for other in (schedule, *others))
+    assert own > max(rewards)
+    # at 40 m the probe rings with a friction of 0.25 and not with 0.08
+    slippery, rough = (
+        recommended([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
+    )
+    assert rough < 0.7 * slippery
+
+
+def test_plants_without_an_answer_are_refused() -> None:
+    """In one line with the field and its value: too little air, or a vibration that the response does not have."""
+    weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
+    with pytest.raises(ValueError, match=r"air_supply_rates = .*root tension at .* and 7.5 N are needed"):
+        recommended([Context(friction=0.3)], RESPONSE, weak.configured())
+    loud = Plant(task={"vibration_measure": "acceleration"}).configured()
+    assert recommended(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0
+    with pytest.raises(ValueError, match=r"task.vibration_measure = 'velocity'"):
+        recommended(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
+
+
+def test_what_is_outside_the_training_ranges_is_reported() -> None:
+    """Bore, friction and probe, each with value and range; nothing within them."""
+    assert beyond(TUBES, RESPONSE, PLANT.configured()) == []
+    odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
+    texts = "; ".join(beyond([Context(friction=0.4)], RESPONSE, odd))
+    assert "radial room of the floats 0.009 to 0.009 m, beyond" in texts
+    assert "a probe of another line_density" in texts
+    assert "friction 0.4 to 0.4, beyond 0.05 to 0.35" in texts
+
+
+@pytest.mark.slow
+def test_it_is_written_simulated_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The schedule, how it was found, and the report with a schedule to compare with, on tubes of the plant."""
+    (tmp_path / "tube.toml").write_text(TUBE)
+    own = tmp_path / "own.csv"
+    own.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n24,0.2,63\n")
+    arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(tmp_path / "my.csv"), "--limit", "2"]
+    arguments += ["--policy", str(tmp_path / "law.json"), "--fidelity", "fast"]
+    assert main(["recommend", str(own), *arguments]) == 0
+    assert Schedule.read(tmp_path / "my.csv").position[-1] == 24.0
+    episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
+    assert set(episodes["policy"]) == {"recommended", "recommended-law", "own", "best-schedule", "tension-scheduled"}
+    assert (episodes.groupby("policy").size() == 2).all()
+    page = (tmp_path / "my-confirmed" / "report.html").read_text()
+    assert "own" in page
+    assert "recommended" in page
+    assert "expected reward" in capsys.readouterr().out
+
+
+def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """``--no-simulated``: the schedule and how it was found, and no folder of episodes."""
+    (tmp_path / "tube.toml").write_text(TUBE)
+    arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(tmp_path / "my.csv"), "--no-simulated"]
+    assert main(["recommend", *arguments]) == 0
+    assert Schedule.read(tmp_path / "my.csv").position[-1] == 24.0
+    record = json.loads((tmp_path / "my.json").read_text())
+    assert record["least_root_tension_n"] >= 1.2
+    assert not record["calibrated"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
+    printed = capsys.readouterr().out
+    assert "simulated on" not in printed
+    assert "way in" not in printed
+    (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
+    assert main(["recommend", *arguments]) == 0
+    assert "my is for the way in, and drawn back as fast as the device can" in capsys.readouterr().out
+
+
+def test_what_is_refused_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one line, before anything is searched."""
+    monkeypatch.chdir(tmp_path)
+    for arguments, problem in (
+        (["--output", "my.txt"], "is not a CSV file"),
+        (["--policy", "my.txt"], "is not a JSON file"),
+        (["nowhere.csv"], "nowhere.csv"),
+        (["own.csv", "--no-simulated"], "schedules: only a simulation compares with them"),
+        (["--limit", "100"], "limit = 100 is outside"),
+        (["--fidelity", "fine"], "fidelity = 'fine' is not one of"),
+        (["--tube", "nowhere.toml"], "nowhere.toml"),
+    ):
+        assert main(["recommend", *arguments]) != 0
+        assert problem in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
