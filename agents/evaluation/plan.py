@@ -20,7 +20,8 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import UNFINISHED, Setting, Unit, episodes_of, gathered, write_tables
+from agents.evaluation.folder import UNFINISHED, Setting, episodes_of, gathered, write_tables
+from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import CARRIED, HEARD
 from agents.policies.policy import Policy as Policy
 from agents.processes.workers import HERE, Workers
