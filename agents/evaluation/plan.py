@@ -173,11 +173,6 @@ def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
     return done
 
 
-def check_stored(plan: Plan, output: Path) -> None:
-    """Raise as ``stored_episodes`` does."""
-    stored_episodes(plan, output)
-
-
 def _shared(setting: Setting) -> dict[str, Any]:
     """What episodes must share; what is only observed may differ, and new fields of the task have their defaults."""
     shared = ("fidelity", "probes", "version", "commit")
