@@ -61,9 +61,14 @@ class Playing:
         self.plan, self.missing = plan, missing
         count = min(batch, len(missing))
         self.episodes = make_episodes(
-            count, plan.config, threads=threads, may_stand=True, fidelity=plan.fidelity, probes=plan.probes,
+            count,
+            plan.config,
+            threads=threads,
+            may_stand=True,
+            fidelity=plan.fidelity,
+            probes=plan.probes,
             surrogate_map=plan.vibration,
-        )  # fmt: skip
+        )
         self.units: list[Unit | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
         self.decided = False

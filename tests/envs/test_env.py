@@ -19,28 +19,19 @@ SHORT = {
     "probe_env/Snapshot-v1": {},
     "probe_env/Inspection-v0": {"fidelity": "fast"},
 }
+SNAPSHOT = {"scene": {"carrier_length": 8.0}}
+CHECKED = [(env_id, given) for env_id, given in SHORT.items() if given] + [
+    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": variant})
+    for variant in ({}, {"observe_root_tension": False}, {"privileged": True}, {"observe_probe": True})
+]
 
 
-COARSE = {"probe_env/Inspection-v0": {"fidelity": "fast"}}
-"""For checks that do not look at what is simulated: both passes on a fine mesh take their time."""
-
-VARIANTS = ({}, {"observe_root_tension": False}, {"privileged": True}, {"observe_probe": True})
-CHECKED = pytest.mark.parametrize(
-    ("env_id", "variant"),
-    [(env_id, variant) for env_id in list(SHORT)[:2] for variant in VARIANTS] + [("probe_env/Inspection-v0", {})],
-)
-
-
-@CHECKED
-def test_gymnasium_s_checker_finds_nothing(env_id, variant):
-    check_env(gym.make(env_id, config=variant, render_mode="rgb_array", **COARSE.get(env_id, {})).unwrapped)
-
-
-@CHECKED
-def test_sb3_s_checker_finds_nothing(env_id, variant):
+@pytest.mark.parametrize(("env_id", "given"), CHECKED)
+def test_the_checkers_of_gymnasium_and_sb3_find_nothing(env_id, given):
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-    sb3_check_env(gym.make(env_id, config=variant, **COARSE.get(env_id, {})).unwrapped)
+    check_env(gym.make(env_id, render_mode="rgb_array", **given).unwrapped)
+    sb3_check_env(gym.make(env_id, **given).unwrapped)
 
 
 @IDS
