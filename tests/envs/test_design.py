@@ -294,8 +294,3 @@ def test_the_probe_that_was_built_is_observed_as_its_place_in_the_design_space()
         observation[: -len(RANGES)]
         == gym.make("probe_env/Insertion-v1", probes="random", config={"settle_time": 0.1}).reset(seed=0)[0]
     ).all()  # what is shown changes nothing else
-
-
-def test_an_unknown_choice_of_probes_is_named():
-    with pytest.raises(ValueError, match="probes = 'all' is not one of scene, random"):
-        gym.make("probe_env/Insertion-v1", probes="all")
