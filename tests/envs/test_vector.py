@@ -49,15 +49,6 @@ def test_a_limit_of_steps_is_gymnasium_s(env_id, mode):
 
 
 @IDS
-def test_a_scene_may_be_a_mapping(env_id):
-    given = {"config": {"period": 0.1, "time_limit": 0.2, "settle_time": 0.1, "feed_speeds": (0.05, 0.3)}}
-    given["scene"], given["fidelity"] = {"tube": {"inner_diameter": 0.025}, "carrier_length": 8.0}, "standard"
-    whole = probe_env.Scene(tube=probe_env.Tube(inner_diameter=0.025), carrier_length=8.0)
-    for env in (gym.make(env_id, **given), gym.make_vec(env_id, num_envs=2, **given), ProbeVecEnv(env_id, 2, **given)):
-        assert env.unwrapped.episodes.starts.scene == whole
-
-
-@IDS
 @pytest.mark.parametrize("limit", [{}, {"max_episode_steps": 3}], ids=["", "three steps"])
 def test_the_sb3_batch_conforms(env_id, limit):
     given = CASES[env_id] | limit

@@ -111,6 +111,7 @@ def test_spikes_are_told_from_noise():
         assert detection.gaussian is gaussian
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_the_formula_says_what_10000_flaws_say(seeds):
     """Flaws of random depth in simulated traces with electronic noise, called by the filter, fitted by a logit.

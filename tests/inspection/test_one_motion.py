@@ -30,6 +30,7 @@ def motion(seeds):
     return batch.advance(None, None, SECONDS, SAMPLE_PERIOD, keep_samples=True).radial
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_one_motion_is_heard_alike_with_and_without_time_lapse(seeds):
     """In seconds, as ``standard`` and ``reference`` hear it, and in quarters, as ``fast`` does.

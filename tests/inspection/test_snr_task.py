@@ -47,6 +47,7 @@ def test_the_sensor_changes_nothing_of_the_task_in_millimetres():
     assert second == pytest.approx(0.5 * first, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures(seeds):
     """As the study measured at 0.2 m/s, its figures 3 and 4: the ranks agree.
@@ -76,6 +77,7 @@ def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures(seed
     assert spearmanr(*means).statistic >= 0.85
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_a_finer_step_hears_the_same(seeds):
     """Noise at 30 m by the default and by half its step in double precision, within what chance leaves of 16 runs.

@@ -128,6 +128,7 @@ def rms_at_constant_length(fidelity, seeds):
     return batch.advance(None, None, 5.0).statistics["radial_rms_m"]
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
     """l = 40 m between the chart's lengths, another tube, friction and stiffness.
@@ -151,6 +152,7 @@ def rms_of_insertion(fidelity, seeds):
     return batch.advance(None, None, 15.0 / fidelity.time_lapse).statistics["radial_rms_m"]
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_the_stated_error_of_fast_holds_on_an_unseen_insertion(seeds):
     """4 % are stated (a member +- 21 and 6 %). With 32 against 8 chance is another 19 %: 23 % are noticed."""

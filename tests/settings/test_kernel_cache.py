@@ -47,6 +47,7 @@ def use(installation, home="/dev/null/home", **environment):
     return folder, int(hits), done.stderr
 
 
+@pytest.mark.slow
 def test_a_temporary_folder_serves_and_is_named_once(installation):
     folder, hits, warning = use(installation)
     assert Path(folder).parent == installation / "temporary"
@@ -58,6 +59,7 @@ def test_a_temporary_folder_serves_and_is_named_once(installation):
     assert use(installation)[:2] == (folder, 1)  # what was compiled serves the next interpreter
 
 
+@pytest.mark.slow
 def test_with_a_home_numba_keeps_them_there(installation):
     home = installation / "home"
     home.mkdir()
@@ -67,6 +69,7 @@ def test_with_a_home_numba_keeps_them_there(installation):
     assert list(home.rglob("*.nbc"))
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_named(installation):
     folder, warning = use(installation, NUMBA_CACHE_DIR="/dev/null/chosen")[::2]
     assert Path(folder).parent == installation / "temporary"
@@ -92,6 +95,7 @@ print(kernel(), sum(kernel.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [True, False], ids=["beside the sources", "in a home"])
 def test_kernels_are_forgotten_when_what_is_compiled_into_them_changes(tmp_path, beside):
     """numba looks at a kernel's own file alone: it would go on with what other files had in them."""

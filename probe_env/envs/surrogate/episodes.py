@@ -285,23 +285,27 @@ class SurrogateEpisodes:
         self._count(
             chosen,
             {
-                "reward": reward, "inspected": travel, "within": np.where(ratio <= 1.0, travel, 0.0), "air": used,
+                "reward": reward,
+                "inspected": travel,
+                "within": np.where(ratio <= 1.0, travel, 0.0),
+                "air": used,
                 "lost_drive_events": self.slack_periods == config.lost_drive_periods,
                 **{f"cost_{name}": values for name, values in costs.items()},
                 "radial": travel * measured["radial_rms_m"] ** 2,
                 "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
             },
-        )  # fmt: skip
-        row = observe(config, measured, normal[:, 5:])[:, None]
-        self.observed[chosen] = np.concatenate([self.observed[:, 1:], row], axis=1)[chosen]
+        )
+        latest = observe(config, measured, normal[:, 5:])[:, None]
+        self.observed[chosen] = np.concatenate([self.observed[:, 1:], latest], axis=1)[chosen]
         infos = self._infos(
             measured,
             {
                 "cost": np.sum(list(costs.values()), axis=0),
-                "target_feed_speed": targets[:, 0], "target_air_supply_rate": targets[:, 1],
+                "target_feed_speed": targets[:, 0],
+                "target_air_supply_rate": targets[:, 1],
                 **{name: getattr(ended, name) for name in FAILURES},
             },
-        )  # fmt: skip
+        )
         for k, (earned, parts) in enumerate(zip(_rows(terms), _rows(costs), strict=True)):
             infos[k]["reward_terms"], infos[k]["cost_terms"] = earned, parts
             if not chosen[k]:
@@ -344,22 +348,30 @@ class SurrogateEpisodes:
         steady = sliding_tension(self.tubes[:, 0], drive | {"helix_diameter": self.tubes[:, 3]}, scene)
         inputs = features(vibration, self.feed, length, self.tubes)
         return {
-            **{name: self.tubes[:, k] for k, name in enumerate(CONTEXT)}, **self.probe,
+            **{name: self.tubes[:, k] for k, name in enumerate(CONTEXT)},
+            **self.probe,
             "radial_rms_m": 10.0**vibration * 1e-4,
             "tension_mean_n": steady * self.tubes[:, 2] * np.exp(self.scatter["tension"]),
             "radial_acceleration_rms_m_per_s2": 10.0 ** (inputs @ np.array(noise.radial) + self.scatter["radial"]),
             "axial_acceleration_rms_m_per_s2": 10.0 ** (inputs @ np.array(noise.axial) + self.scatter["axial"]),
-            "inserted_length": self.length, "remaining_length": scene.tube.helix_length - self.length,
-            "feed_speed": self.feed, "air_supply_rate": self.air,
-            "feed_action": self.actions[:, 0].astype(float), "air_action": self.actions[:, 1].astype(float),
-        }  # fmt: skip
+            "inserted_length": self.length,
+            "remaining_length": scene.tube.helix_length - self.length,
+            "feed_speed": self.feed,
+            "air_supply_rate": self.air,
+            "feed_action": self.actions[:, 0].astype(float),
+            "air_action": self.actions[:, 1].astype(float),
+        }
 
     def _infos(self, measured: Mapping[str, FloatArray], more: Mapping[str, FloatArray]) -> list[dict[str, Any]]:
         """Physical values of every probe, SI units; the noise in a flaw's band only where the map is of it."""
         names = (
-            "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "radial_acceleration_rms_m_per_s2",
+            "inserted_length",
+            "feed_speed",
+            "air_supply_rate",
+            "radial_rms_m",
+            "radial_acceleration_rms_m_per_s2",
             "tension_mean_n",
-        )  # fmt: skip
+        )
         noise = {"noise_rms_m": measured["radial_rms_m"]} if self.map.measure == "snr" else {}
         inspected = {"time": self.time, "inspected_length": self.length - self.start}
         return _rows(inspected | {name: measured[name] for name in names} | noise | dict(more))
@@ -375,12 +387,19 @@ class SurrogateEpisodes:
         costs = {name: value for name, value in sums.items() if name.startswith("cost_")}
         rms = {name: np.sqrt(sums[name] / max(inspected, 1e-9)) for name in ("radial", "acceleration")}
         kpis = {
-            "inspection_time_s": self.time[k], "inspected_m": inspected, "inspected_share": inspected / length,
-            "share_within_limit": sums["within"] / length, "air_m3": sums["air"], "reward": sums["reward"],
-            "lost_drive_events": sums["lost_drive_events"], **ended.kpis(k),
-            "cost": np.sum(list(costs.values()), axis=0),
-            **costs, "radial_rms_m": rms["radial"], "radial_acceleration_rms_m_per_s2": rms["acceleration"],
-        }  # fmt: skip
+            "inspection_time_s": self.time[k],
+            "inspected_m": inspected,
+            "inspected_share": inspected / length,
+            "share_within_limit": sums["within"] / length,
+            "air_m3": sums["air"],
+            "reward": sums["reward"],
+            "lost_drive_events": sums["lost_drive_events"],
+            **ended.kpis(k),
+            "cost": sum(costs.values()),
+            **costs,
+            "radial_rms_m": rms["radial"],
+            "radial_acceleration_rms_m_per_s2": rms["acceleration"],
+        }
         return {name: float(value) for name, value in kpis.items()}
 
 
@@ -393,14 +412,15 @@ def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
 
 def _check(config: TaskConfig, arguments: Mapping[str, Any], vibration: VibrationMap) -> None:
     """Raise ValueError where the map does not predict a task."""
-    longest = vibration.scene.tube.helix_length
+    length, longest = config.scene.tube.helix_length, vibration.scene.tube.helix_length
     refused = {
-        "growing = False": not config.growing, "passes = 'both'": config.returns,
+        "growing = False": not config.growing,
+        "passes = 'both'": config.returns,
         f"probes = {arguments['probes']!r}": arguments["probes"] != "scene",
-        "sensor_dropout": config.sensor_dropout > 0.0, "friction_drift": config.friction_drift != 0.0,
-        f"helix_length = {config.scene.tube.helix_length:g} m (the map ends at {longest:g} m)":
-            config.scene.tube.helix_length > longest * (1.0 + 1e-9),
-    }  # fmt: skip
+        "sensor_dropout": config.sensor_dropout > 0.0,
+        "friction_drift": config.friction_drift != 0.0,
+        f"helix_length = {length:g} m (the map ends at {longest:g} m)": length > longest * (1.0 + 1e-9),
+    }
     wrong = [name for name, is_so in refused.items() if is_so]
     if wrong:
         raise ValueError(

@@ -64,9 +64,15 @@ class Drive:
 
 
 def moved_on(
-    steps: int, time_step: float, ramp: float, air_lag: float,
-    speed: FloatArray, air: FloatArray, targets: FloatArray, length: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    steps: int,
+    time_step: float,
+    ramp: float,
+    air_lag: float,
+    speed: FloatArray,
+    air: FloatArray,
+    targets: FloatArray,
+    length: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Feed speed, air and fed length (N,) of N drives after some steps, where no mesh is moved on with them.
 
     Args:

@@ -93,6 +93,7 @@ def test_looking_changes_nothing_and_sees_what_happens(env_id, fidelity):
         assert (shape[1:, motion.sensor] == signal[every - 1 :: every]).all()
 
 
+@pytest.mark.slow
 def test_the_probe_s_own_frequency_is_in_the_pictures(ringing):
     """The sensor's mark, found by its colour in 2 s of pictures, moves at the frequency of the simulator's own signal.
 

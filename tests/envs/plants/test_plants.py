@@ -140,14 +140,14 @@ BROKEN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("message", BROKEN)
-def test_what_is_wrong_with_a_file_is_one_line_that_names_file_and_field(message, tmp_path):
+def test_what_is_wrong_with_a_file_is_one_line_that_names_file_and_field(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text(tomli_w.dumps(BROKEN[message]))
-    with pytest.raises(ValueError, match=message) as error:
-        Plant.from_toml(path)
-    assert str(error.value).startswith(str(path))
-    assert "\n" not in str(error.value)
+    for message, tables in BROKEN.items():
+        path.write_text(tomli_w.dumps(tables))
+        with pytest.raises(ValueError, match=message) as error:
+            Plant.from_toml(path)
+        assert str(error.value).startswith(str(path))
+        assert "\n" not in str(error.value)
 
 
 def test_tubes_are_spread_over_what_is_known_and_prefixes_stay(file):
