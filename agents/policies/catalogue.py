@@ -79,18 +79,18 @@ def _is_named(spec: str) -> bool:
 
 def _is_file(spec: str) -> bool:
     spec = unshielded(spec)
-    return Path(spec).suffix in (".csv", ".toml", ".json", ".npz") and Path(spec).exists()
+    return Path(spec).suffix in (".csv", ".toml", ".json", ".safetensors") and Path(spec).exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
     """Names of those that are the user's: schedule files, and agents' bundles but those that ship."""
     shipped = shipped_folder("agents").resolve()
     given = [(name, Path(unshielded(spec))) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
-    return [name for name, path in given if path.suffix != ".npz" or not path.resolve().is_relative_to(shipped)]
+    return [name for name, path in given if path.suffix != ".safetensors" or not path.resolve().is_relative_to(shipped)]
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
-    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.npz).
+    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.safetensors).
 
     ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
     NAME, which is training seed 0, or NAME@SEED. "shielded:" before any of these keeps a margin of drive. Where the
@@ -131,11 +131,11 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
     if suffix == ".json":
         return Lawful(config, law=Law.read(spec))
-    if suffix == ".npz":
+    if suffix == ".safetensors":
         return _agent(spec, config)
     raise ValueError(
         f"policy = {spec!r} is not one of {', '.join((*NAMES, *shipped_agents(), *shipped_names('schedules')))}, nor a"
-        f" schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.npz){_closest(spec)}"
+        f" schedule file (.csv, .toml), a feedback law (.json) nor an agent's bundle (.safetensors){_closest(spec)}"
     )
 
 
@@ -147,7 +147,7 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
         names = ", ".join(INSPECTION_PLANNERS)
         raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
     file = Path(policy_file(unshielded(spec)))
-    trained = _agent(file).config if file.suffix == ".npz" else None
+    trained = _agent(file).config if file.suffix == ".safetensors" else None
     if trained is not None and trained.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
