@@ -102,10 +102,8 @@ class DesignSearch:
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/design")
-    """Folder of the study, the tables and the pictures; a search that was interrupted goes on."""
+    """Folder of the trials, the tables and the figures; a search that was interrupted goes on."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
-    storage: str | None = None
-    """URL of an Optuna storage; default: SQLite in the output folder."""
     seed: int = 0
     """Of the search."""
 
@@ -119,4 +117,4 @@ class DesignSearch:
         problem = design_problem(self.feed, self.full, place, self.fidelity)
         for cut in problem.cuts:
             print(f"probe-env: note: {cut}", file=sys.stderr)
-        run_design_search(problem, self.trials, self.output, self.storage, self.seed, self.workers)
+        run_design_search(problem, self.trials, self.output, self.seed, self.workers)

@@ -50,8 +50,8 @@ class Tune:
     """Search for the hyperparameters of an agent: short trainings, judged by their reward on the validation tubes."""
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, student, ppo-any-probe, both-ways. Its table [search] says what is tried, else the usual ranges of its algorithm; its first seed is
-    trained."""
+    """Training file (TOML), or the name of one that ships: ppo, student, ppo-any-probe, both-ways.
+    Its table [search] is the search space, else the usual ranges of its algorithm; its first seed is trained."""
     trials: int = 40
     """Trainings, those included that are ended early."""
     phases: int | None = None

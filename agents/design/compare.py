@@ -1,4 +1,4 @@
-"""Probe designs compared: the same tubes, the same feed, the same metres, with intervals and paired differences."""
+"""Compares probe designs in the same tubes under one feed, with intervals and paired differences."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,17 +15,16 @@ import pandas as pd
 from pydantic import ValidationError
 from tqdm import tqdm
 
-from agents.design.folders import claim
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec
 from agents.policies.domain import check_domains
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.vibration_map import VibrationMap
 from agents.policies.places import TABLE_2, Named
-from agents.records.code_hash import class_hash, code_hash
 from agents.records.columns import CORE, OF_DESIGNS, kpis_of
 from agents.records.journal import Journal
-from agents.records.models import Trial
+from agents.records.models import Stored, Trial, read_json
 from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.searches import JOURNAL
 from agents.records.tables import Columns, read_csv
 from agents.rollouts.bootstrap import Interval, short
 from agents.rollouts.plan import Policy
@@ -49,10 +49,16 @@ from probe_env.settings import explain
 STORED: Final = "designs.csv"
 COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(CORE, "number")}
 NEWER: Final[Columns] = dict.fromkeys(OF_DESIGNS, "number")
-"""Of the stored table, as far as a summary takes them: what it needs, and what it shows where it is there."""
+"""Columns of the stored table that a summary needs, and those that it shows where they are there."""
 BATCH = 16
-CODE = ("probe_env.envs.trials:try_insertions", "probe_env.envs.trials:try_sections", "probe_env.envs.trials:judge")
-"""What a result depends on, besides the feed."""
+TUBE_FILE: Final = "tube.json"
+
+
+class Tube(Stored):
+    """``tube.json``: the plant that the trials in a folder are of."""
+
+    name: str
+    digest: str
 
 
 @dataclass(frozen=True)
@@ -105,21 +111,18 @@ class Comparison:
             )
         return policy.schedule
 
-    def key(self, design: Design, context: Context, place: int = 0) -> str:
-        """Identity of one result; the context's place seeds the start."""
-        policy = self.policy()
+    def key(self, design: Design, context: Context, index: int = 0) -> str:
+        """Identity of one result; the index of the context seeds the start."""
         parts = [
-            place,
-            design.built.model_dump(), context.model_dump(), policy.describe(), class_hash(type(policy), "predict"),
-            self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
-            code_hash(CODE, self.fidelity.method),
+            index, design.built.model_dump(), context.model_dump(), self.policy().describe(), self.full,
+            self.fidelity.model_dump(), self.config.model_dump(mode="json"), version("probe-env"), commit(),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
     def run(
         self, pairs: Sequence[tuple[Design, Context]], seeds: Sequence[int], threads: int | None = None
     ) -> list[dict[str, float]]:
-        """KPIs and reward of some pairs, side by side."""
+        """KPIs and reward of some pairs, in one batch."""
         candidates = [
             Candidate(design, context, self.policy() if self.full else self.schedule(), seed)
             for (design, context), seed in zip(pairs, seeds, strict=True)
@@ -135,7 +138,7 @@ class Comparison:
 
 
 def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
-    """Run what is missing in ``output``, store designs.csv and summary.csv; one row a design and context.
+    """Run what is missing in ``output``, store designs.csv and summary.csv; one row per design and context.
 
     Raises:
         ValueError: no designs, or the feed does not fit; nothing was run.
@@ -143,42 +146,56 @@ def compare(comparison: Comparison, output: Path) -> pd.DataFrame:
     if not comparison.designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of one that ships")
     check_comparison(comparison)
-    journal = trials_of(output)
+    journal = Journal(output / "designs.jsonl", Trial)
     claim(output, comparison.tube)
-    done = journal.read()
     units = [(name, k) for name in comparison.designs for k in range(len(comparison.contexts))]
     keys = {u: comparison.key(comparison.designs[u[0]], comparison.contexts[u[1]], u[1]) for u in units}
+    every, done = set(keys.values()), journal.read()
     missing = [unit for unit in units if keys[unit] not in done]
-    every = set(keys.values())
     announce(Work("trial", len(every), lambda: len(every & journal.read().keys()), output))
     if missing:
         with journal.appending() as append, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
             for begin in range(0, len(missing), BATCH):
                 part = missing[begin : begin + BATCH]
                 pairs = [(comparison.designs[name], comparison.contexts[k]) for name, k in part]
-                kpis = comparison.run(pairs, [k for _, k in part])
-                append("".join(_line(keys[unit], values) for unit, values in zip(part, kpis, strict=True)))
+                rows = zip(part, comparison.run(pairs, [k for _, k in part]), strict=True)
+                lines = [{"key": keys[unit], "commit": commit(), "kpis": kpis} for unit, kpis in rows]
+                append("".join(f"{json.dumps(line)}\n" for line in lines))
                 bar.update(len(part))
         done = journal.read()
-    rows: list[dict[str, Any]] = []
-    for name, k in units:
-        place, record = {"design": name, "context": k}, done[keys[name, k]]
-        origin = {"commit": record.get("commit", "unknown")}
-        rows.append(
-            place | tube_column(comparison.tube) | comparison.contexts[k].model_dump() | record["kpis"] | origin
-        )
-    table = pd.DataFrame(rows)
+    column = tube_column(comparison.tube)
+    table = pd.DataFrame(
+        {"design": name, "context": k} | column | comparison.contexts[k].model_dump() | done[keys[name, k]]["kpis"]
+        | {"commit": done[keys[name, k]].get("commit", "unknown")}
+        for name, k in units
+    )  # fmt: skip
     write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     setting: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in comparison.designs.items()}}
-    setting |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()}
-    setting |= tube_column(comparison.tube)
+    setting |= {"feed": comparison.feed, "full": comparison.full, "fidelity": comparison.fidelity.model_dump()} | column
     write_json(output / "provenance.json", provenance(commits=table["commit"]) | setting)
     return table
 
 
+def claim(output: Path, tube: Named) -> None:
+    """Write down which plant the trials in a folder are of; a folder with trials that does not say is of table 2.
+
+    Raises:
+        ValueError: it holds trials of another plant; nothing is changed.
+    """
+    path = output / TUBE_FILE
+    before = read_json(path, Tube) if path.exists() else Tube(name=TABLE_2.name, digest=TABLE_2.digest)
+    in_use = path.exists() or any((output / name).exists() for name in ("designs.jsonl", JOURNAL, "trials.csv"))
+    if in_use and before.digest != tube.digest:
+        other = "" if before.name != tube.name else ", as its file was then"
+        problem = f"holds trials in the tubes of {before.name}{other}, not of {tube.name}: choose another folder"
+        raise ValueError(f"output = {str(output)!r} {problem}")
+    if tube != TABLE_2:
+        write_json(path, {"name": tube.name, "digest": tube.digest})
+
+
 def check_comparison(comparison: Comparison) -> None:
-    """Raise ValueError if there is a design that cannot be tried, and name it, or a measure that none is judged by."""
+    """Raise ValueError if a design cannot be tried in a tube, or the task's measure is none of designs."""
     check_measure(comparison.config)
     stretch_of(comparison.config)
     feed = None if comparison.full else comparison.schedule()
@@ -197,17 +214,8 @@ def check_comparison(comparison: Comparison) -> None:
 
 
 def tube_column(tube: Named) -> dict[str, str]:
-    """What a table says of its plant; of table 2's tubes nothing, as before there were others."""
+    """Column of a table that names its plant; none for the tubes of table 2."""
     return {"tube": tube.title} if tube.title else {}
-
-
-def _line(key: str, kpis: dict[str, float]) -> str:
-    return json.dumps({"key": key, "commit": commit(), "kpis": kpis}) + "\n"
-
-
-def trials_of(output: Path) -> Journal[Trial]:
-    """The stored trials of a comparison."""
-    return Journal(output / "designs.jsonl", Trial)
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
@@ -224,7 +232,7 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def cells(summary: pd.DataFrame) -> list[list[str]]:
-    """Rows for people: a design, its KPIs with intervals, and the change of the reward against the first design."""
+    """Rows of text: a design, its KPIs with intervals, and the change of the reward against the first design."""
     rows, kpis = [], kpis_of(summary["kpi"], OF_DESIGNS)
     for name in dict.fromkeys(summary["design"]):
         part = summary[summary["design"] == name].set_index("kpi")
@@ -237,18 +245,18 @@ def cells(summary: pd.DataFrame) -> list[list[str]]:
 
 
 def _text(interval: Interval, factor: float = 1.0) -> str:
-    """Of no width, as of one tube, an interval says nothing."""
+    """Mean with its interval; an interval of no width, as of one tube, is left out."""
     return interval.text(factor) if interval.low < interval.high else short(interval.mean * factor)
 
 
 def header(summary: pd.DataFrame) -> list[str]:
-    """What the cells of a row are."""
+    """Headers of ``cells``."""
     shown = kpis_of(summary["kpi"], OF_DESIGNS).values()
     return ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown), "reward, change"]
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:
-    """The stored rows of a comparison, one a design and context.
+    """The stored rows of a comparison, one per design and context.
 
     Raises:
         FileNotFoundError: none is stored there.
@@ -258,7 +266,7 @@ def read_comparison(folder: Path) -> pd.DataFrame:
 
 
 def print_comparison(table: pd.DataFrame) -> None:
-    """The summary on the terminal."""
+    """Print the summary."""
     where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
     number = table["context"].nunique()
     means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"

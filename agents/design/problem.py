@@ -1,4 +1,4 @@
-"""What a search for probes varies and how it judges a point: the mean over tubes of the task's figures."""
+"""Design problem: what a search for probes varies, and the objectives of a point as means over tubes."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.metadata import version
 from typing import Final
 
 import numpy as np
 
-from agents.design.compare import CODE, Comparison
+from agents.design.compare import Comparison
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import least_air
 from agents.policies.maps.vibration_map import VibrationMap, feeds
 from agents.policies.places import TABLE_2, Named, Place
 from agents.processes.workers import HERE, Workers
-from agents.records.code_hash import code_hash
+from agents.records.provenance import commit
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.task import TaskConfig
@@ -115,7 +116,7 @@ class DesignProblem:
         tubes = [context.model_dump() for context in self.contexts]
         parts = [
             self.axes, tubes, feed, self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
-            code_hash(CODE, self.fidelity.method),
+            version("probe-env"), commit(),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 

@@ -90,7 +90,7 @@ def own_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
-    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.safetensors).
+    """A policy by name, or from a schedule (.csv, .toml), feedback law (.json) or agent's bundle (.safetensors).
 
     ``vibration`` is the map that some look things up in; default: the shipped one. Trained agents that ship go by
     NAME, which is training seed 0, or NAME@SEED. "shielded:" before any of these keeps a margin of drive. Where the
