@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import cloudpickle
+from tqdm import tqdm
 
 from probe_env.machine import available_cores
 
@@ -186,7 +187,7 @@ def _arrived(folder: str) -> Iterator[tuple[int, Any]]:
 
 def _work(parent: int, work: bytes, task: Any, skip: int, place: Path) -> None:
     """In a worker: store every item of a task as a file; a hidden file is renamed once it is whole."""
-    _end_with(parent)
+    _set_up(parent)
     for number, item in zip(count(skip), islice(pickle.loads(work)(task), skip, None), strict=False):
         hidden = place.with_name(f".{place.name}")
         hidden.write_bytes(cloudpickle.dumps(item))
@@ -194,9 +195,10 @@ def _work(parent: int, work: bytes, task: Any, skip: int, place: Path) -> None:
 
 
 @cache
-def _end_with(parent: int) -> None:
+def _set_up(parent: int) -> None:
     """Let this worker ignore Ctrl-C, which its parent handles, and end when the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tqdm.set_lock(threading.RLock())  # its own is a semaphore of the system, which a killed worker would leave behind
 
     def watch() -> None:
         while os.getppid() == parent:
