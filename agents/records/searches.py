@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -34,15 +35,18 @@ def open_study(path: Path, name: str, directions: Sequence[str], parameters: Ite
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
         _check_lines(path)
-        study = optuna.create_study(
-            storage=JournalStorage(JournalFileBackend(str(path))), study_name=name, directions=directions,
-            load_if_exists=True,
-        )  # fmt: skip
+        storage = JournalStorage(JournalFileBackend(str(path)))
+        if name in optuna.get_all_study_names(storage):
+            study = optuna.load_study(study_name=name, storage=storage)
+        else:
+            study = optuna.create_study(study_name=name, storage=storage, directions=directions)
         if [direction.name.lower() for direction in study.directions] != list(directions):
             raise ValueError(f"study {name!r} is of another search: it has other objectives")
         for trial in study.get_trials(deepcopy=False):
             if trial.state is TrialState.COMPLETE and set(trial.params) != set(parameters):
                 raise ValueError(f"study {name!r} is of another search: trial {trial.number} has other parameters")
+            if trial.state is TrialState.COMPLETE and not all(map(math.isfinite, trial.values)):
+                raise ValueError(f"the values of trial {trial.number} are not finite")
             if trial.state is TrialState.RUNNING:
                 study.tell(trial.number, state=TrialState.FAIL)
     except FileError:
@@ -60,6 +64,8 @@ def _check_lines(path: Path) -> None:
     *lines, rest = read_bytes(path, MOST_JOURNAL).split(b"\n")
     if not all(b'"op_code"' in line and isinstance(json.loads(line), dict) for line in lines):
         raise ValueError("a line is no record of a trial")
+    if lines and not lines[0].startswith(b'{"op_code":0,'):
+        raise ValueError("the first line is not that of a study")
     if rest and not b'{"op_code":'.startswith(rest[:11]):
         raise ValueError("the last line is no record of a trial")
     if rest:

@@ -13,8 +13,8 @@ from ray.cluster_utils import Cluster
 
 import probe_env
 from agents.design.problem import DesignProblem
-from agents.learning.config import Training
-from agents.learning.train import BEST, train_all
+from agents.training.config import Training
+from agents.training.train import BEST, train_all
 from agents.policies.fixed import Constant
 from agents.processes.workers import Workers
 from agents.rollouts.plan import Plan, run_plan

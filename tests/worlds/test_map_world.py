@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles.scatter import CHANCE, of_another, reach
 
-from agents.learning.config import Training
+from agents.training.config import Training
 from agents.policies.maps.vibration_map import stored_map
 from agents.vec_env import ProbeVecEnv
 from agents.worlds import measure

@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.learning.config import Training
-from agents.learning.train import BEST, train_all
 from agents.policies.both_ways import BothWays, InSteps
 from agents.policies.bundle import Agent
 from agents.policies.catalogue import make_policy
 from agents.rollouts.plan import Plan, run_plan
+from agents.training.config import Training
+from agents.training.train import BEST, train_all
 from probe_env import load_contexts
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
@@ -29,6 +29,7 @@ TINY = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
     train_all(Training(**TINY), tmp_path, resume=False)
@@ -53,10 +54,11 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     assert bool(table["complete"].all())
     with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
         make_policy(path, TaskConfig().all_shown)
-    with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.npz': the shield is for the way in"):
+    with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
 
 
+@pytest.mark.slow
 def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
     """On a device without steps: every change of the feed shakes a probe that is drawn back."""
     environment = TINY["environment"] | {"task": TINY["environment"]["task"] | {"feed_speed_step": 0.05}}
@@ -80,6 +82,7 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     assert later.shape == (3, 2)
 
 
+@pytest.mark.slow
 def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):
     """``fast`` is superelements in an insertion, which cannot go back."""
     seen = []
@@ -89,7 +92,7 @@ def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):
         seen.append(plan.fidelity)
         return pd.DataFrame(validated)
 
-    monkeypatch.setattr("agents.learning.train.run_plan", run_plan_seen)
+    monkeypatch.setattr("agents.training.train.run_plan", run_plan_seen)
     by_name = TINY["validation"] | {"fidelity": "fast"}
     train_all(Training(**TINY | {"validation": by_name}), tmp_path, resume=False)
     assert set(seen) == {BOTH_WAYS["fast"]}
