@@ -51,11 +51,12 @@ def parsed(name: str, kind: type[Any], arguments: Sequence[str], example: str, d
         raise ValueError(_message(printed.getvalue())) from None
 
 
-def _message(box: str) -> str:
-    """The error that tyro prints in a box, as one line without frame, title and help texts."""
-    lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
-    parts = [part.strip() for part in re.split("──+", " ".join(" ".join(lines).split()))]
-    return "; ".join(part for part in parts if not part.startswith(("Argument helptext", "For full helptext")))
+def _message(text: str) -> str:
+    """The error that tyro prints, in a box or between rules, as one line without title and help texts."""
+    lines = "\n".join(line.strip("│ ") for line in text.splitlines())
+    _, *parts = re.split(r"^(?:[╭╰].*|[─-]{3,})$", lines, flags=re.MULTILINE)
+    sentences = [" ".join(part.split()) for part in parts]
+    return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
 
 
 def positional(arguments: Sequence[str]) -> str | None:
