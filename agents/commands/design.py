@@ -44,7 +44,8 @@ class Compare:
 
     def run(self) -> None:
         """Run what is missing, store, print."""
-        from agents.design.compare import Comparison, compare, print_comparison
+        from agents.design.compare import compare, print_comparison
+        from agents.design.trials import DesignTrials
         from agents.policies.places import place_at
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import checked_name, name_of
@@ -62,10 +63,8 @@ class Compare:
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         config = place.config.all_shown
         fidelity = resolve_fidelity(self.fidelity, config.scene)
-        comparison = Comparison(
-            designs, place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube
-        )
-        print_comparison(compare(comparison, self.output))
+        trials = DesignTrials(place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube)
+        print_comparison(compare(designs, trials, self.output))
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
 
 

@@ -22,8 +22,8 @@ from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import rankdata
 from tqdm import tqdm
 
-from agents.design.compare import claim, tube_column
 from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
+from agents.design.trials import claim, tube_column
 from agents.processes.workers import HERE, Workers
 from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.provenance import commit, provenance, write_atomically, write_json
@@ -165,7 +165,7 @@ def run_design_search(
     write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
     _draw_front(table, reference_probes(table, problem), output / "front.png", problem.tube.title)
     _draw_parameters(table, problem.axes, output / "parallel.png", problem.tube.title)
-    setting = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
+    setting: dict[str, Any] = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
     setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     write_json(output / "provenance.json", provenance(commits=table[COMMIT]) | setting)
     _print(front, influence, problem)

@@ -27,12 +27,6 @@ from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import Model, explain, quantity, tuples, whole_steps
 
-OURS = (
-    "self", "policy", "env", "policy_kwargs", "tensorboard_log", "seed", "device", "verbose", "_init_setup_model",
-    "use_sde", "sde_sample_freq", "use_sde_at_warmup", "rollout_buffer_class", "rollout_buffer_kwargs",
-    "replay_buffer_class", "replay_buffer_kwargs", "optimize_memory_usage", "action_noise", "stats_window_size",
-)  # fmt: skip
-"""Arguments of the algorithms that other fields set, or that a file of numbers cannot hold."""
 LIMITS: Final[dict[str, tuple[float, float]]] = {
     **dict.fromkeys(("learning_rate", "gamma", "gae_lambda", "tau"), (0.0, 1.0)),
     **dict.fromkeys(("clip_range", "clip_range_vf", "ent_coef", "vf_coef", "max_grad_norm", "target_kl"), (0.0, 100.0)),
@@ -40,7 +34,9 @@ LIMITS: Final[dict[str, tuple[float, float]]] = {
     "learning_starts": (0, 1 << 26), "train_freq": (1, 1 << 20), "gradient_steps": (-1, 1 << 20),
     "target_update_interval": (1, 1 << 20),
 }  # fmt: skip
-"""Accepted values of ``learning``, both included; whole numbers alone where the bounds are."""
+"""Accepted values of ``learning``, both included; integers only where the bounds are."""
+UNLIMITED: Final = ("normalize_advantage", "target_entropy")
+"""Other accepted names of ``learning``; what else an algorithm takes is set by other fields, or is no number."""
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -115,11 +111,12 @@ class Training(Model):
             assert self.task
         except ValidationError as error:  # pydantic would tell its fields as if they were this model's
             raise PydanticCustomError("task", "{text}", {"text": explain(error, "environment.task")}) from error
-        known = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
+        arguments = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
+        accepted = [name for name in arguments if name in LIMITS or name in UNLIMITED]
         for name in self.learning:
-            if name not in known or name in OURS:
-                accepted = ", ".join(key for key in known if key not in OURS)
-                raise PydanticCustomError("learning", f"learning.{name} is not one of {self.algorithm}'s: {accepted}")
+            if name not in accepted:
+                text = f"learning.{name} is not one of {self.algorithm}'s: {', '.join(accepted)}"
+                raise PydanticCustomError("learning", text)
             _check_limits(name, self.learning[name])
         if self.imitation is not None and self.algorithm != "ppo":
             raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")

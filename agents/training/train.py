@@ -80,7 +80,8 @@ def train_all(
     announce(Work("phase", len(folders) * phases, lambda: sum(map(_phases_done, folders.values())), output, go_on))
     tasks = [(seed, folder.absolute(), index) for index, (seed, folder) in enumerate(folders.items())]
     curves = dict(workers.map(partial(_train_task, training, origin, workers.here), tasks))
-    return pd.concat([curves[task] for task in tasks], ignore_index=True)
+    rows: pd.DataFrame = pd.concat([curves[task] for task in tasks], ignore_index=True)
+    return rows
 
 
 def _train_task(training: Training, origin: dict[str, Any], here: bool, task: tuple[int, Path, int]) -> pd.DataFrame:
@@ -320,9 +321,9 @@ def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
             raise ValueError("weights that are not finite")
         model.num_timesteps = state["steps"]
         if "log_ent_coef" in state:
-            model.log_ent_coef.data.copy_(state["log_ent_coef"])
+            model.log_ent_coef.data.copy_(state["log_ent_coef"])  # type: ignore[attr-defined]
         if "replay" in state:
-            replay = model.replay_buffer
+            replay: Any = model.replay_buffer  # type: ignore[attr-defined]
             for name, values in state["replay"].items():
                 getattr(replay, name)[:] = values.numpy()
             replay.pos, replay.full = state["replay_end"]["pos"], state["replay_end"]["full"]

@@ -8,9 +8,10 @@ import pytest
 from kills import killed_at
 
 from agents.cli import main
-from agents.design.compare import Comparison, compare, print_comparison, summarise
+from agents.design.compare import compare, print_comparison, summarise
 from agents.design.problem import OBJECTIVES, DesignProblem, design_problem
 from agents.design.search import best_of, search, sensitivity, trials_table
+from agents.design.trials import DesignTrials
 from agents.policies.places import place_of
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
@@ -141,7 +142,7 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
     """Missed metres count with the capped ratio and the slowest feed, so that ending early never pays."""
     problem = DesignProblem((Context(),), "constant")
     kpis = {"mean_square_ratio": 0.1, "inspection_time_s": 100.0, "drive_margin_n": -0.1, "missed_m": 27.5}
-    monkeypatch.setattr(Comparison, "run", lambda *_: [kpis])
+    monkeypatch.setattr(DesignTrials, "run", lambda *_: [kpis])
     squares, seconds, margin = problem.value(Design().model_dump())
     assert squares == pytest.approx((0.1 * 20.0 + 9.0 * 27.5) / 47.5)
     assert seconds == pytest.approx(100.0 + 27.5 / 0.02)
@@ -185,11 +186,11 @@ def test_a_problem_that_makes_no_sense_is_refused():
 def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, capsys):
     designs = {"original": Design(), "light": Design(line_density=0.1)}
     tubes = [Context(friction=0.15), Context(friction=0.2)]
-    whole = compare(Comparison(designs, tubes), tmp_path / "whole")
-    compare(Comparison({"original": Design()}, tubes), tmp_path / "parts")
-    parts = compare(Comparison(designs, tubes), tmp_path / "parts")
+    whole = compare(designs, DesignTrials(tubes), tmp_path / "whole")
+    compare({"original": Design()}, DesignTrials(tubes), tmp_path / "parts")
+    parts = compare(designs, DesignTrials(tubes), tmp_path / "parts")
     assert parts.equals(whole)
-    repeated = compare(Comparison(designs, tubes), tmp_path / "whole")
+    repeated = compare(designs, DesignTrials(tubes), tmp_path / "whole")
     assert repeated["reward"].to_numpy() == pytest.approx(whole["reward"].to_numpy(), rel=1e-12)
     print_comparison(whole)
     assert "time [s]" in capsys.readouterr().out  # a unit is no markup
@@ -247,5 +248,5 @@ def test_bad_commands_are_named_before_any_work(capsys, tmp_path):
 
 
 def test_fidelity_counts_in_the_identity_of_a_result():
-    keys = {Comparison({}, [], fidelity=f).key(Design(), Context()) for f in (Fidelity(), Fidelity(time_step=1e-4))}
+    keys = {DesignTrials((), fidelity=f).key(Design(), Context()) for f in (Fidelity(), Fidelity(time_step=1e-4))}
     assert len(keys) == 2

@@ -111,7 +111,7 @@ def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
 
 def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tmp_path, monkeypatch):
     """80 m of soft cable under full air of 3.4 times the drag, held by next to no friction: pulled too hard."""
-    monkeypatch.setattr("agents.design.problem.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
+    monkeypatch.setattr("agents.design.trials.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
     smooth = OWN.replace("40.0", "80.0").replace("0.12", "0.02").replace("0.22", "0.03")
     (tmp_path / "smooth.toml").write_text(smooth + "[air]\ndrag_coefficient = 1.5\n")
     problem = design_problem("best-constant", False, place_at(tmp_path / "smooth.toml", "train", 1), "standard")

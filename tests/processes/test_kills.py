@@ -7,7 +7,8 @@ import pytest
 from kills import Killed, hook_replace, hook_sync, kill, killed, stop
 
 from agents.design import compare as design_compare
-from agents.design.compare import Comparison, compare
+from agents.design.compare import compare
+from agents.design.trials import DesignTrials
 from agents.policies.fixed import Constant
 from agents.processes.workers import HERE, Workers
 from agents.rollouts.plan import Plan, run_plan
@@ -84,11 +85,11 @@ def test_a_killed_evaluation_goes_on(tmp_path, whole):
 def test_a_comparison_stopped_after_a_batch_goes_on(tmp_path, monkeypatch):
     designs, tubes = {"a": Design(), "b": Design(guide_length=5.0)}, (Context(), Context(friction=0.2))
     monkeypatch.setattr(design_compare, "BATCH", 2)
-    whole = compare(Comparison(designs, tubes), tmp_path / "whole")
+    whole = compare(designs, DesignTrials(tubes), tmp_path / "whole")
     with monkeypatch.context() as patch:
         hook_sync("designs.jsonl", 1, stop, patch)
         with pytest.raises(Killed):
-            compare(Comparison(designs, tubes), tmp_path / "run")
+            compare(designs, DesignTrials(tubes), tmp_path / "run")
     assert len(lines_of(tmp_path / "run" / "designs.jsonl")) == 2
-    pd.testing.assert_frame_equal(compare(Comparison(designs, tubes), tmp_path / "run"), whole, check_exact=True)
+    pd.testing.assert_frame_equal(compare(designs, DesignTrials(tubes), tmp_path / "run"), whole, check_exact=True)
     assert len(lines_of(tmp_path / "run" / "designs.jsonl")) == 4

@@ -9,7 +9,7 @@ import pytest
 from poisons import ANYWHERE, FAST, JSON, KPIS, POLICIES, ROOT
 
 from agents.cli import main
-from agents.design.compare import Comparison
+from agents.design.trials import DesignTrials
 from agents.evaluation.page.stored import read_evaluation
 from agents.policies.catalogue import named_policies
 from agents.records.journal import set_aside
@@ -236,8 +236,7 @@ def test_an_interrupted_comparison_names_its_journal(tmp_path, refused):
     design = ROOT / "configs" / "design" / "original.toml"
     output = tmp_path / "compare"
     output.mkdir()
-    comparison = Comparison({"original": Design.from_toml(design)}, spread_contexts("test", 1))
-    key = comparison.key(Design.from_toml(design), spread_contexts("test", 1)[0])
+    key = DesignTrials(spread_contexts("test", 1)).key(Design.from_toml(design), spread_contexts("test", 1)[0])
     good = json.dumps({"key": key, "kpis": dict.fromkeys(TRIAL_KPIS, 1.0)})
     for bad in ("seven", '{"key": "x"}', '{"key": "0123456789abcdef", "kpis": {"reward": 1}}', "[]", "\0"):
         (output / "designs.jsonl").write_text(f"{good}\n{bad}\n{good}\n")
