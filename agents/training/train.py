@@ -57,12 +57,6 @@ class Run(Stored):
     resumed: list[dict[str, Any]] = Field(default_factory=list)
 
 
-def settings_that_differ(before: Training, now: Training) -> list[str]:
-    """Names of differing settings that a run must keep; number of phases, other seeds and the search may change."""
-    first, second = (training.model_dump(mode="json") for training in (before, now))
-    return [name for name in second if first[name] != second[name] and name not in ("seeds", "phases", "search")]
-
-
 def train_all(
     training: Training, output: Path, resume: bool, workers: Workers = HERE, command: str | None = None
 ) -> pd.DataFrame:
@@ -113,9 +107,11 @@ def _check_folder(training: Training, folder: Path, resume: bool) -> None:
         return
     if not resume:
         raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
-    different = settings_that_differ(read_json(folder / RUN, Run).config, training)
+    before, now = (one.model_dump(mode="json") for one in (read_json(folder / RUN, Run).config, training))
+    free = ("seeds", "phases", "search")  # more phases may follow
+    different = ", ".join(name for name in now if before[name] != now[name] and name not in free)
     if different:
-        raise ValueError(f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder")
+        raise ValueError(f"{folder} holds a run with other settings ({different}): choose another folder")
 
 
 def _write_run(training: Training, seed: int, folder: Path, origin: dict[str, Any]) -> None:

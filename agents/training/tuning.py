@@ -30,7 +30,7 @@ from agents.records.searches import JOURNAL, open_study
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from agents.training.config import Axis, Training, axes_of, value_in, with_values
-from agents.training.train import CHECKPOINT, prepare, settings_that_differ, train
+from agents.training.train import CHECKPOINT, prepare, train
 from probe_env import SimulationError
 from probe_env.files import FileError, one_line
 from probe_env.settings import within
@@ -79,13 +79,12 @@ class Tuning(Stored):
         point = {name: labels[name][value] if name in labels else value for name, value in parameters.items()}
         return with_values(self.training.model_copy(update={"search": None}), point)
 
-    def differs(self, other: Tuning) -> list[str]:
-        """Names of settings that make ``other`` another search."""
-        same = {
-            "seeds": self.training.seeds[0] == other.training.seeds[0], "search": self.axes == other.axes,
-            "phases": self.phases == other.phases, "seed": self.seed == other.seed,
-        }  # fmt: skip
-        return settings_that_differ(self.training, other.training) + [name for name, equal in same.items() if not equal]
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What makes it another search, by name: only the first seed, and the phases of a trial."""
+        fields = self.model_dump(mode="json")
+        training = fields["training"]
+        return training | {"seeds": training["seeds"][:1], "phases": self.phases, "seed": self.seed}
 
 
 def _distribution(axis: Axis) -> BaseDistribution:
@@ -116,10 +115,11 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
     """
     output.mkdir(parents=True, exist_ok=True)
     study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.axes), provenance()
-    stored = study.user_attrs.get("search")
-    different = tuning.differs(valid(output / JOURNAL, "", stored, Tuning)) if stored is not None else []
-    if different:
-        raise FileError(output, f"holds a search with other settings ({', '.join(different)}): choose another folder")
+    if "search" in study.user_attrs:
+        before, now = valid(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
+        different = ", ".join(name for name in now if before[name] != now[name])
+        if different:
+            raise FileError(output, f"holds a search with other settings ({different}): choose another folder")
     study.set_user_attr("search", tuning.model_dump_json())
     # phase 0 is the warm start, which says little of the hyperparameters
     study.pruner = optuna.pruners.MedianPruner(n_startup_trials=JUDGES, n_warmup_steps=1)
