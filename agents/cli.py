@@ -1,6 +1,8 @@
-"""The ``probe-env`` command: errors and interrupts as one line, subcommands from ``agents.commands``."""
+"""The ``probe-env`` command: errors and interrupts end it with one line.
 
-# the packages behind the commands take seconds to load, during which interrupts must be heard: they are loaded in _run
+The packages of the commands take seconds to load; they are loaded after the signal handlers are set.
+"""
+
 from __future__ import annotations
 
 import os
@@ -8,19 +10,19 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from agents.processes.interrupts import heard, tell
+from agents.processes.interrupts import report, signal_handlers
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
     if arguments is None:  # a process of its own, in which numpy is not loaded yet
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
-    with heard(own=arguments is None):
+    with signal_handlers():
         try:
             return _run(sys.argv[1:] if arguments is None else list(arguments))
         except KeyboardInterrupt as error:
-            return tell(error)
-        except BrokenPipeError:  # whoever read what is printed has enough, as head does
+            return report(error)
+        except BrokenPipeError:  # the reader of a pipe, such as head, has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
             return 1
 
@@ -38,7 +40,7 @@ def _run(arguments: Sequence[str]) -> int:
         print(f"probe-env {version('probe-env')}")
         return 0
     if name not in COMMANDS:
-        return _fail(f"command = {name!r} is not one of {', '.join(COMMANDS)}; probe-env --help tells what they do")
+        return _fail(f"command = {name!r} is not one of {', '.join(COMMANDS)}; see probe-env --help")
     return _run_command(name, arguments[1:])
 
 
@@ -50,11 +52,10 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
     from probe_env import SimulationError
 
     try:
-        from agents.terminal.masking import masked
         from agents.terminal.notices import said_when_compiling
         from probe_env.files import one_line
 
-        warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(masked(str(message)))}\n"
+        warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
         _show_choices()
         command = _command(name, arguments)
         with said_when_compiling():
@@ -73,12 +74,12 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
 
 
 def _missing(error: ImportError) -> str:
-    """The module that an import did not find; Stable-Baselines3 tells it in words that begin with the name alone."""
+    """The module that an import did not find; the message of Stable-Baselines3 begins with its name."""
     return (error.name or str(error)).replace(".", " ").partition(" ")[0]
 
 
 def _show_choices() -> None:
-    """Print what "auto" picks and why, and how much there is to do."""
+    """Log what "auto" picks and why, and how much there is to do."""
     import logging
 
     logger = logging.getLogger("probe_env")
@@ -87,7 +88,7 @@ def _show_choices() -> None:
 
 
 def _command(name: str, arguments: Sequence[str]) -> Any:
-    """The command with its arguments; the scene that is named gives the defaults of --scene options."""
+    """The command with its arguments; a named scene gives the defaults of --scene options."""
     from importlib import import_module
 
     from agents.commands.registry import COMMANDS
@@ -100,13 +101,9 @@ def _command(name: str, arguments: Sequence[str]) -> Any:
 
 
 def _fail(message: str, status: int = 2) -> int:
-    import re
-
-    from agents.terminal.masking import masked
     from probe_env.files import one_line
 
-    whole = re.sub(r"(\w:)/(?=[^/\s]*:[^/\s]*@)", r"\1//", message)  # an address that was taken for a path lost a slash
-    print(f"probe-env: error: {one_line(masked(whole))}", file=sys.stderr)
+    print(f"probe-env: error: {one_line(message)}", file=sys.stderr)
     return status
 
 

@@ -1,11 +1,10 @@
-"""Work that is killed at a defined point, and not at a lucky moment: the n-th call of a function, or on a file."""
+"""Stops and kills work at a defined point: at the n-th call of a function, or when a file is stored."""
 
 import importlib
 import multiprocessing
 import os
 import signal
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,22 @@ from tqdm import tqdm
 # A server that imports once and forks for each piece of work: it has no threads, which a fork would cut off
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(
-    ["agents.evaluation.run", "agents.learning.tuning", "agents.design.compare", "agents.design.search"]
+    ["agents.evaluation.report", "agents.training.tuning", "agents.design.compare", "agents.design.search"]
 )
+
+
+class Killed(BaseException):
+    """In the process of the tests, in the place of a kill."""
+
+
+def stop():
+    """End the work as a kill would, but for the process."""
+    raise Killed
+
+
+def kill():
+    """End this process without a word."""
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def killed_at(
@@ -56,63 +69,14 @@ def _run(
         calls += any(within in str(value) for value in given)
         reached = calls == number and any(within in str(value) for value in given)
         if reached and not after:
-            os.kill(os.getpid(), signal.SIGKILL)
+            kill()
         result = function(*given, **named)
         if reached:
-            os.kill(os.getpid(), signal.SIGKILL)
+            kill()
         return result
 
     setattr(owner, name, counted)
     work(*arguments)
-
-
-def hook_sync(name, count, action):
-    """Call ``action`` after the ``count``-th line of a file of this name is on the disk."""
-    original, seen = os.fsync, []
-
-    def fsync(descriptor):
-        original(descriptor)
-        if Path(os.readlink(f"/proc/self/fd/{descriptor}")).name == name:
-            seen.append(name)
-            if len(seen) == count:
-                action()
-
-    os.fsync = fsync
-
-
-def hook_replace(name, count, action):
-    """Call ``action`` when a file of this name is about to be put in its place for the ``count``-th time."""
-    original, seen = os.replace, []
-
-    def replace(source, target):
-        if Path(target).name == name:
-            seen.append(name)
-            if len(seen) == count:
-                action()
-        original(source, target)
-
-    os.replace = replace
-
-
-def kill(pids_file=None):
-    """End this process without a word; before, write the ids of its workers to a file."""
-    if pids_file:
-        Path(pids_file).write_text(" ".join(map(str, children())))
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def children():
-    """Ids of the processes that this one has started."""
-    stats = ((int(path.name), stat_of(path.name)) for path in Path("/proc").glob("[0-9]*"))
-    return [pid for pid, stat in stats if stat and int(stat[1]) == os.getpid()]
-
-
-def stat_of(pid):
-    """State, parent and so on of a process; nothing if there is none."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return []
 
 
 def killed(function, *arguments):
@@ -123,14 +87,40 @@ def killed(function, *arguments):
     assert process.exitcode == -signal.SIGKILL
 
 
-def all_gone(pids_file):
-    """Whether all processes of a file are gone, within a minute at most."""
-    pids, patience = [int(pid) for pid in Path(pids_file).read_text().split()], 600
-    assert pids
-    while patience and any(alive(pid) for pid in pids):
-        time.sleep(0.1)
-        patience -= 1
-    return patience > 0
+def hook_sync(name, count, action, patch=None):
+    """Call ``action`` after the ``count``-th line of a file of this name is on the disk; ``patch``: a monkeypatch."""
+    original, calls = os.fsync, []
+
+    def fsync(descriptor):
+        original(descriptor)
+        if Path(os.readlink(f"/proc/self/fd/{descriptor}")).name == name:
+            calls.append(name)
+            if len(calls) == count:
+                action()
+
+    patch.setattr(os, "fsync", fsync) if patch else setattr(os, "fsync", fsync)
+
+
+def hook_replace(name, count, action, patch=None):
+    """Call ``action`` when a file of this name is about to be put in its place for the ``count``-th time."""
+    original, calls = os.replace, []
+
+    def replace(source, target):
+        if Path(target).name == name:
+            calls.append(name)
+            if len(calls) == count:
+                action()
+        original(source, target)
+
+    patch.setattr(os, "replace", replace) if patch else setattr(os, "replace", replace)
+
+
+def stat_of(pid):
+    """State, parent and so on of a process; nothing if there is none."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
 
 
 def alive(pid):

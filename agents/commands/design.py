@@ -44,7 +44,8 @@ class Compare:
 
     def run(self) -> None:
         """Run what is missing, store, print."""
-        from agents.design.compare import Comparison, compare, print_comparison
+        from agents.design.compare import compare, print_comparison
+        from agents.design.trials import DesignTrials
         from agents.policies.places import place_at
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import checked_name, name_of
@@ -62,10 +63,8 @@ class Compare:
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         config = place.config.all_shown
         fidelity = resolve_fidelity(self.fidelity, config.scene)
-        comparison = Comparison(
-            designs, place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube
-        )
-        print_comparison(compare(comparison, self.output))
+        trials = DesignTrials(place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube)
+        print_comparison(compare(designs, trials, self.output))
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
 
 
@@ -102,10 +101,8 @@ class DesignSearch:
     fidelity: str = "standard"
     """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
     output: Path = Path("output/design")
-    """Folder of the study, the tables and the pictures; a search that was interrupted goes on."""
+    """Folder of the trials, the tables and the figures; a search that was interrupted goes on."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
-    storage: str | None = None
-    """URL of an Optuna storage; default: SQLite in the output folder."""
     seed: int = 0
     """Of the search."""
 
@@ -119,4 +116,4 @@ class DesignSearch:
         problem = design_problem(self.feed, self.full, place, self.fidelity)
         for cut in problem.cuts:
             print(f"probe-env: note: {cut}", file=sys.stderr)
-        run_design_search(problem, self.trials, self.output, self.storage, self.seed, self.workers)
+        run_design_search(problem, self.trials, self.output, self.seed, self.workers)

@@ -16,8 +16,7 @@ class Train:
     """Train agents with Stable-Baselines3: checkpoints, validation, the best agent of each seed as a bundle."""
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, student, ppo-no-tension, ppo-any-probe, ppo-scratch,
-    ppo-snr."""
+    """Training file (TOML), or the name of one that ships: ppo, student, ppo-any-probe, both-ways."""
     output: Path | None = None
     """Folder of the runs, seed-K in it; default: output/train/NAME-OF-THE-FILE."""
     seeds: tuple[int, ...] = ()
@@ -30,10 +29,10 @@ class Train:
 
     def run(self) -> None:
         """Train, print the learning curves."""
-        from agents.learning.config import Training
-        from agents.learning.train import print_curves, train_all
         from agents.policies.places import plant_at
         from agents.records.shipped import file_or_shipped
+        from agents.training.config import Training
+        from agents.training.train import print_curves, train_all
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         if self.seeds:
@@ -43,7 +42,7 @@ class Train:
             training = training.model_copy(update={"environment": own})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
-        print(f"written: {output}/seed-*/ (agent.npz: the best by validation, learning.csv, run.json, logs)")
+        print(f"written: {output}/seed-*/ (agent.safetensors: the best by validation, learning.csv, run.json, logs)")
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,8 @@ class Tune:
     """Search for the hyperparameters of an agent: short trainings, judged by their reward on the validation tubes."""
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, student, ppo-no-tension, ppo-any-probe, ppo-scratch,
-    ppo-snr. Its table [search] says what is tried, else the usual ranges of its algorithm; its first seed is
-    trained."""
+    """Training file (TOML), or the name of one that ships: ppo, student, ppo-any-probe, both-ways.
+    Its table [search] is the search space, else the usual ranges of its algorithm; its first seed is trained."""
     trials: int = 40
     """Trainings, those included that are ended early."""
     phases: int | None = None
@@ -66,9 +64,9 @@ class Tune:
 
     def run(self) -> None:
         """Search, store, print."""
-        from agents.learning.config import Training
-        from agents.learning.tuned import run_tuning
         from agents.records.shipped import file_or_shipped
+        from agents.training.config import Training
+        from agents.training.tuning import run_tuning
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         output = self.output or Path("output/tune") / self.config_file.stem

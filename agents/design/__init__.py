@@ -1,4 +1,1 @@
-"""Judging probes: designs enter, trials, fronts and sensitivities leave, in table 2's tubes or a plant's.
-
-Imports policies and what is below them.
-"""
+"""Comparison of probe designs and search for better ones, in the study's tubes or a plant's."""

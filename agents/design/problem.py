@@ -1,32 +1,32 @@
-"""What a search for probes varies and how it judges a point: the mean over tubes of the task's figures."""
+"""Design problem: what a search for probes varies, and the objectives of a point as means over tubes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from importlib.metadata import version
+from typing import Final, Literal
 
 import numpy as np
 
-from agents.design.compare import CODE, Comparison
+from agents.design.trials import DesignTrials
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import least_air
-from agents.policies.places import TABLE_2, Named, Place
+from agents.policies.places import TABLE_2, Place
 from agents.processes.workers import HERE, Workers
-from agents.records.code_hash import code_hash
+from agents.records.provenance import commit
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
-from probe_env.envs.surrogate.vibration_map import VibrationMap, feeds
-from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import Candidate, check_candidate, check_measure, judge, stretch_of, try_sections
-from probe_env.fidelity import Fidelity, resolve_fidelity, with_nodes
+from probe_env.envs.surrogate.vibration_map import feeds
+from probe_env.envs.trials import check_candidate, check_measure, stretch_of
+from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import Schedule
 
 OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
-DIRECTIONS: Final = ("minimize", "minimize", "maximize")
+DIRECTIONS: Final[tuple[Literal["minimize", "maximize"], ...]] = ("minimize", "minimize", "maximize")
 Values = tuple[float, float, float]
 STUDY_PROBES: Final = {
     "the study's original": Design(),
@@ -35,30 +35,14 @@ STUDY_PROBES: Final = {
 
 
 @dataclass(frozen=True)
-class DesignProblem:
-    """What is searched and how a point is judged.
+class DesignProblem(DesignTrials):
+    """What is searched and how a point is judged: every design in all contexts.
 
-    Attributes:
-        contexts: tubes that every design is tried in.
-        feed: "best-constant": feed speed and air are searched together with the probe; else the spec of a schedule,
-            or with ``full`` of an agent.
-        full: whole insertions.
-        fidelity: of the simulation; time-lapse counts in whole insertions only.
-        config: the task, with the scene that designs and contexts change.
-        vibration: the map that some policies look things up in; default: the shipped one.
-        tube: what the plant is called.
+    ``feed``: "best-constant" searches feed speed and air together with the probe; else the spec of a schedule, or with
+    ``full`` of any policy.
     """
 
-    contexts: tuple[Context, ...]
     feed: str = "best-constant"
-    full: bool = False
-    fidelity: Fidelity = field(default_factory=Fidelity)
-    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
-    vibration: VibrationMap | None = None
-    tube: Named = TABLE_2
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     @property
     def axes(self) -> dict[str, tuple[float, float, str]]:
@@ -115,7 +99,7 @@ class DesignProblem:
         tubes = [context.model_dump() for context in self.contexts]
         parts = [
             self.axes, tubes, feed, self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
-            code_hash(CODE, self.fidelity.method),
+            version("probe-env"), commit(),
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 
@@ -144,24 +128,11 @@ class DesignProblem:
         """KPIs of a point in some of the tubes, given with their places."""
         design, feed = Design(**{name: point[name] for name in RANGES}), self._constant(point)
         fit = [tube for tube in tubes if self._can_be_tried(design, tube[1], feed)]
-        rows = dict(zip((place for place, _ in fit), self._tried(design, fit, feed, threads), strict=True))
+        places, pairs = [place for place, _ in fit], [(design, context) for _, context in fit]
+        rows = dict(zip(places, self.run(pairs, places, threads, feed) if fit else [], strict=True))
         nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": stretch_of(self.config).span}
         nothing["drive_margin_n"] = -self.config.required_tension
         return [rows.get(place, nothing) | {"place": float(place)} for place, _ in tubes]
-
-    def _tried(
-        self, design: Design, tubes: Sequence[tuple[int, Context]], feed: Schedule | None, threads: int | None
-    ) -> list[dict[str, float]]:
-        seeds, contexts = [place for place, _ in tubes], [context for _, context in tubes]
-        if not tubes:
-            return []
-        if feed is None:
-            comparison = self._comparison({"": design}, contexts)
-            return comparison.run([(design, context) for context in contexts], seeds, threads)
-        candidates = [Candidate(design, context, feed, place) for place, context in tubes]
-        trial = try_sections(candidates, self.config, self.fidelity, threads=threads)
-        _, figures = judge([design] * len(tubes), trial, self.config)
-        return [{name: float(values[k]) for name, values in figures.items()} for k in range(len(tubes))]
 
     def _constant(self, point: dict[str, float]) -> Schedule | None:
         """The feed of a point where feed is searched."""
@@ -173,7 +144,7 @@ class DesignProblem:
         """Whether a probe can be simulated in a tube; in table 2's all of the design space can."""
         if self.tube == TABLE_2:
             return True
-        given = feed or (None if self.full else self._comparison({}, ()).schedule())
+        given = feed or (None if self.full else self.schedule())
         try:
             check_candidate(design, context, self.config, self.fidelity, given)
         except ValueError:
@@ -185,15 +156,10 @@ class DesignProblem:
         check_measure(self.config)
         stretch_of(self.config)
         if self.feed != "best-constant" and not self.full:
-            self._comparison({}, self.contexts).schedule()
+            self.schedule()
         starts = [(Design(**{name: start[name] for name in RANGES}), self._constant(start)) for start in self.starts()]
         if not any(self._can_be_tried(start[0], context, start[1]) for start in starts for context in self.contexts):
             raise ValueError(f"tube = {self.tube.name}: {', '.join(self.probes)} can be simulated in none of its tubes")
-
-    def _comparison(self, designs: dict[str, Design], contexts: Sequence[Context]) -> Comparison:
-        return Comparison(
-            designs, contexts, self.feed, self.full, self.fidelity, self.config, self.vibration, self.tube
-        )
 
 
 def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> DesignProblem:

@@ -1,7 +1,7 @@
-"""Search for probe designs: vibration, inspection time and drive margin at once, by NSGA-II of Optuna.
+"""Multi-objective search for probe designs (vibration, inspection time, drive margin) by Optuna's NSGA-II.
 
-Trials are kept in SQLite (or any storage that Optuna knows), one by one, and the sampler is seeded by how many are
-complete, so a search that was killed goes on to the same front.
+Trials are appended to a journal, and the sampler is seeded by the number of complete ones: a search that was killed
+continues to the same front.
 """
 
 from __future__ import annotations
@@ -10,41 +10,40 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import matplotlib.pyplot as plt
 import moocore
 import numpy as np
 import optuna
 import pandas as pd
-from optuna.distributions import BaseDistribution, FloatDistribution
-from optuna.samplers import NSGAIISampler
-from optuna.trial import FrozenTrial, TrialState, create_trial
+from optuna.samplers import NSGAIISampler, PartialFixedSampler
+from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import rankdata
 from tqdm import tqdm
 
-from agents.design import figures
-from agents.design.compare import tube_column
-from agents.design.folders import claim
 from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
+from agents.design.trials import claim, tube_column
 from agents.evaluation.statistics import bootstrap_ends
 from agents.processes.workers import HERE, Workers
+from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.searches import JOURNAL, open_study
 from agents.records.store import COMMIT
-from agents.searches.database import open_study
-from agents.terminal.masking import masked
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
 from probe_env.envs.task import Outcome, TaskConfig, reward_terms
 from probe_env.envs.trials import stretch_of
+from probe_env.settings import within
 
 
 class RepeatableNSGAII(NSGAIISampler):
-    """NSGA-II whose parents stand in the order of their trials.
+    """NSGA-II with parents in the order of their trials.
 
-    Optuna hands parents that it has just selected over in the order of the selection, but those that it has cached in
-    the order of their trials: a trial that was killed right after the selection drew other parents when it ran again.
+    Optuna returns newly selected parents in the order of selection, but cached ones in the order of their trials: a
+    trial that was killed right after the selection would draw other parents when it runs again.
     """
 
     def select_parent(self, study: optuna.Study, generation: int) -> list[FrozenTrial]:
@@ -52,69 +51,46 @@ class RepeatableNSGAII(NSGAIISampler):
         return sorted(super().select_parent(study, generation), key=lambda trial: trial.number)
 
 
-class Kept(NamedTuple):
-    """Where the trials of a search are kept.
-
-    Attributes:
-        storage: URL of any storage that Optuna knows; one search at a time in a study.
-        name: of the study in it.
-        place: what it is called in messages; default: ``storage``, without its password.
-    """
-
-    storage: str
-    name: str
-    place: Path | None = None
-
-
 def search(
     axes: dict[str, tuple[float, float, str]],
     value: Callable[[dict[str, float]], Values],
     trials: int,
-    kept: Kept,
+    output: Path,
+    name: str = "design",
     population: int = 24,
     seed: int = 0,
     starts: Sequence[Mapping[str, float]] = (),
 ) -> optuna.Study:
-    """Run a search, or what is left of it, and return the study.
+    """Run a search, or the rest of it, and return the study.
 
     Args:
         axes: name -> lowest, highest, unit.
-        value: objectives of a point, by ``DIRECTIONS``.
-        trials: to be complete at the end.
-        kept: where they are.
+        value: objectives of a point, in the order of ``OBJECTIVES``.
+        trials: complete trials at the end.
+        output: folder of the journal.
+        name: of the study in it.
         population: designs in a generation.
         seed: of the search.
-        starts: points to begin with, part of the first generation.
+        starts: first points, part of the first generation.
     """
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = open_study(kept.storage, kept.name, DIRECTIONS, axes)
-    for stale in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        study._storage.set_trial_state_values(stale._trial_id, TrialState.FAIL)  # of a run that was killed
+    output.mkdir(parents=True, exist_ok=True)
+    study = open_study(output / JOURNAL, name, DIRECTIONS, axes)
 
     def complete() -> int:
         return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
 
     done = complete()
-    announce(Work("design", trials, complete, kept.place or masked(kept.storage)))
-    with tqdm(total=trials, initial=min(done, trials), desc=kept.name, unit="design") as bar:
-        for number in range(done, min(len(starts), trials)):
-            distributions: dict[str, BaseDistribution] = {
-                axis: FloatDistribution(low, high) for axis, (low, high, _) in axes.items()
-            }
-            study.add_trial(
-                create_trial(
-                    params=dict(starts[number]), distributions=distributions, values=value(dict(starts[number])),
-                    system_attrs={RepeatableNSGAII._get_generation_key(): 0}, user_attrs={COMMIT: commit()},
-                )
-            )  # fmt: skip
-            bar.update()
-        for number in range(max(done, len(starts)), trials):
+    announce(Work("design", trials, complete, output))
+    with tqdm(total=trials, initial=min(done, trials), desc=name, unit="design") as bar:
+        for number in range(done, trials):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                study.sampler = RepeatableNSGAII(
+                sampler = RepeatableNSGAII(
                     population_size=population, seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
                 )
-            trial = study.ask()
+                fixed = dict(starts[number]) if number < len(starts) else {}
+                study.sampler = PartialFixedSampler(fixed, sampler) if fixed else sampler
+                trial = study.ask()
             point = {axis: trial.suggest_float(axis, low, high) for axis, (low, high, _) in axes.items()}
             trial.set_user_attr(COMMIT, commit())
             study.tell(trial, value(point))
@@ -161,49 +137,36 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
 
 
 def run_design_search(
-    problem: DesignProblem, trials: int, output: Path, storage: str | None, seed: int, workers: Workers = HERE
+    problem: DesignProblem, trials: int, output: Path, seed: int, workers: Workers = HERE
 ) -> pd.DataFrame:
-    """The search as a command: stores trials.csv, front.csv, sensitivity.csv, pictures and the best designs as TOML.
+    """The command ``design``: stores trials.csv, front.csv, sensitivity.csv, figures and the best design as TOML.
 
     Args:
         problem: what is searched.
-        trials: designs to be tried at the end.
-        output: folder of the tables and pictures.
-        storage: URL of any storage that Optuna knows; None: SQLite in ``output``.
+        trials: designs tried at the end.
+        output: folder of journal, tables and figures; a search in it is continued.
         seed: of the search.
-        workers: what the tubes of a trial are spread over.
+        workers: that the tubes of a trial are spread over.
 
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
     if seed < 0:
         raise ValueError(f"seed = {seed!r} is outside the accepted range 0 and more")
-    if not 2 <= trials <= 1_000_000:
-        raise ValueError(f"trials = {trials!r} is outside the accepted range 2 to 1000000")
-    identity = problem.identity()
+    within("trials", trials, 2, 1_000_000, "")
+    name = f"{problem.feed} {problem.identity()} seed {seed}"
     claim(output, problem.tube)
-    if storage is None:
-        output.mkdir(parents=True, exist_ok=True)
-    kept = Kept(
-        storage or f"sqlite:///{output / 'study.db'}",
-        f"{problem.feed} {identity} seed {seed}",
-        None if storage else output,
-    )
     value = partial(problem.value, workers=workers)
-    study = search(problem.axes, value, trials, kept, seed=seed, starts=problem.starts())
-    table = trials_table(study)
+    table = trials_table(search(problem.axes, value, trials, output, name, seed=seed, starts=problem.starts()))
     front = table[table["on_front"]].sort_values("mean_square_ratio")
-    influence = sensitivity(table, problem.axes)
+    influence, column = sensitivity(table, problem.axes), tube_column(problem.tube)
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
-        frame = frame.assign(**tube_column(problem.tube))
-        write_atomically(output / f"{name}.csv", frame.to_csv(index=False, float_format="%.6g"))
-    design = best_of(front, problem.config)
-    write_atomically(output / "found.toml", design.to_toml())
-    figures.design_front(table, reference_probes(table, problem), output / "front.png", problem.tube.title)
-    figures.parallel_coordinates(table, problem.axes, output / "parallel.png", problem.tube.title)
-    setting = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
-    setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed}
-    setting |= tube_column(problem.tube)
+        write_atomically(output / f"{name}.csv", frame.assign(**column).to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
+    _draw_front(table, reference_probes(table, problem), output / "front.png", problem.tube.title)
+    _draw_parameters(table, problem.axes, output / "parallel.png", problem.tube.title)
+    setting: dict[str, Any] = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
+    setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     write_json(output / "provenance.json", provenance(commits=table[COMMIT]) | setting)
     _print(front, influence, problem)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, parallel.png, found.toml)")
@@ -229,7 +192,7 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
 
 def reference_probes(table: pd.DataFrame, problem: DesignProblem) -> pd.DataFrame:
-    """The first trials, which are the probes that a search is to beat, with their names."""
+    """The first trials, which are the reference probes, with their names."""
     names = [name for name in problem.probes for _ in problem.reference_feeds()]
     return table.iloc[: len(names)].assign(design=names[: len(table)])
 
@@ -244,3 +207,43 @@ def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem)
     print_table(f"Designs on the front{where}", ["trial", *header], rows)
     for row in influence[influence["objective"] == OBJECTIVES[0]].to_dict("records"):
         print(f"vibration and {row['parameter']}: {row['coefficient']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]")
+
+
+def _draw_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube: str = "") -> None:
+    """Vibration against time and drive margin, with the reference probes; ``tube`` goes into the title."""
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
+    labels = {"inspection_time_s": "inspection time [s]", "drive_margin_n": "drive margin [N]"}
+    if np.ptp(table["inspection_time_s"].quantile([0.1, 0.9])) < 1.0:  # a given feed: all take the same time
+        labels = {"guide_length": "guide length [m]", "drive_margin_n": "drive margin [N]"}
+    for axis, (column, label) in zip(axes, labels.items(), strict=True):
+        for on_front, colour, size, name in ((False, "0.8", 10, "tried"), (True, BLUE, 28, "on the front")):
+            part = table[table["on_front"] == on_front]
+            axis.scatter(part[column], part["mean_square_ratio"], color=colour, s=size, label=name)
+        for colour, marker, (probe, rows) in zip((RED, "#d98c00"), "sD", references.groupby("design", sort=False)):  # noqa: B905
+            axis.scatter(rows[column], rows["mean_square_ratio"], color=colour, marker=marker, s=40, label=probe)
+        axis.set(xlabel=label, yscale="log")
+        axis.grid(**GRID)
+    axes[0].set_ylabel("mean of (radial rms / limit)$^2$")
+    handles, names = axes[1].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    if tube:
+        figure.suptitle(f"Designs tried in {tube}", fontsize=10)
+    save(figure, path)
+
+
+def _draw_parameters(
+    table: pd.DataFrame, axes: dict[str, tuple[float, float, str]], path: Path, tube: str = ""
+) -> None:
+    """Every design as a line through its parameters, each from its lowest to its highest value."""
+    figure, axis = plt.subplots(figsize=(11, 5), layout="constrained")
+    names = list(axes)
+    for on_front, colour, width in ((False, "0.85", 0.6), (True, BLUE, 1.4)):
+        for row in table[table["on_front"] == on_front].to_dict("records"):
+            shares = [(row[name] - axes[name][0]) / (axes[name][1] - axes[name][0]) for name in names]
+            axis.plot(range(len(names)), shares, color=colour, linewidth=width)
+    labels = [f"{name.replace('_', ' ')}\n{axes[name][0]:.3g} to {axes[name][1]:.3g} {axes[name][2]}" for name in names]
+    axis.set_xticks(range(len(names)), labels, fontsize=7)
+    title = f"Designs tried (grey) and on the front (blue){tube and f', in {tube}'}"
+    axis.set(ylabel="from lowest to highest", ylim=(-0.02, 1.02), title=title)
+    axis.grid(**GRID)
+    save(figure, path)

@@ -1,4 +1,4 @@
-"""A trained agent as one file of plain arrays: weights, what it sees, the task, versions and a hash.
+"""A trained agent as one safetensors file: weights, and a description of its network, view and task in the metadata.
 
 Loading builds the network from the validated description and fills in the weights; nothing in the file is executed.
 """
@@ -6,7 +6,6 @@ Loading builds the network from the validated description and fills in the weigh
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
+import safetensors.numpy
 import torch
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -23,7 +23,7 @@ from stable_baselines3.common.policies import BasePolicy
 
 from agents.policies.policy import Domain, RangesOfTubes
 from agents.policies.view import View
-from agents.records.arrays import read_arrays
+from agents.records.arrays import RESTORE, read_weights
 from agents.records.provenance import write_atomically
 from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig, action_in
@@ -31,8 +31,6 @@ from probe_env.envs.task.observations import PROBE
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
 
-WEIGHT: Final = "weight:"
-_RESTORE: Final = "restore the file, or train again"
 Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
 ALGORITHMS: Final[dict[str, tuple[Any, str]]] = {
     "ppo": (PPO, "MlpPolicy"),
@@ -42,7 +40,6 @@ ALGORITHMS: Final[dict[str, tuple[Any, str]]] = {
 MOST_WEIGHTS: Final = 1 << 24
 """Weights between the hidden layers, so that what a file describes cannot fill the memory."""
 LARGEST_WEIGHT: Final = 1e6
-LONGEST_DESCRIPTION: Final = 1 << 20
 SAME: Final = ("growing", "period")
 """Fields of the task that must be those of training."""
 PREVIOUS: Final = {"feed_speeds": "previous_feed_action", "air_supply_rates": "previous_air_action"}
@@ -165,12 +162,9 @@ def write_bundle(path: Path, description: Description, policy: BasePolicy) -> st
     """Write a bundle atomically; returns its hash."""
     weights = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
     text = description.model_dump_json()
-    arrays = {f"{WEIGHT}{name}": value for name, value in weights.items()}
-    digest = _hash(text, weights)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, description=np.array(text), hash=np.array(digest), **arrays)
-    write_atomically(path, buffer.getvalue())
-    return digest
+    metadata = {"description": text, "hash": _hash(text, weights)}
+    write_atomically(path, safetensors.numpy.save(weights, metadata))
+    return metadata["hash"]
 
 
 def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
@@ -182,22 +176,13 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
             as SB3's zip files hold, are refused and never executed.
     """
     path = Path(path)
+    text, digest, weights = read_weights(path)
     try:
-        arrays = read_arrays(path, _expected)
-    except FileError as error:
-        raise FileError(path, f"not a bundle of plain arrays: {error.problem} - {_RESTORE}") from error
-    if not {"description", "hash"} <= set(arrays) or arrays["description"].size != 1 or arrays["hash"].size != 1:
-        raise FileError(path, f"not a bundle: it must hold a description, a hash and weights - {_RESTORE}")
-    text, digest = str(arrays["description"]), str(arrays["hash"])
-    weights = {name.removeprefix(WEIGHT): value for name, value in arrays.items() if name.startswith(WEIGHT)}
-    if _hash(text, weights) != digest:
-        raise FileError(path, f"changed or cut off since it was written: its hash does not match - {_RESTORE}")
-    try:
-        if len(text) > LONGEST_DESCRIPTION:
-            raise FileError(path, f"description: longer than {LONGEST_DESCRIPTION} characters - {_RESTORE}")
         description = Description.model_validate_json(text)
     except ValidationError as error:
         raise FileError(path, f"description: {explain(error)}") from error
+    if _hash(text, weights) != digest:
+        raise FileError(path, f"changed or cut off since it was written: its hash does not match - {RESTORE}")
     policy = build_policy(description, initialised=False)
     _check_weights(path, policy, weights)
     policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
@@ -207,22 +192,17 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
         raise FileError(path, str(error)) from error
 
 
-def _expected(name: str) -> str:
-    return "f" if name.startswith(WEIGHT) else "U" if name in ("description", "hash") else ""
-
-
 def _check_weights(path: Path, policy: BasePolicy, weights: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Raise unless names, shapes and types are those of the network, and the values any that training could give."""
-    wrong = "weights do not fit the described network"
+    """Raise unless names, shapes and types are those of the network and the values finite and plausible."""
     network = {name: value.numpy() for name, value in policy.state_dict().items()}
-    for name in sorted(network.keys() ^ weights.keys()):
-        raise FileError(path, f"{wrong}: {name!r} is {'missing' if name in network else 'not part of it'}")
-    for name, value in weights.items():
-        given, needed = (f"{array.dtype} {array.shape}" for array in (value, network[name]))
-        if given != needed:
-            raise FileError(path, f"{wrong}: {name!r} is {given}, not {needed}")
-        if np.abs(value).max(initial=0.0) > LARGEST_WEIGHT:
-            raise FileError(path, f"weights: {name!r} holds values beyond {LARGEST_WEIGHT:g}: nothing that was trained")
+    for name in sorted(network.keys() | weights.keys()):
+        needed, found = (
+            f"{part[name].dtype} {part[name].shape}" if name in part else "missing" for part in (network, weights)
+        )
+        if found != needed:
+            raise FileError(path, f"weights do not fit the described network: {name!r} is {found}, not {needed}")
+        if not np.abs(weights[name]).max(initial=0.0) <= LARGEST_WEIGHT:
+            raise FileError(path, f"weights: {name!r} holds values that are not finite or beyond {LARGEST_WEIGHT:g}")
 
 
 def build_policy(description: Description, initialised: bool = True) -> BasePolicy:

@@ -73,18 +73,18 @@ def _is_named(spec: str) -> bool:
 
 def _is_file(spec: str) -> bool:
     spec = unshielded(spec)
-    return Path(spec).suffix in (".csv", ".toml", ".json", ".npz") and Path(spec).exists()
+    return Path(spec).suffix in (".csv", ".toml", ".json", ".safetensors") and Path(spec).exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
     """Names of the user's own policies: files, except for agents that ship."""
     shipped = shipped_folder("agents").resolve()
     given = [(name, Path(unshielded(spec))) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
-    return [name for name, path in given if path.suffix != ".npz" or not path.resolve().is_relative_to(shipped)]
+    return [name for name, path in given if path.suffix != ".safetensors" or not path.resolve().is_relative_to(shipped)]
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
-    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.npz).
+    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.safetensors).
 
     Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
     keeps a margin of drive. In a task of both passes agents that were trained in one act on both; other policies are
@@ -127,13 +127,13 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
     if suffix == ".json":
         return Lawful(config, law=Law.read(spec))
-    if suffix == ".npz":
+    if suffix == ".safetensors":
         return _agent(spec, config)
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
     similar = ", ".join(difflib.get_close_matches(spec, names))
     raise ValueError(
         f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule file (.csv, .toml), a feedback law (.json)"
-        f" nor an agent's bundle (.npz){f'; the closest: {similar}' if similar else ''}"
+        f" nor an agent's bundle (.safetensors){f'; the closest: {similar}' if similar else ''}"
     )
 
 
@@ -145,7 +145,7 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
         names = ", ".join(INSPECTION_PLANNERS)
         raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
     file = Path(policy_file(unshielded(spec)))
-    trained = _agent(file).config if file.suffix == ".npz" else None
+    trained = _agent(file).config if file.suffix == ".safetensors" else None
     if trained is not None and trained.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")

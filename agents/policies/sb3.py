@@ -39,10 +39,10 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
 
 
 def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
-    """Write a model as a bundle of plain arrays, which every command takes; returns its hash.
+    """Write a model as a bundle, which every command takes; returns its hash.
 
     Args:
-        path: of the bundle (.npz).
+        path: of the bundle (.safetensors).
         model: see ``from_sb3``.
         config: see ``from_sb3``.
 

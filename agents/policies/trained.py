@@ -6,7 +6,7 @@ import json
 from typing import Any, NamedTuple
 
 from agents.policies.view import View
-from agents.records.arrays import read_arrays
+from agents.records.arrays import read_weights
 from agents.records.shipped import AGENT_FILE, DEFAULT_SEED, file_or_shipped, shipped_agents, shipped_folder
 from agents.terminal.tables import print_terms
 from probe_env.envs.task import TaskConfig
@@ -58,9 +58,9 @@ def print_agents() -> None:
 
 def _trained(name: str, seeds: tuple[int, ...]) -> Trained:
     path = shipped_folder("agents") / name / f"seed-{DEFAULT_SEED}" / AGENT_FILE
-    text = read_arrays(path, lambda array: "U" if array in ("description", "hash") else "f").get("description")
+    text, _, _ = read_weights(path)
     try:
-        said: dict[str, Any] = tuples(json.loads(str(text)))
+        said: dict[str, Any] = tuples(json.loads(text))
         view, task = View.model_validate(said["view"]), TaskConfig.model_validate(said["task"])
     except (ValueError, KeyError, TypeError) as error:
         raise FileError(path, f"not a bundle of this version: {error}") from error

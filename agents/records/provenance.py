@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -14,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from agents.records.atomic import write_atomically as write_atomically
-from agents.terminal.masking import masked_command
 from probe_env.machine import available_cores
 
 CHECKOUT = Path(__file__).parents[2]
@@ -31,12 +31,12 @@ def provenance(command: str | None = None, commits: Iterable[str] | None = None)
     """Versions, commit, machine and command as a JSON-ready dictionary.
 
     Args:
-        command: default: that of this process, without passwords.
+        command: default: that of this process.
         commits: of the rows that a table holds; default: the present one.
     """
     stage = os.environ.get(STAGE_VARIABLE)
     return ({"stage": stage} if stage else {}) | {
-        "command": command or "probe-env " + masked_command(sys.argv[1:]),
+        "command": command or "probe-env " + shlex.join(sys.argv[1:]),
         "commit": ", ".join(dict.fromkeys(commits if commits is not None else [commit()])),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},

@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 Kind = Literal["agents", "scenes", "schedules", "logs", "tubes", "design", "train"]
 PACKAGE: Final = Path(__file__).parents[1]
-AGENT_FILE: Final = "agent.npz"
+AGENT_FILE: Final = "agent.safetensors"
 DEFAULT_SEED: Final = 0
 """Training seed of an agent that is named without one: the first, not the luckiest. What is published under the name of
 an agent alone is this one's."""

@@ -9,17 +9,16 @@ from typing import Any, Final
 
 import pandas as pd
 
+from agents.evaluation.kpis import CORE_FAILURES, COST_KPIS
+from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.statistics import Interval, mean_interval, paired_difference
 from agents.policies.catalogue import named_policies
 from agents.policies.places import Place
 from agents.processes.workers import Workers
-from agents.records.columns import CORE_FAILURES, COST_KPIS
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.tables import Columns
 from agents.robustness.axes import AXES, NOMINAL, Disturbed, disturbed
 from agents.robustness.figures import draw_profiles
-from agents.rollouts.bootstrap import Interval
-from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import mean_interval, paired_difference
 from agents.terminal.tables import print_table
 from probe_env.envs.task import FAILURES
 from probe_env.fidelity import resolve_fidelity

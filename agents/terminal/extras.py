@@ -15,7 +15,7 @@ EXTRAS: Final = ("commands", "agents", "app")
 """Extras of users, the smallest first."""
 MODULES: Final = {
     "bokeh": ("bokeh", "tornado"), "imageio": ("imageio", "imageio_ffmpeg"), "jinja2": ("jinja2", "markupsafe"),
-    "optuna": ("optuna", "sqlalchemy"), "pillow": ("PIL",),
+    "pillow": ("PIL",),
 }  # fmt: skip
 """What is imported of packages whose modules have other names than they, or which bring others that we import."""
 _REQUIREMENT: Final = re.compile(r"([\w.-]+)(\[[^]]*\])?")

@@ -12,11 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from agents.records.columns import DETECTION
-from agents.rollouts.depths import a90_95, bands
-from agents.rollouts.plan import Plan
-from agents.rollouts.playing import Playing
-from agents.rollouts.statistics import grouped
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource
 
@@ -29,6 +24,9 @@ from agents.app.runs.queue import Run
 from agents.app.runs.wanted import Wanted
 from agents.app.server import server_of
 from agents.design.compare import cells, read_comparison, summarise
+from agents.evaluation.kpis import DETECTION
+from agents.evaluation.plan import Plan, Playing
+from agents.evaluation.statistics import a90_95, bands, grouped
 from agents.policies.catalogue import named_policies
 from agents.policies.places import place_of
 from probe_env.fidelity import resolve_fidelity

@@ -7,15 +7,15 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
-from agents.evaluation.page.writing import write_report
-from agents.rollouts.folder import episodes_of
 
 from agents.app.runs.driven import BY_HAND
 from agents.app.runs.frames import COLUMNS, Order
 from agents.app.runs.queue import Queue
 from agents.app.runs.shelf import described, free_folder, stored_runs, unfinished
 from agents.app.runs.wanted import Wanted
-from agents.evaluation.report import evaluate, plan_of
+from agents.evaluation.folder import episodes_of
+from agents.evaluation.report import write_report
+from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.places import place_at
 
 LONG = 120.0
@@ -55,7 +55,7 @@ def test_a_run_is_the_evaluation_of_the_same_command_bit_for_bit(queue, tube, tm
     assert queue.wait(run, LONG)
     assert (run.state, run.done, run.planned) == ("finished", 4, 4)
     plan = plan_of(run.wanted.policies, place_at(tube, "test", 2), 1, "fast")
-    table = evaluate(plan, tmp_path / "command")
+    table = evaluate_plan(plan, tmp_path / "command")
     stored = pd.read_parquet(tmp_path / "app" / "episodes.parquet")
     pd.testing.assert_frame_equal(stored, table, check_exact=True)
     assert episodes_of(tmp_path / "app").read() == episodes_of(tmp_path / "command").read()

@@ -6,11 +6,11 @@ import time
 from pathlib import Path
 
 import pandas as pd
-from agents.rollouts.plan import Plan, run_plan
 from conftest import CHROMIUM, App, opened, served
 from playwright.sync_api import sync_playwright
 from test_page import FEED, PLACE, fill, screen
 
+from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import named_policies
 from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from agents.records.columns import kpis_of
-from agents.rollouts.bootstrap import short
 from conftest import opened, served
 from PIL import Image
 
 from agents.cli import main
+from agents.evaluation.kpis import kpis_of
+from agents.evaluation.statistics import short
 
 PLACE = """([chart, k]) => {
     const document = Bokeh.documents[0];

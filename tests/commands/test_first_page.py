@@ -76,8 +76,8 @@ def test_what_is_no_command_is_told_with_those_that_are(capsys):
 def test_the_agents_are_told_with_what_they_know(capsys):
     assert main(["agents"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "ppo-no-tension seeds 0, 1, 2, 3, 4" in printed
-    assert "not the root tension" in printed
+    assert "ppo seeds 0, 1, 2, 3, 4" in printed
+    assert "the root tension" in printed
     assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in printed
     assert "tension-scheduled first" in printed
     assert "schedules best-both-ways, example, fast-in, shift, slow-back, steady-back" in printed

@@ -5,12 +5,12 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from agents.rollouts.plan import Plan, run_plan
 from gymnasium.utils.env_checker import check_env
 
-from agents.learning.config import Training
+from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import named_policies
 from agents.policies.places import place_at, place_of
+from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context
 from probe_env.envs.surrogate import SurrogateEpisodes

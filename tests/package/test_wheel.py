@@ -120,7 +120,9 @@ def test_the_wheel_holds_what_users_name(wheel):
         names = set(archive.namelist())
         metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
     bundles = {
-        f"agents/shipped/agents/{name}/seed-{k}/agent.npz" for name, seeds in shipped_agents().items() for k in seeds
+        f"agents/shipped/agents/{name}/seed-{k}/agent.safetensors"
+        for name, seeds in shipped_agents().items()
+        for k in seeds
     }
     files = {
         f"agents/shipped/{kind}/{name}.toml" for kind in ("scenes", "design", "train") for name in shipped_names(kind)
@@ -147,7 +149,7 @@ def test_by_name_in_an_empty_folder(run, python):
     site = python.parents[1]
     assert all(Path(line).is_relative_to(site) for line in out.splitlines())
     assert run("probe-env", "--version")[0] == f"probe-env {version('probe-env')}\n"
-    assert "ppo-no-tension" in run("probe-env", "agents")[0]
+    assert "ppo-any-probe" in run("probe-env", "agents")[0]
     before = installed_files(site)
 
     policies = ["ppo", "pi"] if find_spec("torch") else ["pi"]
@@ -166,7 +168,10 @@ def test_by_name_in_an_empty_folder(run, python):
         (run.folder / "out" / "mine.toml").write_text(TRAINING)
         run("probe-env", "train", "out/mine.toml", "--output", "out/train")
         assert (
-            "mine" in run("probe-env", "evaluate", "mine=out/train/seed-0/agent.npz", *SHORT, "--output", "out/mine")[0]
+            "mine"
+            in run("probe-env", "evaluate", "mine=out/train/seed-0/agent.safetensors", *SHORT, "--output", "out/mine")[
+                0
+            ]
         )
     assert {path.name for path in run.folder.iterdir()} == {"out", "output"}
     assert installed_files(site) == before  # nothing was written there

@@ -1,6 +1,5 @@
 """Bundles: an agent survives its file bit for bit, and no file can do anything but be refused."""
 
-import io
 import json
 import pickle
 import zipfile
@@ -8,11 +7,13 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save
 from stable_baselines3 import PPO
 
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.catalogue import make_policy
 from agents.policies.view import View
+from agents.records.arrays import read_weights
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import OBSERVATIONS
@@ -40,8 +41,8 @@ def observations(count=3, seed=0, config=TASK):
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac", "recurrent-ppo"])
 def test_an_agent_survives_its_file(algorithm, tmp_path):
-    agent = saved(tmp_path / "agent.npz", algorithm)
-    loaded, states = load_bundle(tmp_path / "agent.npz"), [None, None]
+    agent = saved(tmp_path / "agent.safetensors", algorithm)
+    loaded, states = load_bundle(tmp_path / "agent.safetensors"), [None, None]
     for step in range(4):
         rows, start = observations(seed=step), np.array([step == 0, False, step == 2])
         actions = []
@@ -50,12 +51,12 @@ def test_an_agent_survives_its_file(algorithm, tmp_path):
             actions.append(action)
         assert (actions[0] == actions[1]).all()
         assert (np.abs(actions[0]) <= 1.0).all()
-    assert make_policy(str(tmp_path / "agent.npz"), TASK).describe() == loaded.describe()
+    assert make_policy(str(tmp_path / "agent.safetensors"), TASK).describe() == loaded.describe()
     assert loaded.describe()["bundle"]
 
 
 def test_an_agent_remembers_by_its_state_and_a_new_episode_forgets(tmp_path):
-    agent = saved(tmp_path / "agent.npz")
+    agent = saved(tmp_path / "agent.safetensors")
     _, state = agent.predict(observations(seed=1), deterministic=True)
     remembering, _ = agent.predict(observations(seed=2), state, np.array([False, True, False]), deterministic=True)
     fresh, _ = agent.predict(observations(seed=2), deterministic=True)
@@ -67,11 +68,11 @@ def test_an_agent_remembers_by_its_state_and_a_new_episode_forgets(tmp_path):
 
 def test_an_agent_picks_what_it_looks_at_from_a_task_that_shows_more(tmp_path):
     blind = TaskConfig(observe_root_tension=False)
-    agent = saved(tmp_path / "agent.npz", task=blind)
+    agent = saved(tmp_path / "agent.safetensors", task=blind)
     wide = TaskConfig(privileged=True)
     rows = observations(config=wide)
     chosen = rows[:, [list(wide.observations).index(name) for name in blind.observations]]
-    shown = load_bundle(tmp_path / "agent.npz", wide)
+    shown = load_bundle(tmp_path / "agent.safetensors", wide)
     assert (shown.predict(rows, deterministic=True)[0] == agent.predict(chosen, deterministic=True)[0]).all()
 
 
@@ -84,9 +85,9 @@ def test_an_agent_picks_what_it_looks_at_from_a_task_that_shows_more(tmp_path):
     ],
 )
 def test_another_task_is_refused(config, message, tmp_path):
-    saved(tmp_path / "agent.npz")
-    with pytest.raises(ValueError, match=f"agent.npz: {message}"):
-        load_bundle(tmp_path / "agent.npz", TaskConfig(**config))
+    saved(tmp_path / "agent.safetensors")
+    with pytest.raises(ValueError, match=f"agent.safetensors: {message}"):
+        load_bundle(tmp_path / "agent.safetensors", TaskConfig(**config))
 
 
 class Poison:
@@ -99,62 +100,35 @@ class Poison:
         return (open, (str(self.path), "w"))
 
 
-def test_poisoned_files_are_refused_and_not_executed(tmp_path):
-    victim, arrays = tmp_path / "victim", tmp_path / "poisoned.npz"
-    np.savez(arrays, description=np.array([Poison(victim)], dtype=object), hash=np.array("x"))
-    with pytest.raises(ValueError, match="not a bundle of plain arrays"):
-        load_bundle(arrays)
-    bare = tmp_path / "bare.npz"
+def test_pickles_are_refused_and_not_executed(tmp_path):
+    """A bare pickle, and SB3's own zip file with one in it."""
+    victim, bare, archive = tmp_path / "victim", tmp_path / "bare.safetensors", tmp_path / "sb3.safetensors"
     bare.write_bytes(pickle.dumps(Poison(victim)))
-    with pytest.raises(ValueError, match="not a bundle"):
-        load_bundle(bare)
-    array = tmp_path / "array.npz"
-    with array.open("wb") as file:
-        np.save(file, np.zeros(3))
-    with pytest.raises(ValueError, match="not a bundle"):
-        load_bundle(array)
+    env = ProbeVecEnv("probe_env/Snapshot-v1", 1)
+    PPO("MlpPolicy", env, n_steps=2, batch_size=2, policy_kwargs={"net_arch": [4]}, device="cpu").save(tmp_path / "sb3")
+    with zipfile.ZipFile(tmp_path / "sb3.zip") as old, zipfile.ZipFile(archive, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, pickle.dumps(Poison(victim)) if name == "data" else old.read(name))
+    for path in (bare, archive):
+        with pytest.raises(ValueError, match="not an agent's bundle"):
+            load_bundle(path)
+    with pytest.raises(ValueError, match="is not one of"):
+        make_policy(str(tmp_path / "sb3.zip"), TASK)
     assert not victim.exists()
     pickle.loads(bare.read_bytes()).close()
     assert victim.exists()  # so the poison would have worked
 
 
-def test_sb3_s_own_zip_files_are_refused_and_not_executed(tmp_path):
-    victim = tmp_path / "victim"
-    env = ProbeVecEnv("probe_env/Snapshot-v1", 1)
-    PPO("MlpPolicy", env, n_steps=2, batch_size=2, policy_kwargs={"net_arch": [4]}, device="cpu").save(tmp_path / "sb3")
-    poisoned = tmp_path / "sb3.npz"
-    with zipfile.ZipFile(tmp_path / "sb3.zip") as old, zipfile.ZipFile(poisoned, "w") as new:
-        for name in old.namelist():
-            new.writestr(name, pickle.dumps(Poison(victim)) if name == "data" else old.read(name))
-    with pytest.raises(ValueError, match="not a bundle"):
-        load_bundle(poisoned)
-    with pytest.raises(ValueError, match="is not one of"):
-        make_policy(str(tmp_path / "sb3.zip"), TASK)
-    assert not victim.exists()
-
-
-def rewritten(path, **changes):
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files}
-    arrays |= changes
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    path.write_bytes(buffer.getvalue())
-
-
-def test_changed_cut_off_and_missing_files_are_named(tmp_path):
-    path = tmp_path / "agent.npz"
+def test_changed_and_missing_files_are_named(tmp_path):
+    path = tmp_path / "agent.safetensors"
     agent = saved(path)
-    whole = path.read_bytes()
+    _, digest, weights = read_weights(path)
     text = json.dumps(json.loads(agent.description.model_dump_json()) | {"trained": {"seed": 1}})
-    rewritten(path, description=np.array(text))
-    with pytest.raises(ValueError, match=r"agent.npz: changed or cut off"):
-        load_bundle(path)
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ValueError, match=r"agent.npz: not a bundle"):
+    path.write_bytes(save(weights, {"description": text, "hash": digest}))
+    with pytest.raises(ValueError, match=r"agent.safetensors: changed or cut off"):
         load_bundle(path)
     with pytest.raises(FileNotFoundError):
-        load_bundle(tmp_path / "nowhere.npz")
+        load_bundle(tmp_path / "nowhere.safetensors")
 
 
 def test_view_averages_and_logarithmic_feed():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from agents.learning.config import Training
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from agents.policies.view import View
+from agents.training.config import Training
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vector import InsertionVectorEnv
 
@@ -62,8 +62,8 @@ def test_a_correction_is_added_in_the_agent_s_own_terms() -> None:
 
 def test_a_bundle_keeps_the_law_that_it_was_trained_on(tmp_path: Path) -> None:
     saved = agent(View(guide=OWN), Network(net_arch=(8,), noise_interval=4))
-    write_bundle(tmp_path / "agent.npz", saved.description, saved.policy)
-    loaded = load_bundle(tmp_path / "agent.npz")
+    write_bundle(tmp_path / "agent.safetensors", saved.description, saved.policy)
+    loaded = load_bundle(tmp_path / "agent.safetensors")
     assert loaded.description.view.guide == OWN != read_constants()
     rows = np.random.default_rng(0).uniform(0.1, 1.0, (3, len(TASK.observations)))
     assert (loaded.predict(rows, deterministic=True)[0] == saved.predict(rows, deterministic=True)[0]).all()
@@ -95,7 +95,7 @@ def test_smooth_exploration_is_for_all_algorithms(algorithm: str, tmp_path: Path
         algorithm=algorithm, network=Network(net_arch=(8,), noise_interval=4), view=View(), task=TASK, trained={}
     )
     policy = build_policy(description)
-    write_bundle(tmp_path / "agent.npz", description, policy)
+    write_bundle(tmp_path / "agent.safetensors", description, policy)
     rows = np.random.default_rng(0).uniform(0.1, 1.0, (3, len(TASK.observations)))
-    built, loaded = Agent(description, policy, TASK), load_bundle(tmp_path / "agent.npz")
+    built, loaded = Agent(description, policy, TASK), load_bundle(tmp_path / "agent.safetensors")
     assert (loaded.predict(rows, deterministic=True)[0] == built.predict(rows, deterministic=True)[0]).all()

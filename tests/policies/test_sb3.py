@@ -38,7 +38,7 @@ def test_a_policy_and_a_bundle_act_as_the_model(kind, env, tmp_path):
     policy = from_sb3(model, CONFIG)
     assert np.allclose(policy.predict(shown, deterministic=True)[0], expected, atol=1e-6)
     assert policy.describe()["algorithm"] == kind
-    path = tmp_path / "own.npz"
+    path = tmp_path / "own.safetensors"
     digest = save_bundle(path, model, CONFIG)
     agent = load_bundle(path, everything)
     assert agent.hash == digest
@@ -59,5 +59,5 @@ def test_what_would_act_otherwise_is_refused(env, tmp_path):
 
     other = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
     with pytest.raises(ValueError, match="policy_kwargs: a bundle does not describe activation_fn"):
-        save_bundle(tmp_path / "other.npz", other, CONFIG)
+        save_bundle(tmp_path / "other.safetensors", other, CONFIG)
     assert not list(tmp_path.iterdir())

@@ -8,16 +8,16 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 import ray
-from agents.rollouts.plan import Plan, run_plan
 from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
 import probe_env
 from agents.design.problem import DesignProblem
-from agents.learning.config import Training
-from agents.learning.train import BEST, train_all
+from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import Constant
 from agents.processes.workers import Workers
+from agents.training.config import Training
+from agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 

@@ -17,8 +17,8 @@ def installed(tmp_path):
     """The folder of a package as it is installed, with little in it."""
     package = tmp_path / "site" / "agents"
     for source, target in (
-        ("results/agents/ppo/seed-0/agent.npz", "agents/ppo/seed-0/agent.npz"),
-        ("results/agents/ppo/seed-3/agent.npz", "agents/ppo/seed-3/agent.npz"),
+        ("results/agents/ppo/seed-0/agent.safetensors", "agents/ppo/seed-0/agent.safetensors"),
+        ("results/agents/ppo/seed-3/agent.safetensors", "agents/ppo/seed-3/agent.safetensors"),
         ("configs/scenes/fig11_l10.toml", "scenes/fig11_l10.toml"),
         ("configs/schedules/example.csv", "schedules/example.csv"),
     ):
@@ -33,15 +33,12 @@ def test_a_checkout_ships_what_it_holds():
         "both-ways": (0, 1, 2),
         "ppo": (0, 1, 2, 3, 4),
         "ppo-any-probe": (0, 1, 2),
-        "ppo-no-tension": (0, 1, 2, 3, 4),
-        "ppo-scratch": (0, 1, 2, 3, 4),
-        "ppo-snr": (0,),
         "student": (0, 1, 2, 3, 4),
     }
     assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
     assert {"original", "improved"} <= set(shipped_names("design"))
-    assert agent_file("ppo") == ROOT / "results" / "agents" / "ppo" / "seed-0" / "agent.npz"
-    assert agent_file("ppo@2") == ROOT / "results" / "agents" / "ppo" / "seed-2" / "agent.npz"
+    assert agent_file("ppo") == ROOT / "results" / "agents" / "ppo" / "seed-0" / "agent.safetensors"
+    assert agent_file("ppo@2") == ROOT / "results" / "agents" / "ppo" / "seed-2" / "agent.safetensors"
     assert file_or_shipped("scenes", "fig11_l10") == ROOT / "configs" / "scenes" / "fig11_l10.toml"
 
 
@@ -52,7 +49,9 @@ def test_no_name_stands_for_two_policies():
 
 def test_an_installed_package_ships_its_own(installed):
     assert shipped_agents(installed) == {"ppo": (0, 3)}
-    assert policy_file("ppo@3", installed) == str(installed / "shipped" / "agents" / "ppo" / "seed-3" / "agent.npz")
+    assert policy_file("ppo@3", installed) == str(
+        installed / "shipped" / "agents" / "ppo" / "seed-3" / "agent.safetensors"
+    )
     for given in ("example", "example.csv"):
         assert policy_file(given, installed) == str(installed / "shipped" / "schedules" / "example.csv")
     assert policy_file("pi", installed) == "pi"

@@ -6,10 +6,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from agents.records.columns import COST_KPIS
 from agents.rollouts import plan
 
 from agents.cli import main
+from agents.evaluation.kpis import COST_KPIS
 from agents.policies.places import place_of
 from agents.processes.workers import Workers
 from agents.records.reading import FileError, read_csv

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.evaluation.report import plan_of
+from agents.evaluation.run import plan_of
 from agents.policies.places import place_of
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes

@@ -23,13 +23,10 @@ from agents.app.page.style import (
 from agents.app.runs.shelf import stored_runs
 from agents.design.compare import STORED, cells, header, read_comparison
 from agents.design.compare import summarise as summarise_designs
-from agents.evaluation.page.described import informed
-from agents.evaluation.page.stored import Evaluation, read_evaluation
-from agents.evaluation.page.tables import Cell, Row, by_diameter, by_tube, ranked
-from agents.evaluation.page.traces import traces
-from agents.evaluation.page.verdict import limit_of, ranking, verdict
-from agents.rollouts.bootstrap import Interval
-from agents.rollouts.statistics import sentences, summarise
+from agents.evaluation.folder import Evaluation, read_evaluation
+from agents.evaluation.profiles import traces
+from agents.evaluation.report import Cell, Row, by_diameter, by_tube, informed, limit_of, ranked, verdict
+from agents.evaluation.statistics import Interval, ranking, sentences, summarise
 from agents.terminal.refusals import refusal
 
 SHOWN: Final = 6

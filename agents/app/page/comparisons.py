@@ -9,7 +9,7 @@ import pandas as pd
 from bokeh.models import ColumnDataSource, HoverTool, LabelSet, Span, Whisker
 
 from agents.app.page.style import DASHES, GREY, INK, PALETTE, below, chart, legend_above, limit_line, words
-from agents.rollouts import depths
+from agents.evaluation import statistics as depths
 
 UNITS: Final = (("feed speed [m/s]", 1e-4), ("air supply [m³/h]", 0.1), ("radial rms [mm]", 1e-4))
 """Of the columns of the report's traces: what they are and the unit in which they are whole numbers."""
@@ -107,8 +107,8 @@ class Detection:
 
     def show(self, table: pd.DataFrame, policies: list[str]) -> None:
         """Draw policies of a table of episodes; tables from before there was a sensor have no curves."""
-        self.plot.visible = depths.tells(table)
-        if not depths.tells(table):
+        self.plot.visible = depths.has_curves(table)
+        if not depths.has_curves(table):
             self.caption.text = "<p class='quiet'>No curves of detection: these episodes were stored without them.</p>"
             return
         part = table[table["policy"].isin(policies)]

@@ -17,9 +17,9 @@ from agents.app.page.traces import Traces
 from agents.app.page.unrolled import SlowMotion, Unrolled
 from agents.app.runs.frames import COLUMNS, Frame, Order
 from agents.app.runs.queue import Run
+from agents.evaluation.plan import Unit
 from agents.policies.catalogue import NAMES
 from agents.records.shipped import shipped_agents, shipped_names
-from agents.rollouts.playing import Unit
 from agents.terminal.refusals import refusal
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.fidelity import PRESETS

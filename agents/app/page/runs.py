@@ -14,7 +14,7 @@ from agents.app.desk import Desk
 from agents.app.page.style import Live, below, control_sheet, problem, side_by_side, words
 from agents.app.runs.queue import Run
 from agents.app.runs.shelf import Stored, stored_runs, unfinished
-from agents.evaluation.page.writing import write_report
+from agents.evaluation.report import write_report
 from agents.terminal.refusals import refusal
 
 REPORT = "/report/"

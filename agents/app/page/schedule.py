@@ -42,7 +42,7 @@ from agents.app.page.style import (
     side_by_side,
     words,
 )  # fmt: skip
-from agents.evaluation.page.verdict import limit_of
+from agents.evaluation.report import limit_of
 from agents.policies.places import Place
 from agents.records.shipped import policy_file, shipped_names
 from agents.terminal.refusals import refusal

@@ -7,7 +7,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from agents.rollouts.playing import Playing, Unit
+from agents.evaluation.plan import Playing, Unit
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.strip import Motion
 from probe_env.envs.task.observations import in_si_units

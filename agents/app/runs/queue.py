@@ -14,8 +14,8 @@ import numpy as np
 
 from agents.app.runs.frames import COLUMNS, Frame, Message, Order, Over, Planned
 from agents.app.runs.wanted import Wanted
+from agents.evaluation.plan import Unit
 from agents.processes.pool import GRACE, started
-from agents.rollouts.playing import Unit
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.strip import Motion
 from probe_env.inspection.sensor import Sensor

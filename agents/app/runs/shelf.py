@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from agents.app.runs.wanted import Wanted
-from agents.evaluation.page.stored import Evaluation, read_evaluation
-from agents.evaluation.page.tables import ended
-from agents.records.models import Unfinished, read_json
-from agents.rollouts.folder import UNFINISHED, episodes_of
-from agents.rollouts.statistics import endings
+from agents.evaluation.folder import UNFINISHED, Evaluation, Unfinished, episodes_of, read_evaluation
+from agents.evaluation.report import ended
+from agents.evaluation.statistics import endings
+from agents.records.models import read_json
 from agents.terminal.refusals import refusal
 
 WHOLE: Final = "provenance.json"

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from agents.app.runs.driven import BY_HAND, Driven
-from agents.evaluation.report import plan_of
+from agents.evaluation.plan import Plan
+from agents.evaluation.run import plan_of
 from agents.policies.catalogue import name_and_spec, own_policies
 from agents.policies.places import place_at
-from agents.rollouts.plan import Plan
 
 COMMAND: Final = "probe-env evaluate"
 OPTIONS: Final = {"limit": int, "seeds": int, "fidelity": str, "tube": Path}

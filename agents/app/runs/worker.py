@@ -23,9 +23,8 @@ import numpy as np
 from agents.app.runs.driven import Driven
 from agents.app.runs.frames import Frame, Message, Order, Over, Planned, row_of, shape_of
 from agents.app.runs.wanted import Wanted
-from agents.evaluation.report import claim_folder
-from agents.rollouts.plan import BATCH, Plan, lines_of, run_plan, stored_episodes
-from agents.rollouts.playing import Playing, Unit
+from agents.evaluation.plan import BATCH, Plan, Playing, Unit, lines_of, run_plan, stored_episodes
+from agents.evaluation.run import claim_folder
 from agents.terminal.refusals import refusal
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes

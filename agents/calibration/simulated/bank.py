@@ -14,7 +14,6 @@ from scipy.stats import qmc
 from agents.calibration.simulated.insertions import Program, Specimen, insert
 from agents.plant.prior import FRICTION, STIFFNESS
 from agents.plant.response import CHANNELS, metres_of
-from agents.records.arrays import read_arrays
 from agents.records.atomic import write_atomically
 from agents.terminal.work import Work, announce
 from probe_env import Context, Plant
@@ -23,6 +22,7 @@ from probe_env.envs.plants.tables import Tubes
 from probe_env.envs.task import value_at
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
+from probe_env.npz import read_arrays
 
 SIZE: Final = 32
 """Insertions side by side, in one bore."""

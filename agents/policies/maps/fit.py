@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Final
 import numpy as np
 import pandas as pd
 
+from agents.evaluation.folder import PROFILE, PROFILE_HEARD
+from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import FixedPolicy
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import read_parquet
-from agents.records.tables import PROFILE, PROFILE_HEARD
-from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES

@@ -18,11 +18,11 @@ import pandas as pd
 from cmaes import CMA
 from tqdm import tqdm
 
+from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.lookup import FIRST, least_air
 from agents.policies.places import place_of
 from agents.records.provenance import commit, provenance, write_atomically, write_json
-from agents.rollouts.plan import Plan, check_stored, run_plan
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
@@ -152,7 +152,7 @@ def run_search(
     config, tubes = train.config, family.tubes(validation.contexts)
     if not tubes:
         raise ValueError(f"family = {family_name!r}: no tube has a helix of {family.helix_diameter:g} m")
-    check_stored(
+    stored_episodes(
         Plan({family_name: Scheduled(config, family.schedule(list(family.start), config))}, tubes, config=config,
              fidelity=PRESETS["fast"]), work / family_name,
     )  # fmt: skip

@@ -15,12 +15,12 @@ import pandas as pd
 from cmaes import CMA
 from tqdm import tqdm
 
+from agents.evaluation.plan import Plan, run_plan
 from agents.policies.places import Place, place_of
-from agents.policies.plc.law import Constants, PlcLaw
 from agents.policies.plc.quasi_steady import quasi_steady_rewards
+from agents.policies.plc_law import Constants, PlcLaw
 from agents.processes.workers import Workers
 from agents.records.provenance import commit, provenance, write_atomically, write_json
-from agents.rollouts.plan import Plan, run_plan
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.surrogate.vibration_map import VibrationMap

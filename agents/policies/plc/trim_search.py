@@ -8,13 +8,12 @@ from typing import Any, Final
 
 import pandas as pd
 
+from agents.evaluation.plan import Plan, Policy, run_plan
+from agents.evaluation.statistics import paired_difference
 from agents.policies.places import place_of
-from agents.policies.plc.law import PlcLaw
-from agents.policies.plc.trimmed import Trim, TrimmedLaw
+from agents.policies.plc_law import PlcLaw, Trim, TrimmedLaw
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.rollouts.plan import Plan, Policy, run_plan
-from agents.rollouts.statistics import paired_difference
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.fidelity import resolve_fidelity

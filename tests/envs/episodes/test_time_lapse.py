@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from agents.policies.planning.outlook import Estimate, looked_ahead
 
+from agents.policies.planner import Estimate, looked_ahead
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS, STEADY_CHANGE, Fidelity, resolve_fidelity

@@ -1,0 +1,74 @@
+"""Opens the Optuna study of a search in an append-only journal file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import optuna
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+
+from probe_env.files import MEBI, FileError, one_line, read_bytes
+
+JOURNAL: Final = "study.jsonl"
+MOST_JOURNAL: Final = 1024 * MEBI
+
+
+def open_study(
+    path: Path, name: str, directions: Sequence[Literal["minimize", "maximize"]], parameters: Iterable[str]
+) -> optuna.Study:
+    """The study of this name, made if it is not there; trials that a kill left unfinished are marked as failed.
+
+    Args:
+        path: of the journal; a last line that a kill cut off is removed.
+        name: of the study.
+        directions: of its objectives, "minimize" or "maximize".
+        parameters: names of what is searched.
+
+    Raises:
+        FileError: not such a journal, a damaged one, or a study with other objectives or parameters.
+    """
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        _check_lines(path)
+        storage = JournalStorage(JournalFileBackend(str(path)))
+        if name in optuna.get_all_study_names(storage):
+            study = optuna.load_study(study_name=name, storage=storage)
+        else:
+            study = optuna.create_study(study_name=name, storage=storage, directions=directions)
+        if [direction.name.lower() for direction in study.directions] != list(directions):
+            raise ValueError(f"study {name!r} is of another search: it has other objectives")
+        for trial in study.get_trials(deepcopy=False):
+            if trial.state is TrialState.COMPLETE and set(trial.params) != set(parameters):
+                raise ValueError(f"study {name!r} is of another search: trial {trial.number} has other parameters")
+            if trial.state is TrialState.COMPLETE and not all(map(math.isfinite, trial.values)):
+                raise ValueError(f"the values of trial {trial.number} are not finite")
+            if trial.state is TrialState.RUNNING:
+                study.tell(trial.number, state=TrialState.FAIL)
+    except FileError:
+        raise
+    except Exception as error:  # of Optuna: whatever a damaged journal leads to
+        reason = f"{type(error).__name__}: {one_line(str(error))}"
+        raise FileError(path, f"not a journal of this search ({reason}): choose another folder") from error
+    return study
+
+
+def _check_lines(path: Path) -> None:
+    """Raise unless every line is a record; remove a last line that was cut off."""
+    if not os.path.lexists(path):
+        return
+    *lines, rest = read_bytes(path, MOST_JOURNAL).split(b"\n")
+    if not all(b'"op_code"' in line and isinstance(json.loads(line), dict) for line in lines):
+        raise ValueError("a line is no record of a trial")
+    if lines and not lines[0].startswith(b'{"op_code":0,'):
+        raise ValueError("the first line is not that of a study")
+    if rest and not b'{"op_code":'.startswith(rest[:11]):
+        raise ValueError("the last line is no record of a trial")
+    if rest:
+        os.truncate(path, sum(len(line) + 1 for line in lines))

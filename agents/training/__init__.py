@@ -1,0 +1,1 @@
+"""Trains agents with Stable-Baselines3 and searches their hyperparameters."""

@@ -1,0 +1,340 @@
+"""A training run as a TOML file with every setting, validated before any work, and the search space of ``tune``."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+import tomli_w
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from agents.policies.bundle import ALGORITHMS, Algorithm, Network
+from agents.policies.catalogue import make_policy
+from agents.policies.places import map_of, place_of
+from agents.policies.plc_law import Constants
+from agents.policies.policy import Policy
+from agents.policies.view import View, guide_of
+from agents.vec_env import ENVIRONMENTS, EnvId
+from probe_env.envs.contexts import Context, Split
+from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
+from probe_env.envs.plants import Plant, plant_of
+from probe_env.envs.surrogate.vibration_map import VibrationMap
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity, is_surrogate, resolve_fidelity
+from probe_env.settings import Model, explain, quantity, tuples, whole_steps
+
+LIMITS: Final[dict[str, tuple[float, float]]] = {
+    **dict.fromkeys(("learning_rate", "gamma", "gae_lambda", "tau"), (0.0, 1.0)),
+    **dict.fromkeys(("clip_range", "clip_range_vf", "ent_coef", "vf_coef", "max_grad_norm", "target_kl"), (0.0, 100.0)),
+    "n_steps": (1, 1 << 20), "batch_size": (2, 1 << 20), "n_epochs": (1, 1000), "buffer_size": (1, 1 << 26),
+    "learning_starts": (0, 1 << 26), "train_freq": (1, 1 << 20), "gradient_steps": (-1, 1 << 20),
+    "target_update_interval": (1, 1 << 20),
+}  # fmt: skip
+"""Accepted values of ``learning``, both included; integers only where the bounds are."""
+UNLIMITED: Final = ("normalize_advantage", "target_entropy")
+"""Other accepted names of ``learning``; what else an algorithm takes is set by other fields, or is no number."""
+Count = Annotated[int, Field(ge=1)]
+
+
+class Environments(Model):
+    """What the agent is trained in."""
+
+    env_id: EnvId = "probe_env/Insertion-v1"
+    tube: Annotated[Plant | None, BeforeValidator(plant_of)] = None
+    """A plant of one's own: the path of its ``tube.toml``, or its fields."""
+    map_beside: str | None = None
+    """The plant's file, or the name of one that ships, beside which the map is that the teacher looks things up in
+    (``train --tube`` says it); default: the shipped map."""
+    num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
+    contexts: NamedContexts = "train"
+    probes: Probes = "scene"
+    """"random": every episode has a probe of its own."""
+    fidelity: str | Fidelity = "fast"
+    """Of the simulation; "surrogate" predicts from the vibration map instead."""
+    task: Annotated[dict[str, Any], AfterValidator(tuples)] = Field(default_factory=dict)
+    reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
+
+
+class Imitation(Model):
+    """Warm start: imitate a teacher on the states that the agent itself gets into (DAgger), before the first update."""
+
+    teacher: str = "privileged"
+    rounds: Count = 3
+    steps: Count = 8192
+    """Environment steps of a round."""
+    epochs: Count = 20
+    learning_rate: Annotated[float, quantity(1e-8, 1.0, "")] = 1e-3
+
+
+class Validation(Model):
+    """Where the best model is chosen."""
+
+    contexts: Split = "validation"
+    limit: Annotated[int, Field(ge=0)] = 12
+    """So many contexts, the first of the list; 0: all."""
+    fidelity: str | Fidelity = "fast"
+
+
+class Training(Model):
+    """A training run.
+
+    ``learning`` holds arguments of SB3's algorithm by their own names (``n_steps``, ``learning_rate``, ``gamma``, ...).
+    A phase is what is done between two checkpoints: all environments begin anew at its start, and at its end the agent
+    is validated. ``observations`` of the view default to all that the task shows. ``search`` is for
+    ``probe-env tune`` alone: table -> field -> choices or a range, see ``axes_of``.
+    """
+
+    algorithm: Algorithm = "ppo"
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
+    environment: Environments = Environments()
+    network: Network = Network()
+    averages: tuple[float, ...] = (5.0, 20.0)
+    friction_estimate: bool = False
+    least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
+    """The agent never blows less; 0: the task's own least."""
+    guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
+    """A law that the agent corrects, "plc-law" or its ten constants; see ``View``."""
+    learning: dict[str, int | float | bool] = Field(default_factory=dict)
+    imitation: Imitation | None = None
+    validation: Validation = Validation()
+    phases: Annotated[int, Field(ge=0, le=100_000)] = 8
+    phase_steps: Count = 16_384
+    search: Annotated[dict[str, dict[str, Any]], AfterValidator(tuples)] | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        try:
+            assert self.task
+        except ValidationError as error:  # pydantic would tell its fields as if they were this model's
+            raise PydanticCustomError("task", "{text}", {"text": explain(error, "environment.task")}) from error
+        arguments = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
+        accepted = [name for name in arguments if name in LIMITS or name in UNLIMITED]
+        for name in self.learning:
+            if name not in accepted:
+                text = f"learning.{name} is not one of {self.algorithm}'s: {', '.join(accepted)}"
+                raise PydanticCustomError("learning", text)
+            _check_limits(name, self.learning[name])
+        if self.imitation is not None and self.algorithm != "ppo":
+            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
+        if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
+            raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be at least one, and none twice")
+        if self.phases == 0 and self.imitation is None:
+            raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
+        if is_surrogate(self.validation.fidelity):
+            raise PydanticCustomError("fidelity", "validation.fidelity = 'surrogate': agents are chosen by simulation")
+        for given in (self.environment.fidelity, self.validation.fidelity):
+            fidelity = resolve_fidelity(given, self.task.scene, both_ways=self.task.returns)
+            if fidelity.time_lapse > 1.0 and not self.task.growing:
+                raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
+            whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
+        self.view.columns(self.task)
+        assert self.validated_in
+        if self.imitation is not None:
+            try:
+                assert self.teacher
+            except (ValueError, FileNotFoundError) as error:
+                raise PydanticCustomError("teacher", "{text}", {"text": f"imitation.teacher: {error}"}) from error
+        axes_of(self)
+        return self
+
+    def to_toml(self) -> str:
+        """The training as TOML text, with every setting but the search."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"search"}))
+
+    @property
+    def task(self) -> TaskConfig:
+        """The task that the agent learns, as given."""
+        defaults = ENVIRONMENTS[self.environment.env_id].defaults
+        return placed(defaults, self.environment.task, {"tube": self.environment.tube})[0]
+
+    @property
+    def trained_in(self) -> Contexts:
+        """Tubes that are trained in: a shipped list or ranges, or those of the plant."""
+        plant, named = self.environment.tube, self.environment.contexts
+        if plant is None:
+            return named
+        return plant.contexts(RANDOM_TUBES) if named == "random" else place_of(plant, named).contexts
+
+    @property
+    def validated_in(self) -> tuple[Context, ...]:
+        """Tubes in which the best model is chosen."""
+        return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+
+    @property
+    def vibration(self) -> VibrationMap | None:
+        """The plant's own map, for the teacher and for fidelity "surrogate"; None: the shipped one."""
+        beside = self.environment.map_beside
+        return None if beside is None else map_of(Path(beside), self.environment.tube)
+
+    @property
+    def teacher(self) -> Policy | None:
+        """Who is imitated first."""
+        return None if self.imitation is None else make_policy(self.imitation.teacher, self.shown_task, self.vibration)
+
+    @property
+    def shown_task(self) -> TaskConfig:
+        """The same with all observations shown: teachers look at some that the agent does not."""
+        return self.task.all_shown
+
+    @property
+    def view(self) -> View:
+        """What the agent sees."""
+        return View(
+            observations=tuple(self.task.observations),
+            averages=self.averages,
+            friction_estimate=self.friction_estimate,
+            least_air_supply_rate=self.least_air_supply_rate,
+            guide=self.guide,
+        )
+
+
+def _check_limits(name: str, value: float) -> None:
+    if name not in LIMITS:
+        return
+    low, high = LIMITS[name]
+    kinds, note = ((int,), ", whole numbers") if isinstance(low, int) else ((int, float), "")
+    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
+        text = f"learning.{name} = {value!r} is outside the accepted range {low:.16g} to {high:.16g}{note}"
+        raise PydanticCustomError("limits", "{text}", {"text": text})
+
+
+TABLES: Final = ("learning", "network", "imitation")
+"""Tables of a training file whose fields can be searched."""
+ROLLOUT: Final = "learning.n_steps"
+"""Steps of each environment between two updates; SAC has no rollouts."""
+
+
+class Range(Model):
+    """Numbers from ``low`` to ``high``, both included, integers if both are; ``log``: uniform in the logarithm."""
+
+    low: int | float
+    high: int | float
+    log: bool = False
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not -math.inf < self.low < self.high < math.inf:
+            raise PydanticCustomError("order", f"low = {self.low!r} is not below high = {self.high!r}")
+        if self.log and self.low <= 0:
+            raise PydanticCustomError("log", f"low = {self.low!r} is not above 0, as log = true needs")
+        return self
+
+
+Axis = Range | tuple[Any, ...]
+"""Search range of a field, or its choices."""
+_ANY: Final[dict[str, Axis]] = {
+    "learning.gamma": (0.98, 0.99, 0.995, 0.998, 0.999, 0.9995),
+    "learning.batch_size": (64, 128, 256, 512),
+    "network.net_arch": ((32, 32), (64, 64), (128, 128)),
+}
+_PPO: Final[dict[str, Axis]] = _ANY | {
+    "learning.learning_rate": Range(low=1e-5, high=1e-3, log=True),
+    "learning.n_epochs": Range(low=2, high=12),
+    "learning.gae_lambda": Range(low=0.9, high=1.0),
+    "learning.clip_range": Range(low=0.05, high=0.3),
+    "learning.ent_coef": Range(low=1e-6, high=1e-2, log=True),
+    "network.log_std_init": Range(low=-4.0, high=-1.0),
+}
+USUAL: Final[dict[str, dict[str, Axis]]] = {
+    "ppo": _PPO,
+    "recurrent-ppo": _PPO | {"network.lstm_hidden_size": (32, 64, 128)},
+    "sac": _ANY | {
+        "learning.learning_rate": Range(low=1e-4, high=3e-3, log=True),
+        "learning.tau": Range(low=0.002, high=0.05, log=True),
+        "learning.gradient_steps": (1, 2, 4, 8),
+    },
+}  # fmt: skip
+"""Search space of an algorithm for files without ``[search]``, besides the rollouts that fill phases."""
+
+
+def axes_of(training: Training) -> dict[str, Axis]:
+    """Search space: field, such as "learning.gamma" -> its choices or range.
+
+    Raises:
+        PydanticCustomError: ``search`` names an unknown field, or values that a training does not accept.
+    """
+    if training.search is None:
+        steps = (32, 64, 128, 256, 512) if training.algorithm != "sac" else ()
+        rollouts = tuple(number for number in steps if _fills_phases(training, number))
+        return USUAL[training.algorithm] | ({ROLLOUT: rollouts} if len(rollouts) > 1 else {})
+    tables = [name for name in TABLES if getattr(training, name) is not None]
+    axes: dict[str, Axis] = {}
+    for table, fields in training.search.items():
+        if table not in tables:
+            raise _search_error(
+                f".{table}", f"is nothing of this file that can be searched; accepted: {', '.join(tables)}"
+            )
+        axes |= {f"{table}.{field}": _axis(f"{table}.{field}", value) for field, value in fields.items()}
+    if not axes:
+        raise _search_error("", "names nothing to search")
+    plain = training.model_copy(update={"search": None})
+    for name, axis in axes.items():
+        _check_axis(plain, name, axis)
+    return axes
+
+
+def with_values(training: Training, point: Mapping[str, Any]) -> Training:
+    """The training with these values of fields, such as "learning.gamma".
+
+    Raises:
+        ValidationError: it does not accept them.
+    """
+    update: dict[str, dict[str, Any]] = {"learning": dict(training.learning)}
+    for name, value in point.items():
+        table, _, field = name.partition(".")
+        update.setdefault(table, {})[field] = value
+    return training.model_copy(update=update)
+
+
+def value_in(training: Training, name: str) -> Any:
+    """The value of a field in a training, for ``learning`` by default the algorithm's."""
+    table, _, field = name.partition(".")
+    if table != "learning":
+        return getattr(getattr(training, table), field)
+    arguments = inspect.signature(ALGORITHMS[training.algorithm][0].__init__).parameters
+    return training.learning.get(field, arguments[field].default)
+
+
+def _axis(name: str, value: Any) -> Axis:
+    if isinstance(value, dict):
+        try:
+            return Range.model_validate(value)
+        except ValidationError as error:
+            raise _search_error(f".{name}", explain(error)) from error
+    if not isinstance(value, tuple) or len(value) < 2 or any(value.count(choice) > 1 for choice in value):
+        problem = f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}"
+        raise _search_error(f".{name}", problem)
+    return value
+
+
+def _check_axis(training: Training, name: str, axis: Axis) -> None:
+    """Raise unless the training accepts every choice, or both ends of a range and so what is between them."""
+    table, _, field = name.partition(".")
+    sizes = training.network.arguments(training.algorithm)
+    if table == "network" and field not in sizes:
+        raise _search_error(f".{name}", f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
+    for value in (axis.low, axis.high) if isinstance(axis, Range) else axis:
+        try:
+            with_values(training, {name: value})
+        except ValidationError as error:
+            raise _search_error(f".{name}", explain(error)) from error
+    if name == ROLLOUT and training.algorithm != "sac":
+        if isinstance(axis, Range):
+            raise _search_error(f".{name}", "must be a list of choices, as rollouts have to fill phases")
+        for steps in axis:
+            if not _fills_phases(training, steps):
+                filled = f"{training.phase_steps} steps of a phase in {training.environment.num_envs} environments"
+                raise _search_error(f".{name}", f"{steps}: the {filled} are no whole number of such rollouts")
+
+
+def _fills_phases(training: Training, steps: int) -> bool:
+    """Whether rollouts of so many steps fill the phases: only then all trainings of a search have equal length."""
+    return training.phase_steps % (steps * training.environment.num_envs) == 0
+
+
+def _search_error(place: str, problem: str) -> PydanticCustomError:
+    return PydanticCustomError("search", "{text}", {"text": f"search{place}: {problem}"})

@@ -1,0 +1,110 @@
+"""An agent of the whole shift: trained in Inspection-v0 it acts on both ways, and nowhere else."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.evaluation.plan import Plan, run_plan
+from agents.policies.bundle import Agent
+from agents.policies.catalogue import make_policy
+from agents.policies.wrappers import BothWays, InSteps
+from agents.training.config import Training
+from agents.training.train import BEST, train_all
+from probe_env import load_contexts
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import BOTH_WAYS, Fidelity
+from probe_env.files import FileError
+
+COARSE = Fidelity(method="imex", time_step=1.25e-4, time_lapse=20.0)
+TINY = {
+    "environment": {"env_id": "probe_env/Inspection-v0", "num_envs": 4, "fidelity": COARSE,
+                    "task": {"settle_time": 0.1, "time_limit": 20.0}},
+    "network": {"net_arch": (8,)},
+    "learning": {"n_steps": 16, "batch_size": 32, "n_epochs": 2},
+    "imitation": {"teacher": "fast-in", "rounds": 1, "steps": 32, "epochs": 2},
+    "validation": {"limit": 1, "fidelity": COARSE},
+    "phases": 1,
+    "phase_steps": 64,
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
+    """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
+    train_all(Training(**TINY), tmp_path, resume=False)
+    path = str(tmp_path / "seed-0" / BEST)
+    config = TaskConfig(
+        passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
+    ).all_shown
+    agent = make_policy(path, config)
+    assert isinstance(agent, Agent)
+    asked, predict, way = [], agent.predict, list(config.observations).index("way")
+
+    def recorded(observation, state=None, episode_start=None, deterministic=False):
+        rows = np.atleast_2d(observation)
+        asked.extend(rows[:, way].tolist())
+        actions, state = predict(observation, state, episode_start, deterministic)
+        fast_back = config.action(0.4, 0.02)
+        return np.where(rows[:, way : way + 1] < 0.0, fast_back, actions).astype(np.float32), state
+
+    monkeypatch.setattr(agent, "predict", recorded)
+    table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, COARSE), None)
+    assert {1.0, -1.0} <= set(asked)
+    assert bool(table["complete"].all())
+    with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
+        make_policy(path, TaskConfig().all_shown)
+    with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
+        make_policy(f"shielded:{path}", config)
+
+
+@pytest.mark.slow
+def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
+    """On a device without steps: every change of the feed shakes a probe that is drawn back."""
+    environment = TINY["environment"] | {"task": TINY["environment"]["task"] | {"feed_speed_step": 0.05}}
+    train_all(Training(**TINY | {"environment": environment}), tmp_path, resume=False)
+    config = TaskConfig(passes="both").all_shown
+    policy = make_policy(str(tmp_path / "seed-0" / BEST), config)
+    assert isinstance(policy, InSteps)
+    assert policy.domain.helix_length == 60.0
+    assert policy.describe()["step"] == 0.05
+    episodes = Episodes(3, config, threads=1, fidelity="fast")
+    rows, _ = episodes.reset(range(3), {k: np.random.default_rng(k) for k in range(3)})
+    actions, state = policy.predict(rows, deterministic=True)
+    own, _ = policy.agent.predict(rows, deterministic=True)
+    feed, air = config.targets(actions).T
+    wanted, blown = config.targets(own).T
+    np.testing.assert_allclose(feed / 0.05, np.round(wanted / 0.05), atol=1e-6)
+    np.testing.assert_allclose(air, blown, rtol=1e-6)
+    one, _ = policy.predict(rows[0], deterministic=True)
+    np.testing.assert_allclose(one, actions[0], rtol=0, atol=1e-6)  # a row's and a table's sums, in single precision
+    later, _ = policy.predict(rows, state, np.zeros(3, dtype=bool), deterministic=True)
+    assert later.shape == (3, 2)
+
+
+@pytest.mark.slow
+def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):
+    """``fast`` is superelements in an insertion, which cannot go back."""
+    seen = []
+    validated = {"reward": [1.0], "inspection_time_s": [1.0], "share_within_limit": [1.0], "diverged": [0.0]}
+
+    def run_plan_seen(plan, output, **settings):
+        seen.append(plan.fidelity)
+        return pd.DataFrame(validated)
+
+    monkeypatch.setattr("agents.training.train.run_plan", run_plan_seen)
+    by_name = TINY["validation"] | {"fidelity": "fast"}
+    train_all(Training(**TINY | {"validation": by_name}), tmp_path, resume=False)
+    assert set(seen) == {BOTH_WAYS["fast"]}
+
+
+def test_an_agent_of_the_way_in_is_drawn_back():
+    config = TaskConfig(passes="both").all_shown
+    assert isinstance(make_policy("ppo", config), BothWays)
+
+
+def test_a_method_that_cannot_go_back_is_refused_before_any_work():
+    for part in ("environment", "validation"):
+        settings = TINY | {part: TINY[part] | {"fidelity": Fidelity()}}
+        with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
+            Training(**settings)
