@@ -20,8 +20,8 @@ class Evaluate:
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
     """Policies and trained agents by name (probe-env agents lists them; ppo@2 is another training seed), schedule files
     (.csv, .toml), feedback laws (.json) or agents' bundles (.safetensors). NAME=FILE names one, NAME@K=FILE the
-    training seeds of one method. shielded:POLICY blows more where its feed and air would leave too little drive. Alone, the folder
-    of a stored evaluation, also an interrupted one: its report is written again, with --against of another policy."""
+    training seeds of one method. shielded:POLICY supplies more air where there would be too little drive. Alone,
+    the folder of a stored evaluation, also an interrupted one: its report is written again."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the study's probe; random: one for every tube and seed, drawn from the design space."""
     against: str | None = None

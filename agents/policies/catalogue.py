@@ -84,7 +84,7 @@ def own_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
-    """A policy by its name, from a schedule file (.csv, .toml), a feedback law (.json) or an agent's bundle (.safetensors).
+    """A policy by name, or from a schedule (.csv, .toml), feedback law (.json) or agent's bundle (.safetensors).
 
     Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
     keeps a margin of drive. In a task of both passes agents that were trained in one act on both; other policies are
