@@ -79,53 +79,13 @@ PLANT: Final = {
 USERS: Final = FIRST | PLANT
 MAKERS: Final = {
     "report": Entry("feed:Report", "the report of a stored evaluation, again", "probe-env report output/evaluation"),
-    "tradeoff": Entry(
-        "feed:Tradeoff", "time against vibration, over one parameter of each policy",
-        "probe-env tradeoff constant pi --beside ppo --limit 6",
-    ),
-    "robustness": Entry(
-        "robustness:Robustness", "what policies lose in tasks that they were not made for",
-        "probe-env robustness best-schedule ppo --limit 6",
-    ),
-    "map": Entry("feed:Map", "how loud a probe is where, which policies look up", "probe-env map --seeds 1"),
-    "optimise": Entry(
-        "feed:Optimise", "the best schedules by that map", "probe-env optimise best-schedule --trials 200"
-    ),
-    "optimise-passes": Entry(
-        "plant:OptimisePasses", "the best feed and air in and back, by simulation",
-        "probe-env optimise-passes --tube mine.toml --trials 20 --limit 6",
-    ),
-    "response": Entry(
-        "plant:Learn", "what calibrations and recommendations go by", "probe-env response --groups 2"
-    ),
-    "calibrations": Entry(
-        "plant:Calibrations", "calibrations of logs whose truth is known", "probe-env calibrations --logs 8"
-    ),
-    "recommendations": Entry(
-        "plant:Recommendations", "recommendations for tubes whose truth is known", "probe-env recommendations --tubes 8"
-    ),
-    "plants": Entry("plant:Plants", "policies in other bores and lengths", "probe-env plants --limit 2"),
-    "anchors": Entry(
-        "inspection:Anchors", "which policy finds smaller flaws, whatever the sensor's scale",
-        "probe-env anchors constant best-schedule --limit 6",
-    ),
-    "false-calls": Entry(
-        "inspection:FalseCalls", "whether noise is called as seldom as was promised",
-        "probe-env false-calls best-schedule --limit 2",
-    ),
     "world": Entry(
         "control:World", "the map as a world to train in, and its error", "probe-env world --limit 12"
     ),
-    "headroom": Entry(
-        "control:Headroom", "what feedback can still win: planners beside policies",
-        "probe-env headroom tension-scheduled ppo --limit 6",
+    "study": Entry(
+        "studies:Study", "a question in a TOML file: policies in varied tasks, compared",
+        "probe-env study robustness --limit 2",
     ),
-    "passes": Entry("plant:Passes", "where to look: on the way in, back, or both", "probe-env passes --limit 6"),
-    "turning": Entry("plant:Turning", "how gently the feed has to turn round", "probe-env turning --limit 6"),
-    "feed-changes": Entry(
-        "plant:FeedChanges", "what a change of the feed on the way back does", "probe-env feed-changes"
-    ),
-    "study": Entry("study:Study", "the study's scenes and claims", "probe-env study --subset --members 2 --jobs 2"),
     "chart": Entry("study:Chart", "accuracy against cost of every method", "probe-env chart --output output/chart"),
     "other-probes": Entry(
         "study:OtherProbes", "whether the usual mesh holds for other probes", "probe-env other-probes --limit 1"

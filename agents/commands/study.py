@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from agents.records.shipped import file_or_shipped, shipped_folder
+from agents.records.shipped import file_or_shipped
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, SOLVERS, method_named
 from probe_env.settings import within
@@ -74,54 +74,6 @@ class Simulate:
         statistics = simulate_scene(simulator, self.duration, begin, output, name)
         print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")
         print(f"written: {output}/ (scene.toml, results.json, signals.npz, figures)")
-
-
-@dataclass(frozen=True)
-class Study:
-    """Run the study's scenes and print its claims beside what was found. Stored runs are not repeated."""
-
-    scenes: Path | None = None
-    """Folder of the scene files; default: those that ship."""
-    way: Literal["in", "back", "root"] = "in"
-    """The probe fed in, or drawn back with reversed air beside the probe fed in: the study's experiment (e); or fed in
-    with the root at several places between two floats, which is no claim of the study."""
-    output: Path = Path("output/study")
-    """Folder of ensemble.csv, back.csv or root.csv; stored runs are not repeated, and none is dropped."""
-    members: int = 1
-    """Perturbed runs a case."""
-    duration: float = 8.0
-    """Simulated time of a run [s]."""
-    subset: bool = False
-    """Five cases instead of all, or the shortest probe's."""
-    jobs: int = 2
-    """Runs at the same time."""
-
-    def run(self) -> None:
-        """Run what is missing, print the table."""
-        from agents.study import back, cases, roots
-        from agents.study.back_claims import back_findings
-        from agents.study.claims import findings, print_findings
-        from agents.study.root_tables import root_markdown
-
-        for name, low, high in (("members", 1, 1000), ("jobs", 1, 256), ("duration", 0.5, 1e4)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value!r} is outside the accepted range {low} to {high:g}")
-        scenes = self.scenes or shipped_folder("scenes")
-        wanted = scenes, self.output, self.members, self.duration
-        if self.way == "root":
-            table = roots.run_roots(*wanted, roots.SUBSET if self.subset else (), self.jobs)
-            print(root_markdown(table))
-            print(f"written: {self.output}/root.csv")
-            return
-        if self.way == "back":
-            table = back.run_back(*wanted, back.SUBSET if self.subset else (), self.jobs)
-            outcomes, file = back_findings(table, scenes), "back.csv"
-        else:
-            table = cases.run_study(*wanted, cases.SUBSET if self.subset else (), self.jobs)
-            outcomes, file = findings(table, scenes), "ensemble.csv"
-        print_findings(outcomes, table)
-        print(f"written: {self.output}/{file}")
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
     if tube is None or plant is None or path is None:
         return stored_map()
     here, known = plant.scene, VibrationMap.load(path)
-    again = "make it anew with `probe-env map`"
+    again = "make it again with `probe-env study vibration-map`"
     for name in ("inner_diameter", "helix_length"):
         before, now = getattr(known.scene.tube, name), getattr(here.tube, name)
         if before != now:

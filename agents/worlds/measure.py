@@ -12,12 +12,12 @@ from scipy.stats import kendalltau
 from tqdm import tqdm
 
 from agents.policies.catalogue import named_policies
-from agents.policies.maps.fit import Wandering
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, stored_map
 from agents.policies.places import place_of
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import read_csv
 from agents.rollouts.statistics import mean_interval
+from agents.studies.shipped.vibration_map import Wandering
 from agents.worlds.map_episodes import MapEpisodes
 from agents.worlds.noise import STORED, Noise, Scatter, features
 from probe_env.arrays import FloatArray

@@ -239,7 +239,7 @@ def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
     if config.vibration_measure in PROFILED and vibration.measure != config.vibration_measure:
         raise ValueError(
             f"vibration_measure = {config.vibration_measure!r}, but the map is of {vibration.measure}: make one of"
-            " these tubes with `probe-env map --tube`"
+            " these tubes with `probe-env study vibration-map --tube`"
         )
 
 
