@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from agents.policies.domain import Domain, OutsideDomain, ranges_of
+from agents.rollouts.plan import Plan, run_plan
 
 from agents.cli import main
 from agents.evaluation.report import plan_of
 from agents.policies.catalogue import make_policy
-from agents.policies.domain import Domain, OutsideDomain, ranges_of
-from agents.policies.maps import fit as map_fit
 from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.maps.search import FAMILIES, metres, run_search
 from agents.policies.maps.vibration_map import VibrationMap, equivalent_air, stored_map
 from agents.policies.places import both_ways, map_beside, map_of, place_at, place_of, with_probe
-from agents.robustness.axes import AXES, disturbed
-from agents.rollouts.plan import Plan, run_plan
+from agents.studies.builtin import Request
+from agents.studies.shipped import vibration_map as map_fit
+from agents.studies.shipped.best_schedules import FAMILIES, metres
 from probe_env import Context, Plant, Scene
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
@@ -154,7 +154,7 @@ def small(tmp_path_factory):
     file.write_text("[tube]\nhelix_diameter = 0.8\nhelix_length = 7.0\ninner_diameter = 23e-3\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(map_fit.SPLIT_SIZES, "train", map_fit.HELD_OUT + 4)
-        map_fit.make_map(1, folder / "map", map_beside(file), Plant.from_toml(file))
+        map_fit.run(Request(folder / "map", trials=1, tube=file))
     return file
 
 
@@ -214,18 +214,10 @@ def test_results_of_different_plants_never_mix(small, tmp_path):
         run_plan(plan(other), tmp_path, progress=False)
 
 
-def test_a_family_without_a_tube_in_the_plant_is_refused(small, tmp_path):
-    with pytest.raises(ValueError, match="best-schedule-d2': no tube has a helix of 2 m"):
-        run_search("best-schedule-d2", 16, tmp_path / "o", tmp_path / "w", stored_map(), Plant.from_toml(small))
-    assert not (tmp_path / "o").exists()
-
-
 def test_commands_take_the_file(small, tmp_path, capsys):
     """Searched, evaluated, filmed; what is wrong with the file is one line."""
-    assert (
-        main(["optimise", "best-constant", "--tube", str(small), "--trials", "32", "--output", str(tmp_path / "o")])
-        == 0
-    )
+    search = ["study", "best-schedules", "--tube", str(small), "--trials", "32", "--output", str(tmp_path / "o")]
+    assert main(search) == 0
     optimum = Schedule.read(tmp_path / "o" / "best-constant.csv")
     assert 0.04 <= optimum.feed_speed[0] <= 0.4
     arguments = ["--tube", str(small), "--limit", "1", "--fidelity", "fast", "--output", str(tmp_path / "e")]
@@ -262,4 +254,3 @@ def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():
     assert improved.probe.guide_length == pytest.approx(10.0)
     assert 28.0 - improved.probe.float_pitch < improved.inserted_length <= 28.0
     assert with_probe(TaskConfig(), "improved").scene.carrier_length == TaskConfig().scene.carrier_length
-    assert {setting.axis for setting in disturbed(config, AXES)} >= set(AXES)

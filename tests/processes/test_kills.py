@@ -6,20 +6,22 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from agents.rollouts.plan import Plan, run_plan
 from kills import all_gone, hook_replace, hook_sync, kill, killed
 
 from agents.design import compare as design_compare
 from agents.design.compare import Comparison, compare
 from agents.design.search import Kept, search, trials_table
-from agents.evaluation.tradeoff import run_tradeoff
 from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.fixed import Constant
-from agents.policies.maps import fit
-from agents.policies.places import place_of
 from agents.processes.workers import HERE, Workers
-from agents.rollouts.plan import Plan, run_plan
-from agents.study.cases import run_study
+from agents.studies.builtin import Request
+from agents.studies.compare import write_comparison
+from agents.studies.run import expand, run_study
+from agents.studies.shipped import vibration_map as fit
+from agents.studies.spec import Study
+from agents.study.cases import run_study as run_cases
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -88,12 +90,17 @@ def test_what_a_kill_leaves_of_a_file_is_no_result_and_goes_with_the_next_run(na
 GROWING = TaskConfig(time_limit=2.0, settle_time=0.1)
 
 
-def tradeoff(folder):
-    run_tradeoff(["constant"], folder, place_of(None, "validation", 2)._replace(config=GROWING), "fast")
+def sweep(folder):
+    study = Study(
+        question="?", policies=({"name": "constant", "feed_speed": (0.1, 0.2)}, "pi"), contexts="validation", limit=2,
+        set={"task.time_limit": 2.0, "task.settle_time": 0.1}, vary={"task.ramp": (0.5, 0.1)},
+    )  # fmt: skip
+    settings = expand(study)
+    write_comparison(study, settings, run_study(settings, folder), folder)
 
 
 def make_map(folder):
-    fit.make_map(1, folder, folder / "map.npz")
+    fit.make_map(1, Request(folder), folder / "map.npz")
 
 
 def until(work, folder, hook, name, count):
@@ -108,28 +115,34 @@ def make_small(patch):
 
 
 KILLS = [
-    (tradeoff, hook_sync, "episodes.jsonl", 4),
-    (tradeoff, hook_replace, "front.csv", 1),
+    (sweep, hook_sync, "episodes.jsonl", 4),
+    (sweep, hook_replace, "comparison.csv", 1),
     (make_map, hook_replace, "map.npz", 1),
     (make_map, hook_replace, "map.json", 1),
 ]
-EPISODES = {tradeoff: 10, make_map: 14}
+EPISODES = {sweep: 12, make_map: 14}
+TABLES = {sweep: ("comparison.csv", "episodes.csv"), make_map: ("map.npz",)}
 
 
+def journal(folder):
+    return b"".join(path.read_bytes() for path in sorted(folder.rglob("episodes.jsonl"), reverse=True))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("work", "hook", "name", "count"), KILLS)
-def test_a_tradeoff_and_a_map_killed_at_an_episode_or_a_file_go_on(work, hook, name, count, tmp_path, monkeypatch):
+def test_a_study_and_a_map_killed_at_an_episode_or_a_file_go_on(work, hook, name, count, tmp_path, monkeypatch):
     """To the same bytes; what was tried in the run that was killed is not tried again."""
     run, whole = tmp_path / "run", tmp_path / "whole"
     killed(until, work, run, hook, name, count)
-    tried = (run / "episodes.jsonl").read_bytes()
+    tried = journal(run)
     assert tried.count(b"\n") == (count if hook is hook_sync else EPISODES[work])
     make_small(monkeypatch)
     for folder in (run, whole):
         work(folder)
-    stored = (run / "episodes.jsonl").read_bytes()
+    stored = journal(run)
     assert stored.startswith(tried)
     assert stored.count(b"\n") == EPISODES[work]
-    for table in {tradeoff: ("front.csv", "hypervolume.csv"), make_map: ("map.npz",)}[work]:
+    for table in TABLES[work]:
         assert (run / table).read_bytes() == (whole / table).read_bytes()
     assert not hidden(run)
 
@@ -154,7 +167,7 @@ def test_a_comparison_killed_after_a_batch_goes_on(tmp_path, monkeypatch):
 
 
 def study(folder):
-    run_study(Path("configs/scenes"), folder, 2, 0.2, ("l10", "u0"), jobs=1)
+    run_cases(Path("configs/scenes"), folder, 2, 0.2, ("l10", "u0"), jobs=1)
     return pd.read_csv(folder / "ensemble.csv").drop(columns="wall_s", errors="ignore").sort_values(["case", "member"])
 
 

@@ -128,7 +128,6 @@ def run(request: Request) -> None:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
     plant = plant_at(request.tube)
     vibration = map_of(request.tube, plant)
-    check_measure(vibration, TaskConfig() if plant is None else plant.configured())
     if plant is not None and vibration is stored_map():
         print(f"no map of {request.tube} is there: searched on the shipped one, of table 2's bore and air")
     families = FAMILIES if plant is None else {name: FAMILIES[name] for name in OF_A_PLANT}
@@ -139,10 +138,11 @@ def run(request: Request) -> None:
 
 
 def run_search(name: str, trials: int, request: Request, vibration: VibrationMap, plant: Plant | None) -> Schedule:
-    """Search a family; writes NAME.csv (the schedule), NAME-trials.csv and NAME.json."""
+    """Search a family; writes NAME.csv (the schedule), NAME-trials.csv and NAME.json; raises as ``run``."""
     family, output = FAMILIES[name], request.output
     train, validation = (place_of(plant, split) for split in ("train", "validation"))
     config, tubes = train.config, family.tubes(validation.contexts)
+    check_measure(vibration, config)
 
     def plan_of(schedule: Schedule) -> Plan:
         return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=PRESETS["fast"])

@@ -62,8 +62,6 @@ def tables_count():
     (counts,) = endings(table).to_dict("records")
     assert ended(counts) == f"{len(table) - 1} of {len(table)} complete, 1 jammed"
     print_summary(table, table["policy"].iloc[0])
-    disturbed = table.assign(axis=NOMINAL, value="", **dict.fromkeys(COST_KPIS, 0.0))
-    assert summary_of(disturbed)["jammed"].tolist() == [1.0 / len(table)]
 
 
 def comparisons_count():
@@ -74,14 +72,12 @@ def comparisons_count():
 
 
 sys.meta_path.insert(0, Edited())
-from agents.design import compare  # noqa: E402
 from agents.evaluation.page.tables import ended  # noqa: E402
-from agents.evaluation.report import print_summary  # noqa: E402
-from agents.records.columns import COST_KPIS  # noqa: E402
-from agents.records.tables import EPISODES_NEWER, read_episodes  # noqa: E402
-from agents.robustness.axes import NOMINAL  # noqa: E402
-from agents.robustness.study import summary_of  # noqa: E402
 from agents.rollouts.statistics import endings  # noqa: E402
+
+from agents.design import compare  # noqa: E402
+from agents.evaluation.report import print_summary  # noqa: E402
+from agents.records.tables import EPISODES_NEWER, read_episodes  # noqa: E402
 from agents.worlds.map_episodes import MapEpisodes  # noqa: E402
 from probe_env import Design  # noqa: E402
 from probe_env.envs.episodes import Episodes  # noqa: E402

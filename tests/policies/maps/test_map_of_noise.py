@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from agents.rollouts.plan import per_metre
 
 from agents.policies.maps.lookup import expected_costs
-from agents.policies.maps.search import run_search
 from agents.policies.maps.vibration_map import (
     CONTEXT,
     SHIPPED_RANGES,
@@ -16,7 +16,8 @@ from agents.policies.maps.vibration_map import (
 )
 from agents.policies.places import plant_at
 from agents.records.reading import FileError
-from agents.rollouts.plan import per_metre
+from agents.studies.builtin import Request
+from agents.studies.shipped.best_schedules import run_search
 from probe_env import Context, Scene
 from probe_env.envs.task import TaskConfig
 
@@ -59,7 +60,7 @@ def test_a_map_of_millimetres_is_not_asked_for_noise(tmp_path):
         expected_costs(tube, CONFIG, vibration=stored_map())
     assert np.isfinite(expected_costs(tube, CONFIG, vibration=noise_map(-0.3))).all()
     with pytest.raises(ValueError, match="but the map is of displacement"):
-        run_search("best-constant", 16, tmp_path, tmp_path, stored_map(), plant_at("snr"))
+        run_search("best-constant", 16, Request(tmp_path), stored_map(), plant_at("snr"))
     with pytest.raises(ValueError, match="vibration_measure = 'velocity': maps know displacement and snr only"):
         expected_costs(tube, TaskConfig(vibration_measure="velocity"), vibration=stored_map())
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from agents.policies.maps.fit import SEGMENT, SMEARED, fit_map
+from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
 from probe_env import Scene
 
 TUBES = 14
