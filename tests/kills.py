@@ -15,7 +15,7 @@ from tqdm import tqdm
 # A server that imports once and forks for each piece of work: it has no threads, which a fork would cut off
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(
-    ["agents.evaluation.report", "agents.learning.tuning", "agents.design.compare", "agents.design.search"]
+    ["agents.evaluation.run", "agents.learning.tuning", "agents.design.compare", "agents.design.search"]
 )
 
 

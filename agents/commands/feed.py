@@ -55,7 +55,8 @@ class Evaluate:
         from agents.terminal.fidelities import fidelity_given
 
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
-        if len(folder.parts) and (holds_evaluation(folder) or (folder.is_dir() and len(folder.parts) > 1)):
+        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix  # a folder, and no damaged policy file
+        if folder.parts and (named or holds_evaluation(folder)):
             print(f"written: {report_again(folder, self.against)}")
             return
         evaluate(

@@ -39,7 +39,7 @@ class Signal:
 
     def run(self) -> None:
         """Simulate, draw, write, print."""
-        from agents.evaluation.signal import Look, draw_curves, print_signal, run_signal
+        from agents.evaluation.signal import Look, draw_curves, run_signal
         from agents.policies.places import place_at, plant_at
 
         plant = plant_at(self.tube)
@@ -47,5 +47,4 @@ class Signal:
         look = Look(self.context, self.flaws, spacing, self.until, self.seed)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
-        table = run_signal(self.policy, place_at(self.tube, self.contexts), self.fidelity, look, self.output)
-        print_signal(table, self.output)
+        run_signal(self.policy, place_at(self.tube, self.contexts), self.fidelity, look, self.output)

@@ -78,7 +78,6 @@ PLANT: Final = {
 """What a plant of one's own needs, and more."""
 USERS: Final = FIRST | PLANT
 MAKERS: Final = {
-    "report": Entry("feed:Report", "the report of a stored evaluation, again", "probe-env report output/evaluation"),
     "world": Entry(
         "control:World", "the map as a world to train in, and its error", "probe-env world --limit 12"
     ),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import Final
@@ -11,9 +10,8 @@ from typing import Final
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
-from agents.evaluation.recording import Insertion
+from agents.evaluation.recording import Chart, Insertion
 from agents.records.drawing import BLUE, GREY, GRID, MM, RED, colours, plain, save
 from probe_env.arrays import FloatArray
 from probe_env.inspection.channels import Flaw, smoothed
@@ -65,50 +63,19 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
     return save(figure, path)
 
 
-@dataclass(frozen=True)
-class Marks:
-    """Marks in a strip chart.
+def strip_chart(run: Insertion, chart: Chart, title: str, path: Path) -> Path:
+    """X and Y, the filtered signal with calls, and the vibration over the position of the sensor.
 
-    Attributes:
-        title: above the chart.
-        flaws: in the tube.
-        supports: positions [m].
-        called: positions of calls [m].
-        threshold: of calls, in deviations of the filtered noise.
-    """
-
-    title: str
-    flaws: Sequence[Flaw]
-    supports: FloatArray
-    called: FloatArray
-    threshold: float
-
-    def draw(self, axis: Axes) -> None:
-        """Supports as ticks at the top, flaws as lines."""
-        for place in self.supports:
-            axis.axvline(place, ymin=0.95, color=GREY, linewidth=0.8)
-        for flaw in self.flaws:
-            axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
-
-
-def strip_chart(run: Insertion, voltages: FloatArray, behind: FloatArray, marks: Marks, path: Path) -> Path:
-    """X and Y, the filtered signal and the vibration over the position of the sensor.
-
-    Args:
-        run: the insertion.
-        voltages: (k, 2) channels [V].
-        behind: (k,) filtered signal over its noise.
-        marks: supports, flaws and calls.
-        path: of the picture.
+    Supports are ticks at the top, flaws lines.
     """
     figure, axes = plt.subplots(4, 1, figsize=(12, 9), sharex=True, layout="constrained")
-    passage, shown = run.passage, smoothed(run.passage, voltages)
+    passage, shown = run.passage, smoothed(run.passage, chart.voltages)
     for axis, values, name in zip(axes, shown.T, "XY", strict=False):
         axis.plot(passage.place, values, color=BLUE, linewidth=0.4)
         axis.set_ylabel(f"{name} [V]")
-    axes[2].plot(passage.place, behind, color="0.2", linewidth=0.4)
-    axes[2].axhline(marks.threshold, color=RED, linewidth=0.8)
-    axes[2].plot(marks.called, np.full(len(marks.called), marks.threshold), "v", color=RED, markersize=6)
+    axes[2].plot(passage.place, chart.values, color="0.2", linewidth=0.4)
+    axes[2].axhline(chart.threshold, color=RED, linewidth=0.8)
+    axes[2].plot(chart.called, np.full(len(chart.called), chart.threshold), "v", color=RED, markersize=6)
     axes[2].set_ylabel("behind the filter\n[deviations of its noise]")
     places = passage.place[run.period - 1 :: run.period]
     axes[3].plot(places, [MM * period["radial_rms_m"] for period in run.periods], color=GREY, label="radial rms [mm]")
@@ -117,8 +84,11 @@ def strip_chart(run: Insertion, voltages: FloatArray, behind: FloatArray, marks:
     axes[3].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     for axis in axes:
         axis.grid(**GRID)
-        marks.draw(axis)
-    figure.suptitle(plain(marks.title))
+        for place in chart.supports:
+            axis.axvline(place, ymin=0.95, color=GREY, linewidth=0.8)
+        for flaw in chart.flaws:
+            axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
+    figure.suptitle(plain(title))
     return save(figure, path)
 
 

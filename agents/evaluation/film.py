@@ -42,7 +42,7 @@ COLOURS: Final = 255
 
 @dataclass(frozen=True)
 class Look:
-    """What slow motion shows.
+    """The view of a film in slow motion.
 
     Attributes:
         at: inserted length at which it begins [m]; None: three quarters of the helix, for a constant length at once.
@@ -56,7 +56,7 @@ class Look:
 
 
 class _Play:
-    """An episode under a policy, a control period at a time."""
+    """An episode under a policy, step by step."""
 
     def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
         assert probe_env.__all__  # imported for its ids
@@ -207,18 +207,15 @@ def check_format(output: Path) -> None:
 
 
 def write_film(output: Path, frames: Sequence[Any], frames_per_second: int) -> None:
-    """Write RGB pictures (h, w, 3) as a film, or the last of them, as a whole."""
-    write_atomically(output, _film(frames, output.suffix, frames_per_second))
-
-
-def _film(frames: Sequence[Any], suffix: str, frames_per_second: int) -> bytes:
-    if suffix == ".png":
-        return iio.imwrite("<bytes>", frames[-1], extension=suffix)
-    if suffix == ".gif":
-        return _gif(frames, frames_per_second)
-    return iio.imwrite(
-        "<bytes>", list(frames), extension=suffix, fps=frames_per_second, codec="libx264", macro_block_size=8
-    )
+    """Write RGB pictures (h, w, 3) as a film (.gif, .mp4), or the last of them (.png), atomically."""
+    if output.suffix == ".gif":
+        film = _gif(frames, frames_per_second)
+    elif output.suffix == ".png":
+        film = iio.imwrite("<bytes>", frames[-1], extension=".png")
+    else:
+        options = {"fps": frames_per_second, "codec": "libx264", "macro_block_size": 8}
+        film = iio.imwrite("<bytes>", list(frames), extension=output.suffix, **options)
+    write_atomically(output, film)
 
 
 def _gif(frames: Sequence[Any], frames_per_second: int) -> bytes:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from tqdm import tqdm
 
 from agents.policies.policy import Policy
@@ -17,7 +18,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
-from probe_env.inspection.channels import Passage
+from probe_env.inspection.channels import Flaw, Passage
 from probe_env.inspection.either import EitherTally
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
@@ -50,6 +51,31 @@ class Insertion:
     def period(self) -> int:
         """Samples in a control period."""
         return len(self.passage.radial) // len(self.periods)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """The signals of an insertion.
+
+    Attributes:
+        voltages: (k, 2) X and Y [V].
+        values: (k,) filtered signal along the flaw, over the deviation of its noise.
+        flaws: that the sensor passed.
+        supports: positions [m].
+        called: positions of calls [m].
+        threshold: of calls, in deviations.
+        table: a row for each flaw: position, depth, S/N, filtered signal, whether it was called.
+        false_calls: number of calls without a flaw.
+    """
+
+    voltages: FloatArray
+    values: FloatArray
+    flaws: tuple[Flaw, ...]
+    supports: FloatArray
+    called: FloatArray
+    threshold: float
+    table: pd.DataFrame
+    false_calls: int
 
 
 def insert(

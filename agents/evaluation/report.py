@@ -229,30 +229,30 @@ def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: 
         limit: the vibration limit with its unit.
     """
     order = [name for name in ranking(table) if name == policy or name not in informed]
+    other = next((name for name in order if name != policy), None)
     tubes = table["context"].nunique()
-    means = {name: _time_and_share(table, name) for name in order}
     over = f"over {tubes} tube{'s' if tubes != 1 else ''}"
-    if len(order) == 1:
-        headline = f"{means[policy][0]}, {means[policy][1]} of the length within {limit}{_not_complete(table, policy)}."
+    time, share = _time_and_share(table, policy)
+    if other is None:
+        headline = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
         return Verdict(policy, headline, f"Means {over}; nothing to compare it with.")
-    other = next(name for name in order if name != policy)
-    best = order[0] == policy
-    time, share, reward = (
-        paired_difference(table, policy, other, kpi) for kpi in ("inspection_time_s", "share_within_limit", "reward")
+    reward, *others = (paired_difference(table, policy, other, kpi) for kpi in
+                       ("reward", "inspection_time_s", "share_within_limit"))  # fmt: skip
+    unclear = reward.low <= 0.0 <= reward.high
+    judged = "not clearly different from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
+    longer, more = (_signed(*each) for each in zip(others, (1.0, 100.0), (" s", " %"), strict=True))
+    failed = _not_complete(table, policy) + _not_complete(table, other, other)
+    headline = (
+        f"{judged} the {'next ' if order[0] == policy else ''}best here, {other}: reward {_signed(reward)},"
+        f" time {longer}, length within {limit} {more}{failed}."
     )
-    leads = f"the best here{', within scatter' if _unclear(reward) else ''}: " if best else ""
-    rival = f"the {'next ' if best else ''}best here, {other}"
-    headline = f"{leads}{_longer(time, rival)}, {_more_within(share, limit)}{_not_complete(table, policy)}"
-    judged = "no clear difference" if _unclear(reward) else "better" if reward.mean > 0.0 else "worse"
-    (one, length), (second, other_length) = means[policy], means[other]
+    other_time, other_share = _time_and_share(table, other)
+    rough = ", too few for exact intervals" if 1 < tubes < FEW_TUBES else ", which says nothing about scatter"
     detail = (
-        f"{one} against {second}; {length} of the length within {limit} against {other_length}; reward: {judged},"
-        f" {_signed(reward, 1.0, '')}. Paired differences with 95 % bootstrap intervals {over}"
-        f"{', too few for exact intervals' if 1 < tubes < FEW_TUBES else ''}."
+        f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. Paired differences"
+        f" with 95 % bootstrap intervals {over}{rough if tubes < FEW_TUBES else ''}."
     )
-    if tubes == 1:
-        detail += " One tube says nothing about scatter."
-    return Verdict(policy, f"{headline}{_not_complete(table, other, other)}.", detail)
+    return Verdict(policy, headline, detail)
 
 
 def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
@@ -261,47 +261,15 @@ def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
     return f"{short(time)} s", f"{short(100.0 * share)} %"
 
 
-def _two_digits(value: float, sign: str = "") -> str:
-    sign = sign if value else ""
-    return f"{value:{sign}.0f}" if abs(value) >= 10.0 else f"{value:{sign}.2g}"
-
-
-def _unclear(difference: Interval) -> bool:
-    return difference.low <= 0.0 <= difference.high
-
-
-def _signed(difference: Interval, factor: float, unit: str) -> str:
-    """Mean and interval with signs; the mean alone if the interval has no width."""
-    mean, low, high = (_two_digits(v * factor, "+") for v in (difference.mean, difference.low, difference.high))
+def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
+    """Mean and interval with signs and two digits; the mean alone if the interval has no width."""
+    values = [value * factor for value in (difference.mean, difference.low, difference.high)]
+    mean, low, high = (f"{v:{'+' if v else ''}{'.0f' if abs(v) >= 10.0 else '.2g'}}" for v in values)
     return f"{mean}{unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")
 
 
-def _unsigned(difference: Interval, factor: float, unit: str) -> str:
-    """Absolute mean and interval of a difference whose interval excludes 0."""
-    near, far = sorted(abs(value * factor) for value in (difference.low, difference.high))
-    ends = f" [{_two_digits(near)}, {_two_digits(far)}]" if near < far else ""
-    return f"{_two_digits(abs(difference.mean * factor))}{unit}{ends}"
-
-
-def _longer(difference: Interval, rival: str) -> str:
-    if difference.low == difference.high == 0.0:
-        return f"as long as {rival}"
-    if _unclear(difference):
-        return f"as long as {rival}, within scatter ({_signed(difference, 1.0, ' s')})"
-    return f"{_unsigned(difference, 1.0, ' s')} {'longer' if difference.mean > 0.0 else 'shorter'} than {rival}"
-
-
-def _more_within(difference: Interval, limit: str) -> str:
-    if difference.low == difference.high == 0.0:
-        return f"at the same length within {limit}"
-    if _unclear(difference):
-        return f"at the same length within {limit}, within scatter ({_signed(difference, 100.0, ' % of the length')})"
-    word = "more" if difference.mean > 0.0 else "less"
-    return f"with {_unsigned(difference, 100.0, ' %')} {word} of the length within {limit}"
-
-
 def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
-    row = endings(table).loc[policy]
+    row = _endings(table)[policy]
     missing = row["episodes"] - row["complete"]
     return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
 
@@ -331,7 +299,7 @@ Table = tuple[list[str], list[Row]]
 def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
     """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
-    rows, ends, order = [], endings(table), ranking(table)
+    rows, ends, order = [], _endings(table), ranking(table)
     best = next((name for name in order if name not in informed), order[0])
     for policy in order:
         cells = []
@@ -339,7 +307,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
             row = values[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
         cells.insert(1, _against(table, policy, best))  # the first is the reward
-        complete, _, reasons = ended(ends.loc[policy]).partition(", ")
+        complete, _, reasons = ended(ends[policy]).partition(", ")
         note = "yours" if policy in own else "oracle" if policy in informed else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
@@ -358,6 +326,11 @@ def _against(table: pd.DataFrame, policy: str, best: str) -> Cell:
     cell = _with_ends(difference.mean, difference.low, difference.high, "+")
     unclear = difference.low < 0.0 < difference.high
     return replace(cell, text=f"{cell.text} (unclear)") if unclear else cell
+
+
+def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
+    rows = endings(table).iterrows()
+    return {str(policy): {str(name): int(count) for name, count in row.items()} for policy, row in rows}
 
 
 def ended(row: Mapping[str, int] | pd.Series) -> str:
@@ -392,13 +365,13 @@ def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
 
 def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
     """Mean time and length within the limit of every policy in some tubes; the best by reward is marked."""
-    order, ends = ranking(part), endings(part)
+    order, ends = ranking(part), _endings(part)
     best = next((name for name in order if name not in informed), "")
     cells = {}
     for policy in order:
         time, share = _time_and_share(part, policy)
-        count = ends.loc[policy, "episodes"]
-        failed = count - ends.loc[policy, "complete"]
+        count = ends[policy]["episodes"]
+        failed = count - ends[policy]["complete"]
         stopped = f", {f'{failed} ' if count > 1 else ''}not complete" if failed else ""
         cells[policy] = Cell(time, share + stopped, policy == best)
     return cells

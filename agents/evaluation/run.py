@@ -199,7 +199,7 @@ def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
     for policy, part in summarise(table).groupby("policy", sort=False):
         figures, cells = part.set_index("kpi"), []
         for kpi, (_, factor, _) in shown_of(table.columns).items():
-            mean, low, high = figures.loc[kpi, ["mean", "low", "high"]]
+            mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
             cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
         rows.append((str(policy), cells))
     return rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -13,14 +13,13 @@ from scipy.stats import spearmanr
 
 from agents.evaluation import figures, statistics
 from agents.evaluation.folder import read_episodes
-from agents.evaluation.recording import Insertion, insert
+from agents.evaluation.recording import Chart, Insertion, insert
 from agents.evaluation.statistics import grouped
 from agents.policies.catalogue import make_policy
 from agents.policies.places import Place
 from agents.records.atomic import write_atomically
 from agents.records.provenance import provenance, write_json
 from agents.terminal.tables import print_table
-from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import (
@@ -38,9 +37,9 @@ from probe_env.inspection.sensor import GROOVE
 from probe_env.settings import within
 
 SPACING: Final = 1.0
-"""Of the supports [m] where a plant's file says nothing; assumption."""
+"""Distance of the supports [m] by default; an assumption."""
 DRAWN: Final = 6
-"""Flaws that have a figure of their own."""
+"""Greatest number of flaws in flaws.png."""
 ROWS: Final = ("place_m", "depth_percent_wall", "snr", "behind_filter", "called")
 
 
@@ -67,14 +66,14 @@ def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
 
 @dataclass(frozen=True)
 class Look:
-    """What is looked at.
+    """What is recorded.
 
     Attributes:
         context: number of the tube in the list.
         flaws: PLACE:DEPTH each, see ``flaws_of``.
-        support_spacing: of the tube [m]; None: ``SPACING``.
-        until: inserted length at which to stop [m]; None: the helix's end.
-        seed: of sensor noise, start and electronics.
+        support_spacing: distance of the supports [m]; None: ``SPACING``.
+        until: inserted length at which to stop [m]; None: the end of the helix.
+        seed: of sensor noise, start and electronic noise.
     """
 
     context: int = 0
@@ -85,10 +84,10 @@ class Look:
 
 
 def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path) -> pd.DataFrame:
-    """Simulate a run under a policy; writes channels, flaws and periods.csv, signal.json, strip.png and flaws.png.
+    """Simulate an insertion; prints its flaws, writes channels, flaws and periods.csv, signal.json and two figures.
 
     Returns:
-        a row a flaw that was passed.
+        a row for each flaw that the sensor passed.
 
     Raises:
         ValueError: an argument is not valid; nothing was written.
@@ -98,50 +97,35 @@ def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path)
     spacing = SPACING if look.support_spacing is None else look.support_spacing
     within("context", look.context, 0, len(place.contexts) - 1, "")
     within("support_spacing", spacing, 0.05, 100.0, "m")
-    put = flaws_of(look.flaws, config.scene.tube.helix_length)
+    flaws = flaws_of(look.flaws, config.scene.tube.helix_length)
     policy, settings = make_policy(spec, config, place.vibration), resolve_fidelity(fidelity, config.scene)
     run = insert(policy, config, place.contexts[look.context], settings, look.seed, look.until)
-    chart = chart_of(run, config, put, spacing, np.random.default_rng([look.seed, look.context]))
+    chart = chart_of(run, config, flaws, spacing, np.random.default_rng([look.seed, look.context]))
     _write(run, chart, f"{spec}, tube {look.context}, {fidelity}", output)
-    write_json(output / "signal.json", _record(run, config, chart) | provenance())
-    for flaw in put:
+    record = {
+        "sensor": config.sensor.model_dump(), "threshold": chart.threshold, "false_calls": chart.false_calls,
+        "noise_and_vibration_correlation": correlation(run, chart), "found": run.detection,
+    }  # fmt: skip
+    write_json(output / "signal.json", record | provenance())
+    first, last = run.passage.place[[0, -1]]
+    for flaw in flaws:
         if flaw not in chart.flaws:
-            print(
-                f"not passed: the flaw at {flaw.place:g} m; the sensor was from {run.passage.place[0]:.2f} to"
-                f" {run.passage.place[-1]:.2f} m"
-            )
+            print(f"not passed: the flaw at {flaw.place:g} m; the sensor was from {first:.2f} to {last:.2f} m")
+    header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
+    rows = [
+        (f"{place_:g}", f"{depth:g}", f"{snr:.1f}", f"{behind:.1f}", "yes" if called else "no")
+        for place_, depth, snr, behind, called in chart.table[list(ROWS)].itertuples(index=False)
+    ]
+    print_table("Flaws that were put into the tube", header, rows, left=0)
+    print(f"called: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws that were passed")
+    print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
     return chart.table
-
-
-@dataclass(frozen=True)
-class Chart:
-    """A run's signals.
-
-    Attributes:
-        voltages: (k, 2) X and Y [V].
-        values: (k,) filtered signal along the flaw, over its noise's deviation.
-        flaws: that were passed.
-        supports: places [m].
-        called: places [m].
-        threshold: in deviations.
-        table: a row a flaw: place, depth, its signal-to-noise, what the filter showed, whether it was called.
-        false_calls: calls where there is no flaw.
-    """
-
-    voltages: FloatArray
-    values: FloatArray
-    flaws: tuple[Flaw, ...]
-    supports: FloatArray
-    called: FloatArray
-    threshold: float
-    table: pd.DataFrame
-    false_calls: int
 
 
 def chart_of(
     run: Insertion, config: TaskConfig, put: Sequence[Flaw], spacing: float, rng: np.random.Generator
 ) -> Chart:
-    """Signals of a run with flaws put into its tube; supports, whose places are known, are taken out for the filter."""
+    """Signals of an insertion with flaws in its tube; the known supports are subtracted before the filter."""
     passage, sensor, tube = run.passage, config.sensor, config.scene.tube
     first, last = float(passage.place[0]) + sensor.flaw_width, float(passage.place[-1]) - sensor.flaw_width
     flaws = tuple(flaw for flaw in put if first < flaw.place < last)
@@ -175,25 +159,14 @@ def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
     write_atomically(output / "channels.csv", pd.DataFrame(columns).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "flaws.csv", chart.table.to_csv(index=False, float_format="%.5g"))
     write_atomically(output / "periods.csv", by_period(run, chart).to_csv(index=False, float_format="%.5g"))
-    marks = figures.Marks(title, chart.flaws, chart.supports, chart.called, chart.threshold)
-    figures.strip_chart(run, chart.voltages, chart.values, marks, output / "strip.png")
+    figures.strip_chart(run, chart, title, output / "strip.png")
     if chart.flaws:
         kept = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
         figures.grooves(run, chart.voltages, [chart.flaws[k] for k in kept], output / "flaws.png")
 
 
-def _record(run: Insertion, config: TaskConfig, chart: Chart) -> dict[str, Any]:
-    return {
-        "sensor": config.sensor.model_dump(),
-        "threshold": chart.threshold,
-        "false_calls": chart.false_calls,
-        "noise_and_vibration_correlation": correlation(run, chart),
-        "found": run.detection,
-    }
-
-
 def correlation(run: Insertion, chart: Chart) -> float:
-    """Of the deviation of X with the radial rms, over the control periods (Spearman); NaN where one does not vary."""
+    """Spearman correlation of the deviation of X with the radial rms by control period; NaN if one is constant."""
     table = by_period(run, chart)
     noise, vibration = table["x_deviation_v"], table["radial_rms_m"]
     if min(np.ptp(noise), np.ptp(vibration)) == 0.0 or len(noise) < 3:
@@ -202,7 +175,7 @@ def correlation(run: Insertion, chart: Chart) -> float:
 
 
 def by_period(run: Insertion, chart: Chart) -> pd.DataFrame:
-    """A row a control period: where the sensor was at its end, deviation of each channel as drawn, vibration, S/N."""
+    """A row for each control period: position of the sensor at its end, deviation of X and Y, vibration, S/N."""
     each = run.period
     shown = smoothed(run.passage, chart.voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
     return pd.DataFrame(
@@ -213,25 +186,12 @@ def by_period(run: Insertion, chart: Chart) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def print_signal(table: pd.DataFrame, output: Path) -> None:
-    """What was seen of every flaw, on the terminal."""
-    header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
-    rows = [
-        (f"{row['place_m']:g}", f"{row['depth_percent_wall']:g}", f"{row['snr']:.1f}", f"{row['behind_filter']:.1f}",
-         "yes" if row["called"] else "no")
-        for row in table.to_dict("records")
-    ]  # fmt: skip
-    print_table("Flaws that were put into the tube", header, rows, left=0)
-    print(f"called: {int(table['called'].sum())} of the {len(table)} flaws that were passed")
-    print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
-
-
 def draw_curves(evaluation: Path, output: Path) -> None:
-    """Curves of detection of a stored evaluation's policies: pod.csv and pod.png, depths on the terminal.
+    """Detection curves of a stored evaluation: writes pod.csv and pod.png, prints the depths found.
 
     Raises:
         FileNotFoundError: there is no such evaluation.
-        ValueError: its episodes were stored before there was a sensor.
+        ValueError: its episodes have no detection curves.
     """
     table = grouped(read_episodes(evaluation / "episodes.parquet"))
     if not statistics.has_curves(table):

@@ -1,12 +1,10 @@
-"""Journals: a line of JSON a record, each whole on the disk before the next begins.
-
-What an interrupt or a kill leaves is read again by the next run, which does only what is missing.
-"""
+"""Journals: a line of JSON for each record, on the disk before the next one begins, so that work can be continued."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,20 +18,18 @@ MOST_LINE: Final = 4 * MEBI
 
 
 class Journal(Generic[S]):
-    """Records by their keys, in a file of lines.
+    """Records by their keys in a file of lines.
 
     Args:
-        path: the file; there may be none.
-        model: of a record; it has a field ``key``.
+        path: of the file, which need not exist.
+        model: of a record, with a field ``key``.
     """
 
     def __init__(self, path: Path, model: type[S]) -> None:
         self.path, self.model = path, model
 
     def read(self) -> dict[str, dict[str, Any]]:
-        """Records by their keys; none if there is no file. Of two with one key the later counts.
-
-        A last line that an interrupt cut off is left out.
+        """Records by their keys; the later one of two with the same key, without a last line that was cut off.
 
         Raises:
             FileError: any other line is not a record: names file and line.
@@ -65,19 +61,16 @@ class Journal(Generic[S]):
 
 def set_aside(path: Path) -> None:
     """Make a journal ready to be appended to: a line that was cut off goes to ``NAME.cut-off`` beside it."""
-    if not path.exists():
-        return
-    line, begin = b"\n", 0
-    for _, line, begin in _lines(path):  # noqa: B007
-        pass
+    last = deque(_lines(path) if path.exists() else (), maxlen=1)
+    _, line, begin = last[0] if last else (0, b"\n", 0)
     if line.endswith(b"\n"):
         return
-    whole = not _cut_off(line)
-    with (path if whole else path.with_name(f"{path.name}.cut-off")).open("ab") as file:
-        file.write(b"\n" if whole else line + b"\n")
+    cut_off = _cut_off(line)
+    with (path.with_name(f"{path.name}.cut-off") if cut_off else path).open("ab") as file:
+        file.write(line + b"\n" if cut_off else b"\n")
         file.flush()
         os.fsync(file.fileno())
-    if not whole:
+    if cut_off:
         os.truncate(path, begin)
 
 

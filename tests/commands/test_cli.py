@@ -63,7 +63,6 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["study", "--members", "0"], "members = 0"),
         (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
         (["render", "--every", "0"], "every = 0"),
-        (["report", "nowhere"], "no such file: nowhere"),
         (["render", "--policy", "fastest"], "policy = 'fastest'"),
         (["study", "--scenes", "nowhere", "--duration", "1"], "no such file: nowhere"),
     ],

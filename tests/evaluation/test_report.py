@@ -1,4 +1,4 @@
-"""The report: its verdict is honest, what is missing of an interrupted run is said, and the page is safe and alone."""
+"""The report: an honest verdict, what is missing of an interrupted run, a page that is safe and needs no network."""
 
 import json
 import re
@@ -10,41 +10,25 @@ from urllib.parse import unquote
 import numpy as np
 import pandas as pd
 import pytest
-from kills import killed_at
+from plans import CONFIG, make_plan
 
 from agents.cli import main
-from agents.evaluation import figures
-from agents.evaluation.fidelity_check import Checks
-from agents.evaluation.page import traces as page_traces
-from agents.evaluation.page import writing
-from agents.evaluation.page.described import informed
-from agents.evaluation.page.schedules import downloads
-from agents.evaluation.page.stored import comparable, read_evaluation, spans
-from agents.evaluation.page.verdict import limit_of, ranking, verdict
-from agents.evaluation.report import evaluate, write_report
-from agents.policies.both_ways import BothWays, fastest_back, way_in
+from agents.evaluation import figures, profiles, report
+from agents.evaluation.folder import UNFINISHED, comparable, read_evaluation, spans
+from agents.evaluation.kpis import CORE, KPIS
+from agents.evaluation.plan import run_plan
+from agents.evaluation.profiles import downloads
+from agents.evaluation.report import informed, limit_of, verdict, write_report
+from agents.evaluation.run import evaluate_plan
+from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
-from agents.records.columns import CORE, KPIS
-from agents.rollouts.folder import UNFINISHED
-from agents.rollouts.plan import Plan, run_plan
-from agents.rollouts.statistics import grouped
-from agents.rollouts.strain import strained
-from probe_env import Fidelity, load_contexts
+from agents.policies.wrappers import BothWays, fastest_back, way_in
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import BOTH_WAYS
 from probe_env.schedule import Schedule
 
-CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
 MINE = Schedule("time", "linear", (0.0, 0.2), (0.15, 0.3), (0.02, 0.03))
-
-
-def plan(policies, contexts=3, config=CONFIG):
-    return Plan(policies, load_contexts("validation")[:contexts], (0,), config, Fidelity())
-
-
-def constants(count):
-    return {f"feed {k}": Constant(CONFIG, feed_speed=0.1 * (k + 1)) for k in range(count)}
 
 
 # ---- the verdict ----
@@ -69,62 +53,52 @@ def table_of(times, shares, rewards, tubes=20, scatter=0.0):
 TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0.9}, {"mine": 1.0, "best": 9.0}
 
 
-def test_the_verdict_says_how_much_longer_than_the_best():
-    said = verdict(table_of(TIMES, SHARES, REWARDS), "mine", (), "0.1 mm")
-    assert said.headline == "61 s longer than the best here, best, at the same length within 0.1 mm."
-    assert "361 s against 300 s; 90 % of the length within 0.1 mm against 90 %" in said.detail
-    assert "worse, -8." in said.detail
-    better = verdict(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
-    assert better.headline.endswith("with 5 % less of the length within 0.1 mm.")
+def test_the_verdict_gives_the_differences_to_the_best():
+    one = verdict(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
+    assert one.headline == ("worse than the best here, best: reward -8, time +61 s, length within 0.1 mm -5 %.")
+    assert "361 s against 300 s; 85 % of the length within 0.1 mm against 90 %" in one.detail
+    best = verdict(table_of(TIMES, SHARES, REWARDS), "best", (), "0.1 mm").headline
+    assert best == "better than the next best here, mine: reward +8, time -61 s, length within 0.1 mm 0 %."
 
 
-def test_the_verdict_names_the_interval_and_what_is_within_scatter():
-    said = verdict(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine", (), "0.1 mm").headline
-    low, high = map(float, re.match(r"\d+ s \[(\d+), (\d+)\] longer than the best here", said).groups())
+def test_the_verdict_has_intervals_and_says_what_is_unclear():
+    headline = verdict(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine", (), "0.1 mm").headline
+    low, high = map(float, re.search(r"time \+\d+ s \[\+(\d+), \+(\d+)\]", headline).groups())
     assert low < 61.0 < high  # 20 differences of 4.7 s scatter: the mean is within 1.05 s (standard error)
-    assert re.search(
-        r"at the same length within 0\.1 mm, within scatter \([-+][\d.]+ % of the length \[-.*, \+.*\]\)", said
-    )
+    assert re.search(r"length within 0\.1 mm [-+][\d.]+ % \[-.*, \+.*\]", headline)
     same = table_of(TIMES | {"mine": 300.0}, SHARES, REWARDS | {"mine": 9.0}, scatter=0.05)
-    loser = ranking(same)[1]
-    unclear = verdict(same, loser, (), "0.1 mm")
-    assert re.match(r"as long as the best here, \w+, within scatter \([-+][\d.]+ s \[-.*, \+.*\]\)", unclear.headline)
-    assert "no clear difference" in unclear.detail
-    assert verdict(same, ranking(same)[0], (), "0.1 mm").headline.startswith("the best here, within scatter: ")
+    for policy, rival in ((ranking(same)[1], "best"), (ranking(same)[0], "next best")):
+        headline = verdict(same, policy, (), "0.1 mm").headline
+        assert headline.startswith(f"not clearly different from the {rival} here, ")
 
 
-def test_the_best_is_compared_with_the_next_and_nobody_with_what_is_told_the_tube():
+def test_nobody_is_compared_with_an_oracle():
     table = table_of(TIMES | {"oracle": 200.0}, SHARES | {"oracle": 1.0}, REWARDS | {"oracle": 20.0})
-    assert verdict(table, "best", {"oracle"}, "0.1 mm").headline == (
-        "the best here: 61 s shorter than the next best here, mine, at the same length within 0.1 mm."
-    )
-    assert "the best here, best" in verdict(table, "mine", {"oracle"}, "0.1 mm").headline
+    assert "the next best here, mine: " in verdict(table, "best", {"oracle"}, "0.1 mm").headline
+    assert "the best here, best: " in verdict(table, "mine", {"oracle"}, "0.1 mm").headline
 
 
-def test_the_verdict_tells_of_failures_of_one_tube_and_of_nothing_to_compare_with():
+def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
     table = table_of(TIMES, SHARES, REWARDS)
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
     assert verdict(table, "mine", (), "0.1 mm").headline.endswith("; it did not complete 2 of 20 insertions.")
     assert "; mine did not complete 2 of 20" in verdict(table, "best", (), "0.1 mm").headline
-    one = verdict(table_of(TIMES, SHARES, REWARDS, tubes=1, scatter=0.05), "mine", (), "0.1 mm")
-    assert "[" not in one.headline
-    assert "One tube says nothing about scatter" in one.detail
-    assert "rough intervals" in verdict(table_of(TIMES, SHARES, REWARDS, tubes=4), "mine", (), "0.1 mm").detail
+    one, four = (table_of(TIMES, SHARES, REWARDS, tubes=count, scatter=0.05) for count in (1, 4))
+    assert "[" not in verdict(one, "mine", (), "0.1 mm").headline
+    assert "over 1 tube, which says nothing about scatter" in verdict(one, "mine", (), "0.1 mm").detail
+    assert "over 4 tubes, too few for exact intervals" in verdict(four, "mine", (), "0.1 mm").detail
     alone = table[table["policy"] == "best"]
     assert verdict(alone, "best", (), "5 mm/s").headline == "300 s, 90 % of the length within 5 mm/s."
 
 
-@pytest.mark.parametrize(
-    ("task", "words"),
-    [
+def test_the_limit_is_named_as_it_is_measured():
+    for task, words in (
         ({}, "0.1 mm"),
         ({"vibration_limit": 5e-5}, "0.05 mm"),
         ({"vibration_measure": "velocity"}, "5 mm/s"),
         ({"vibration_measure": "acceleration"}, "20 m/s²"),
-    ],
-)
-def test_the_limit_is_named_as_it_is_measured(task, words):
-    assert limit_of(TaskConfig(**task)) == words
+    ):
+        assert limit_of(TaskConfig(**task)) == words
 
 
 # ---- interrupted ----
@@ -135,66 +109,76 @@ def planned(*counts):
     return [(f"{p}-{k}", f"policy {p}", k, 0) for p, count in enumerate(counts) for k in range(count)]
 
 
-@pytest.mark.parametrize(
-    ("counts", "kept"),
-    [
+def test_as_many_episodes_are_compared_as_can_be():
+    for counts, kept in (
         ((48, 48, 40), {"policy 0": 40, "policy 1": 40, "policy 2": 40}),
         ((48, 48, 1), {"policy 0": 48, "policy 1": 48}),  # one tube of three says less than 48 of two
         ((7,), {"policy 0": 7}),
-    ],
-)
-def test_as_many_episodes_are_compared_as_can_be(counts, kept):
-    chosen = comparable(planned(*counts))
-    assert pd.Series([name for _, name, _, _ in chosen]).value_counts().to_dict() == kept
-
-
-def test_numbers_in_words():
+    ):
+        chosen = comparable(planned(*counts))
+        assert pd.Series([name for _, name, _, _ in chosen]).value_counts().to_dict() == kept
     assert spans([3, 0, 1, 2, 7, 9, 10]) == "0 to 3, 7, 9 to 10"
 
 
-def evaluate_here(folder):
-    evaluate(plan(constants(3), 4), folder)
+def test_the_report_of_an_interrupted_evaluation_says_what_is_missing(tmp_path, monkeypatch, capsys):
+    plan, calls = make_plan(4, 3, seeds=(0,)), []
 
+    def per_metre(profile):
+        calls.append(profile)
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return {name: np.array([k + 0.5]) for k, name in enumerate(module.COLUMNS)}
 
-def test_the_report_of_a_killed_evaluation_says_what_is_missing(tmp_path):
-    assert killed_at("agents.rollouts.plan.per_metre", 8, evaluate_here, tmp_path)
-    stored = len((tmp_path / "episodes.jsonl").read_text().splitlines())
-    assert stored == 7
+    from agents.evaluation import plan as module
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "per_metre", per_metre)
+        with pytest.raises(KeyboardInterrupt):
+            evaluate_plan(plan, tmp_path)
     done = read_evaluation(tmp_path)
     assert (done.missing.stored, done.missing.planned) == (7, 12)
     assert done.table["policy"].value_counts().to_dict() == {"feed 0": 3, "feed 1": 3}
-    page = write_report(tmp_path).read_text()
-    assert "7 of 12 insertions are stored" in page
-    assert "<b>feed 1</b>: 1 of 4 insertions: tube 3" in page
-    assert "<b>feed 2</b>: all of its 4 insertions" in page
-    assert not (tmp_path / "summary.csv").exists()  # of whole tables only
-    evaluate_here(tmp_path)
+    assert main(["evaluate", str(tmp_path)]) == 0  # writes the report alone
+    page = (tmp_path / "report.html").read_text()
+    for text in ("7 of 12 insertions are stored", "<b>feed 1</b>: 1 of 4 insertions: tube 3",
+                 "<b>feed 2</b>: all of its 4 insertions"):  # fmt: skip
+        assert text in page
+    assert not (tmp_path / "summary.csv").exists()  # of finished evaluations only
+    evaluate_plan(plan, tmp_path)
     assert "Not finished" not in (tmp_path / "report.html").read_text()
     assert not (tmp_path / UNFINISHED).exists()
 
 
-def test_tables_of_before_are_not_taken_for_those_of_a_changed_schedule(tmp_path):
+def test_a_stored_evaluation_gets_its_report_again(stored, tmp_path, capsys, monkeypatch):
+    """The same one, or compared with another policy; a folder without one is named."""
+    monkeypatch.setattr("agents.evaluation.plan.Episodes", None)  # playing anything would fail
+    before = {name: (stored / name).read_bytes() for name in ("report.html", "summary.csv", "report.json")}
+    for name in ("report.html", "summary.csv"):
+        (stored / name).unlink()
+    assert main(["evaluate", str(stored)]) == 0
+    assert {name: (stored / name).read_bytes() for name in before} == before
+    assert main(["evaluate", str(stored), "--against", "feed 1"]) == 0
+    assert "Differences to feed 1" in (stored / "report.html").read_text()
+    assert json.loads((stored / "report.json").read_text()) == {"against": "feed 1", "own": []}
+    capsys.readouterr()
+    assert main(["evaluate", str(stored), "--against", "feed 7"]) == 2
+    assert "against = 'feed 7' is not one of the policies: feed 0, feed 1" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main(["evaluate", str(tmp_path / "empty")]) == 2
+    assert "no such file: " in capsys.readouterr().err
+
+
+def test_tables_of_before_are_not_taken_for_those_of_a_changed_schedule(stored):
     """Its name stays the same, so nothing in the tables says that they are of another."""
-    run_plan(plan(constants(2)), tmp_path, progress=False)
-    changed = constants(2) | {"feed 1": Constant(CONFIG, feed_speed=0.35)}
+    changed = make_plan()
+    changed.policies["feed 1"] = Constant(CONFIG, feed_speed=0.35)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.rollouts.plan._lines", lambda *_: iter(()))
+        patch.setattr("agents.evaluation.plan._lines", lambda *_: iter(()))
         with pytest.raises(KeyError):  # as if it had been killed before its first episode
-            run_plan(plan(changed), tmp_path, progress=False)
-    done = read_evaluation(tmp_path)
+            run_plan(changed, stored, progress=False)
+    done = read_evaluation(stored)
     assert set(done.table["policy"]) == {"feed 0"}
-    assert done.missing.gaps == (("feed 1", "all of its 3 insertions"),)
-
-
-def test_a_folder_of_an_earlier_version_is_reported_as_far_as_it_is_known(tmp_path):
-    table = run_plan(plan(constants(2)), tmp_path, progress=False)
-    for path in (*tmp_path.glob("*.parquet"), tmp_path / "episodes.csv", tmp_path / "provenance.json"):
-        path.unlink()
-    done = read_evaluation(tmp_path)
-    np.testing.assert_array_equal(done.table["reward"], table["reward"])
-    page = write_report(tmp_path).read_text()
-    assert "How many there were to be and in which tubes was not" in page
-    assert "By helix diameter" not in page
+    assert done.missing.gaps == (("feed 1", "all of its 6 insertions"),)
 
 
 # ---- the page ----
@@ -207,7 +191,7 @@ def page(tmp_path_factory):
     policies = {
         "my schedule": Scheduled(CONFIG, MINE), "pi": PI(CONFIG), "</script><img src=x>": Constant(CONFIG),
     }  # fmt: skip
-    evaluate(plan(policies), folder, own=["my schedule"])
+    evaluate_plan(make_plan(policies=policies, seeds=(0,)), folder, own=["my schedule"])
     return (folder / "report.html").read_text()
 
 
@@ -263,21 +247,20 @@ def test_schedules_of_the_page_are_schedules(page, tmp_path):
     assert read["pi.csv"].over == "inserted_length"
 
 
-def test_traces_are_what_was_fed(tmp_path, monkeypatch):
-    run_plan(plan(constants(2)), tmp_path, progress=False)
-    table = grouped(pd.read_parquet(tmp_path / "episodes.parquet"))
+def test_traces_are_what_was_fed(evaluated, monkeypatch):
+    table = grouped(pd.read_parquet(evaluated / "episodes.parquet"))
     metres = pd.concat(  # as if they had been fed for four metres
-        [pd.read_parquet(tmp_path / "profile.parquet").assign(inserted_length=m + 0.5, radial_rms_m=1e-5 * m)
+        [pd.read_parquet(evaluated / "profile.parquet").assign(inserted_length=m + 0.5, radial_rms_m=1e-5 * m)
          for m in range(1, 5)]
     )  # fmt: skip
-    drawn = page_traces.traces(table, grouped(metres), ["feed 0"], 0.1)
+    drawn = profiles.traces(table, grouped(metres), ["feed 0"], 0.1)
     assert drawn["metres"] == [1.5, 2.5, 3.5, 4.5]
     assert [len(policy["tubes"]) for policy in drawn["policies"]] == [3, 3]
     assert {policy["name"]: policy["shown"] for policy in drawn["policies"]} == {"feed 0": True, "feed 1": False}
     for policy in drawn["policies"]:
         assert policy["tubes"][0][2] == [100, 200, 300, 400]  # of 0.1 um
-    monkeypatch.setattr(page_traces, "MOST_METRES", 20)  # of 24
-    coarse = page_traces.traces(table, grouped(metres), [], None)
+    monkeypatch.setattr(profiles, "MOST_METRES", 20)  # of 24
+    coarse = profiles.traces(table, grouped(metres), [], None)
     assert coarse["metres"] == [1.0, 3.0, 5.0]  # pairs from 0 on
     assert coarse["policies"][0]["tubes"][0][2] == [100, 255, 400]  # root mean square of 200 and 300
 
@@ -318,102 +301,72 @@ def test_schedules_of_both_ways_have_their_way_back(tmp_path):
     np.testing.assert_allclose(Schedule.read(tmp_path / "mine.csv").at(lengths), forth.at(lengths), rtol=1e-5)
 
 
-@pytest.mark.parametrize("passes", ["in", "both"])
-def test_who_knows_the_tube_is_no_rival(passes):
-    """However it is wrapped: a planner of both ways, a way in by it, a shield around it."""
-    config = TaskConfig(passes=passes, privileged=True)
+def test_oracles_are_no_rivals():
+    """However they are wrapped: a planner of both passes, an insertion by it, a shield around it."""
     names = ["privileged", "pi", "planner", "shielded:privileged"]
-    policies = named_policies(names, config)
-    record = SimpleNamespace(policies={name: policy.describe() for name, policy in policies.items()})
-    assert informed(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
-    assert informed(SimpleNamespace(record=None)) == set()
+    for passes in ("in", "both"):
+        policies = named_policies(names, TaskConfig(passes=passes, privileged=True))
+        record = SimpleNamespace(policies={name: policy.describe() for name, policy in policies.items()})
+        assert informed(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
 
 
-def test_a_replay_of_both_ways_is_refused(tmp_path):
-    """The way back is not kept a metre: it would come back as fast as it goes."""
-    config = TaskConfig(passes="both")
-    both = plan({"pi": BothWays(config, PI(way_in(config)))}, config=config)
-    for level in ("replayed", "all"):
-        with pytest.raises(ValueError, match=f"check_fidelity = '{level}' .* way in alone: with --passes both it must"):
-            evaluate(both, tmp_path / "out", Checks(level))
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("picture", ["trade_off", "policy_profiles"])
-def test_more_policies_than_colours_are_all_drawn(picture, tmp_path, monkeypatch):
+def test_more_policies_than_colours_are_all_drawn(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(figures, "save", lambda figure, path: drawn.append(figure) or path)
     names = [f"policy {k}" for k in range(23)]
-    kpis = ("inspection_time_s", "share_within_limit")
-    if picture == "trade_off":
-        rows = [(name, kpi, 0.5, 0.4, 0.6) for name in names for kpi in kpis]
-        figures.trade_off(pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high"]), tmp_path / "a.png")
-        (legend,) = (axis.get_legend() for axis in drawn[0].axes)
-    else:
-        columns = ["policy", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m"]
-        rows = [(name, metre, 0.2, 0.02, 1e-4) for name in names for metre in (10.0, 20.0)]
-        figures.policy_profiles(pd.DataFrame(rows, columns=columns), tmp_path / "a.png", 0.1)
-        (legend,) = drawn[0].legends
-    assert [text.get_text() for text in legend.get_texts()] == names
+    rows = [(name, kpi, 0.5, 0.4, 0.6) for name in names for kpi in ("inspection_time_s", "share_within_limit")]
+    figures.trade_off(pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high"]), tmp_path / "a.png")
+    columns = ["policy", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m"]
+    rows = [(name, metre, 0.2, 0.02, 1e-4) for name in names for metre in (10.0, 20.0)]
+    figures.policy_profiles(pd.DataFrame(rows, columns=columns), tmp_path / "a.png", 0.1)
+    for legend in (drawn[0].axes[0].get_legend(), drawn[1].legends[0]):
+        assert [text.get_text() for text in legend.get_texts()] == names
 
 
 # ---- before anything is done ----
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(tmp_path, capsys):
+    tube, output = tmp_path / "mine.toml", tmp_path / "out"
+    for text, message in (
         ("[contact]\nstiffness = 200\n", "contact_stiffness = 200 N/m is below"),
         ("[air]\nair_supply_rates = [0.1, 0.15]\n", "drag pulls the probe with .* give fidelity = {'method'"),
         ("[tube]\nhelix_length = 4\n", "must not exceed tube.helix_length = 4 m"),
-    ],
-)
-def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(text, message, tmp_path, capsys):
-    """And a folder of a refused run is not held against the next one."""
-    tube, output = tmp_path / "mine.toml", tmp_path / "out"
-    tube.write_text(text)
-    asked = ["evaluate", "constant", "--tube", str(tube), "--limit", "1", "--fidelity", "fast", "--output", str(output)]
-    assert main(asked) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert re.search(rf"error: mine: .*{message}", said)
-    assert "1 validation error" not in said
-    assert not output.exists()
+    ):
+        tube.write_text(text)
+        options = ["--tube", str(tube), "--limit", "1", "--fidelity", "fast", "--output", str(output)]
+        assert main(["evaluate", "constant", *options]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert re.search(rf"error: mine: .*{message}", said)
+        assert "1 validation error" not in said
+        assert not output.exists()
 
 
-def test_a_tube_that_is_inspected_both_ways_is_so_unless_told_otherwise(tmp_path, monkeypatch):
-    tube, seen = tmp_path / "mine.toml", []
+def test_the_passes_of_a_tube_are_those_of_its_file_unless_options_say_otherwise(tmp_path, monkeypatch, capsys):
+    tube, plans = tmp_path / "mine.toml", []
     tube.write_text('[task]\npasses = "both"\ninspects = "back"\ntime_limit = 1000.0\n')
-    monkeypatch.setattr("agents.evaluation.report.evaluate", lambda plan, *rest: seen.append(plan))
-    for more in ([], ["--passes", "in"], ["--inspects", "in"], ["--passes", "both", "--check-fidelity", "half-step"]):
-        assert main(["evaluate", "constant", "--tube", str(tube), "--limit", "1", "--fidelity", "fast", *more]) == 0
-    assert [plan.config.passes for plan in seen] == ["both", "in", "both", "both"]
-    assert [plan.config.inspects for plan in seen] == ["back", "back", "in", "back"]
-    assert {plan.config.time_limit for plan in seen} == {1000.0}
-    assert seen[0].fidelity == BOTH_WAYS["fast"]
+    monkeypatch.setattr("agents.evaluation.run.evaluate_plan", lambda plan, *rest: plans.append(plan))
+    options = ["evaluate", "constant", "--limit", "1", "--fidelity", "fast"]
+    for more in ([], ["--passes", "in"], ["--inspects", "in"], ["--passes", "both"]):
+        assert main([*options, "--tube", str(tube), *more]) == 0
+    assert [plan.config.passes for plan in plans] == ["both", "in", "both", "both"]
+    assert [plan.config.inspects for plan in plans] == ["back", "back", "in", "back"]
+    assert {plan.config.time_limit for plan in plans} == {1000.0}
+    assert plans[0].fidelity == BOTH_WAYS["fast"]
+    assert main([*options, "--inspects", "in"]) == 2
+    assert "inspects = 'in' needs --passes both" in capsys.readouterr().err
 
 
-def test_a_strained_cable_is_named():
-    rows = [("a", 0.0, 0.0), ("a", 2.0, 0.0), ("b", 0.0, 0.0), ("c", 1.0, 40.0)]
-    table = pd.DataFrame(rows, columns=["policy", "cost_tension", "cost_buckling"])
-    assert strained(table) == [
-        "a: the root over the tension limit in 1 of 2 episodes, for 2 control periods at most",
-        "c: the root over the tension limit in 1 of 1 episodes, for 1 control period at most",
-        "c: the root pressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
-    ]
-    assert strained(table[["policy"]]) == []
-
-
-def test_the_page_says_both_ways_and_who_was_strained(tmp_path):
-    run_plan(plan(constants(2)), tmp_path, progress=False)
-    table = pd.read_parquet(tmp_path / "episodes.parquet")
+def test_the_page_names_passes_and_strained_cables(stored):
+    table = pd.read_parquet(stored / "episodes.parquet")
     table["cost_tension"] = np.where((table["policy"] == "feed 1") & (table["context"] > 0), 3.0, 0.0)
-    table.to_parquet(tmp_path / "episodes.parquet")
-    page = write_report(tmp_path).read_text()
-    assert "<li>feed 1: the root over the tension limit in 2 of 3 episodes, for 3 control periods at most</li>" in page
+    table.to_parquet(stored / "episodes.parquet")
+    page = write_report(stored).read_text()
+    assert "<li>feed 1: the root over the tension limit in 4 of 6 episodes, for 3 control periods at most</li>" in page
     assert "feed 0: the root" not in page
     assert "<dt>passes</dt>" not in page
-    done = read_evaluation(tmp_path)
+    done = read_evaluation(stored)
     both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": BOTH_WAYS["fast"].model_dump()}
-    facts = dict(writing._facts(replace(done, setting=done.setting.model_copy(update=both))))
+    facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
     assert facts["passes"] == "in and back; counted is the way back"
     assert facts["simulated with"] == "fast"

@@ -8,7 +8,7 @@ import torch
 
 from agents.learning.config import Training
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
-from agents.policies.plc.law import Constants, PlcLaw, read_constants
+from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from agents.policies.view import View
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vector import InsertionVectorEnv

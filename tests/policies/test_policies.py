@@ -52,9 +52,9 @@ def test_predict_follows_sb3_s_protocol(name, monkeypatch):
 
 def test_agents_and_schedules_that_ship_go_by_name(monkeypatch):
     monkeypatch.chdir(__file__.rsplit("/", 3)[0])
-    by_name = named_policies(["ppo", "ppo@2", "mine@3=ppo-no-tension@3", "example"], CONFIG)
+    by_name = named_policies(["ppo", "ppo@2", "mine@3=student@3", "example"], CONFIG)
     assert list(by_name) == ["ppo", "ppo@2", "mine@3", "example"]
-    files = [f"results/agents/{place}/agent.npz" for place in ("ppo/seed-0", "ppo/seed-2", "ppo-no-tension/seed-3")]
+    files = [f"results/agents/{place}/agent.npz" for place in ("ppo/seed-0", "ppo/seed-2", "student/seed-3")]
     by_path = [make_policy(file, CONFIG) for file in (*files, "configs/schedules/example.csv")]
     assert [policy.describe() for policy in by_name.values()] == [policy.describe() for policy in by_path]
     assert name_and_spec("a=b=ppo@1") == ("a=b", "ppo@1")

@@ -22,6 +22,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(insertions, "LENGTHS", (9.0, 8.0))
     monkeypatch.setattr(insertions, "FIDELITY", "fast")
     monkeypatch.setattr(response, "LEAST_METRES", 1)
+    monkeypatch.setattr(response, "LAGS", 2)
     monkeypatch.setattr(response, "EPOCHS", 3)
     monkeypatch.setattr(response, "BATCH", 8)
 

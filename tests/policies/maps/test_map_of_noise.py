@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from agents.rollouts.plan import per_metre
 
+from agents.evaluation.plan import per_metre
 from agents.policies.maps.lookup import expected_costs
 from agents.policies.maps.vibration_map import (
     CONTEXT,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from agents.calibration.response import stored_response
+from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import named_policies
 from agents.policies.law import Law, Lawful
 from agents.recommendation.search import recommended, recommended_law
-from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.fidelity import PRESETS
 

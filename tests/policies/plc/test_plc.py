@@ -5,8 +5,12 @@ import warnings
 
 import numpy as np
 import pytest
-from agents.policies.domain import OutsideDomain
-from agents.policies.plc.law import (
+
+from agents.policies.catalogue import make_policy
+from agents.policies.places import place_at
+from agents.policies.plc.export import structured_text, table
+from agents.policies.plc.writing import write_law
+from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
     Constants,
@@ -16,11 +20,7 @@ from agents.policies.plc.law import (
     law_at,
     read_constants,
 )
-
-from agents.policies.catalogue import make_policy
-from agents.policies.places import place_at
-from agents.policies.plc.export import structured_text, table
-from agents.policies.plc.writing import write_law
+from agents.policies.policy import OutsideDomain
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
 from probe_env.files import FileError

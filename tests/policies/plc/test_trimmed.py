@@ -10,6 +10,18 @@ from agents.policies.plc.trimmed import LOWERED, MOST_TRIM, NOISE_AVERAGE, RAISE
 from agents.cli import main
 from agents.policies.catalogue import make_policy
 from agents.policies.plc.export import structured_text
+from agents.policies.plc_law import (
+    LOWERED,
+    MOST_TRIM,
+    NOISE_AVERAGE,
+    RAISED,
+    Constants,
+    PlantData,
+    PlcLaw,
+    Trim,
+    TrimmedLaw,
+    read_trim,
+)
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension

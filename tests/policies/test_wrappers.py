@@ -1,15 +1,14 @@
-"""The shield keeps the drive where a policy would lose it, and leaves alone what is safe."""
+"""Policies around a policy: the shield keeps the drive and leaves alone what is safe; fidelities of both passes."""
 
 from collections import deque
 
 import numpy as np
 import pytest
 
+from agents.evaluation.plan import Plan, Playing
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
 from agents.policies.fixed import Constant
-from agents.policies.shield import Shielded
-from agents.rollouts.plan import Plan
-from agents.rollouts.playing import Playing
+from agents.policies.wrappers import Shielded, fidelity_of
 from probe_env import Context, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import resolve_fidelity
@@ -160,3 +159,12 @@ def test_what_it_cannot_do_is_refused():
     for passes in ("in", "both"):
         with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).all_shown)
+
+
+def test_fidelities_of_both_passes() -> None:
+    """ "unlapsed" is "fast" without its time-lapse."""
+    usual, without = fidelity_of("fast"), fidelity_of("unlapsed")
+    assert (usual.time_lapse, without.time_lapse) == (4.0, 1.0)
+    assert without.model_copy(update={"time_lapse": 4.0}) == usual
+    with pytest.raises(ValueError, match="'reference' does not simulate the way back; give one of standard, "):
+        fidelity_of("reference")

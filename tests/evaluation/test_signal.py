@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.detection.passage import Insertion
-from agents.detection.signal import Chart, by_period, correlation
-from agents.detection.stretches import STRETCH, centred_spectra
+from agents.evaluation.recording import STRETCH, Chart, Insertion, centred_spectra
+from agents.evaluation.signal import by_period, correlation
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.spectrum import FREQUENCY

@@ -1,0 +1,215 @@
+"""Playing a plan: paired, resumable at any moment, and never mixed with episodes of another setting or commit."""
+
+import json
+from collections import deque
+
+import numpy as np
+import pandas as pd
+import pytest
+from kills import killed_at
+from plans import CONFIG, make_plan
+
+from agents.evaluation.folder import episodes_of
+from agents.evaluation.kpis import CARRIED
+from agents.evaluation.plan import Plan, Playing, per_metre, run_plan
+from agents.evaluation.run import evaluate, evaluate_plan, plan_of
+from agents.policies.catalogue import make_policy
+from agents.policies.fixed import Constant
+from agents.policies.places import place_of
+from probe_env import Context, Scene
+from probe_env.design import RANGES
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import BOTH_WAYS
+
+
+def same(one, other):
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+def test_the_table_has_every_episode_and_pairs_share_context_and_seed(evaluated):
+    table = pd.read_parquet(evaluated / "episodes.parquet")
+    assert len(table) == 2 * 3 * 2
+    first, second = (table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1"))
+    for column in ("context", "seed", "friction", "helix_diameter", "drag_factor"):
+        assert (first[column] == second[column]).all()
+    assert (first["reward"] != second["reward"]).all()
+    assert pd.read_csv(evaluated / "episodes.csv")["reward"].to_numpy() == pytest.approx(table["reward"], rel=1e-6)
+    profile = pd.read_parquet(evaluated / "profile.parquet")
+    assert len(profile) == 12  # one metre each: the length is constant
+    assert profile["time"].to_numpy() == pytest.approx(0.3)
+
+
+def test_the_profile_is_per_metre():
+    """Periods that end at 5.4, 5.8, 6.0 and 6.5 m: three in the sixth metre, one in the seventh."""
+    periods = [(t, length, 0.2, 0.02, rms, 4.0, 2.0 * rms) for t, length, rms in
+               ((1, 5.4, 3e-4), (2, 5.8, 4e-4), (3, 6.0, 0.0), (4, 6.5, 1e-4))]  # fmt: skip
+    profile = per_metre(periods)
+    assert profile["inserted_length"].tolist() == [5.5, 6.5]
+    assert profile["time"].tolist() == [3.0, 4.0]
+    assert profile["radial_rms_m"] == pytest.approx([np.sqrt(25.0 / 3.0) * 1e-4, 1e-4])
+    assert profile["noise_rms_m"] == pytest.approx(2.0 * profile["radial_rms_m"])
+    assert profile["feed_speed"] == pytest.approx([0.2, 0.2])
+
+
+def test_the_profile_of_both_passes_reaches_to_the_turn():
+    scene = Scene.model_validate({"tube": {"helix_length": 8.0}, "carrier_length": 4.0})
+    config = TaskConfig(passes="both", scene=scene, time_limit=100.0)
+    plan = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, BOTH_WAYS["fast"])
+    playing, lengths, rows = Playing(plan, deque(plan.units()), 1, 1), [], []
+    while not playing.over:
+        for ended in playing.step():
+            rows = [row[CARRIED.index("inserted_length")] for row in ended.profile]
+        lengths.append(playing.last.infos[0]["inserted_length"])
+    assert rows == lengths[: int(np.argmax(lengths)) + 1]
+    assert rows[-1] == pytest.approx(8.0, abs=0.05)
+
+
+def test_an_episode_does_not_depend_on_its_company(evaluated):
+    alone = run_plan(make_plan(), None, batch=1, progress=False)
+    together = pd.read_parquet(evaluated / "episodes.parquet")
+    same(alone.drop(columns="commit"), together.drop(columns="commit"))
+
+
+def test_an_interrupted_evaluation_continues_to_the_same_table(tmp_path, monkeypatch):
+    """Interrupted at the third, sixth and ninth new episode, and as each of the five files is to be put in place."""
+    whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
+    folder, stored = tmp_path / "interrupted", []
+
+    def interrupted_at(number, point):
+        calls = 0
+
+        def counted(function):
+            def call(*arguments, **named):
+                nonlocal calls
+                calls += 1
+                if calls == number:
+                    raise KeyboardInterrupt
+                return function(*arguments, **named)
+
+            return call
+
+        with monkeypatch.context() as patch:
+            module, name = point
+            patch.setattr(module, name, counted(getattr(module, name)))
+            with pytest.raises(KeyboardInterrupt):
+                run_plan(make_plan(4, 3), folder, batch=2, progress=False)
+
+    import os
+
+    from agents.evaluation import plan as module
+
+    for _ in range(3):
+        interrupted_at(4, (module, "_line"))
+        stored.append(len(episodes_of(folder).read()))
+    assert stored == [3, 6, 9]  # nothing is lost, nothing done twice
+    for number in range(2, 6):
+        interrupted_at(number, (os, "replace"))
+    same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
+
+
+def play_here(folder):
+    run_plan(make_plan(4, 3), folder, batch=2, progress=False)
+
+
+@pytest.mark.slow
+def test_an_evaluation_that_is_killed_continues_to_the_same_table(tmp_path):
+    """By SIGKILL, whenever three more episodes are in the journal, then before each of the five files is in place."""
+    whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
+    folder, stored = tmp_path / "killed", []
+    while killed_at("agents.evaluation.plan._line", 4, play_here, folder):
+        stored.append(len(episodes_of(folder).read()))
+    assert stored == list(range(3, 24, 3))
+    for number in range(1, 6):
+        assert killed_at("os.replace", number, play_here, folder)
+    same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
+
+
+def test_a_line_that_was_cut_off_is_kept_aside_and_played_again(stored, monkeypatch):
+    journal, table = stored / "episodes.jsonl", pd.read_parquet(stored / "episodes.parquet")
+    content = journal.read_bytes()
+    last = content.splitlines(keepends=True)[-1]
+    journal.write_bytes(content[:-40])
+    same(run_plan(make_plan(), stored, progress=False), table)
+    assert journal.read_bytes() == content
+    assert (stored / "episodes.jsonl.cut-off").read_bytes() == last[:-40] + b"\n"
+    journal.write_bytes(content[:-1])  # a whole line without its end counts
+    monkeypatch.setattr("agents.evaluation.plan.Episodes", None)  # playing anything would fail
+    same(run_plan(make_plan(), stored, progress=False), table)
+    assert journal.read_bytes() == content[:-1]
+
+
+def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monkeypatch):
+    monkeypatch.setattr("agents.evaluation.plan.Episodes", None)
+    assert len(run_plan(make_plan(), stored, progress=False)) == 12  # nothing is done again
+    before = {path: path.read_bytes() for path in stored.iterdir()}
+    for plan, name in (
+        (make_plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), "time_limit"),
+        (make_plan(probes="random"), "probes"),
+    ):
+        with pytest.raises(ValueError, match=rf"evaluation holds episodes of another setting \({name} differ\)"):
+            run_plan(plan, stored, progress=False)
+    for name, value in (("commit", "0123456789ab+changes"), ("version", "9.9")):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"agents.evaluation.plan.{name}", lambda *_, value=value: value)
+            with pytest.raises(ValueError, match=rf"another setting \({name} differ; {name} .*, now {value[:3]}"):
+                run_plan(make_plan(), stored, progress=False)
+    assert {path: path.read_bytes() for path in stored.iterdir()} == before
+    (stored / "setting.json").unlink()
+    with pytest.raises(ValueError, match=r"setting\.json: missing beside episodes\.jsonl"):
+        run_plan(make_plan(), stored, progress=False)
+
+
+def test_what_is_observed_and_fields_newer_than_the_results_make_no_other_setting(stored):
+    table = pd.read_parquet(stored / "episodes.parquet")
+    setting = json.loads((stored / "setting.json").read_text())
+    del setting["probes"], setting["task"]["observe_probe"]
+    (stored / "setting.json").write_text(json.dumps(setting))
+    same(run_plan(make_plan(config=CONFIG.all_shown), stored, progress=False), table)
+    again = run_plan(make_plan(config=CONFIG.all_shown), None, progress=False)
+    same(again.drop(columns="commit"), table.drop(columns="commit"))
+
+
+def test_random_probes_are_the_same_for_all_policies(evaluated, tmp_path):
+    table = run_plan(make_plan(probes="random"), tmp_path, progress=False)
+    first, second = (table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1"))
+    assert (first[list(RANGES)] == second[list(RANGES)]).all(axis=None)
+    assert first["line_density"].nunique() == 6  # a probe for each context and seed
+    assert (table["radial_rms_m"] != pd.read_parquet(evaluated / "episodes.parquet")["radial_rms_m"]).all()
+
+
+def test_a_changed_policy_is_played_again_under_its_name(stored):
+    before = pd.read_parquet(stored / "episodes.parquet")
+    changed = make_plan()
+    changed.policies["feed 0"] = Constant(CONFIG, feed_speed=0.35)
+    after = run_plan(changed, stored, progress=False)
+    first = [frame[frame["policy"] == "feed 0"]["reward"].to_numpy() for frame in (before, after)]
+    assert (first[0] != first[1]).all()
+    same(*(frame[frame["policy"] == "feed 1"] for frame in (before, after)))
+
+
+def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
+    arguments = {"limit": 1, "fidelity": "fast", "seeds": 1}
+    table = evaluate(["slow-down", "constant"], **arguments)
+    assert table["policy"].tolist() == ["slow-down", "constant"]
+    assert table["complete"].tolist() == [1.0, 1.0]
+    output = tmp_path / "out"
+    stored = evaluate(["slow-down", "constant"], output, against="constant", **arguments)
+    same(stored.drop(columns="commit"), table.drop(columns="commit"))
+    assert json.loads((output / "report.json").read_text()) == {"against": "constant", "own": []}
+
+
+def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
+    def run(specs, contexts, limit, seeds, against=None):
+        evaluate_plan(plan_of(specs, place_of(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
+
+    for arguments, message in (
+        ((["constant"], "validation", 99, 1), "limit = 99"),
+        ((["constant"], "validation", 0, 0), "seeds = 0"),
+        (([], "validation", 0, 1), "at least one is needed"),
+        ((["pi", "pi"], "validation", 0, 1), "no name twice"),
+        ((["fastest"], "validation", 0, 1), "policy = 'fastest'"),
+        ((["pi"], "validation", 1, 1, "slow"), "against = 'slow' is not one of the policies: pi"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(*arguments)
+    assert not (tmp_path / "out").exists()

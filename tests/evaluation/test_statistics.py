@@ -1,0 +1,200 @@
+"""Intervals that cover the truth, pairing over tubes, summaries, and detection depths over tubes."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from oracles.scatter import hits_within
+from scipy.stats import binom, trim_mean
+
+from agents.evaluation import figures
+from agents.evaluation.kpis import CORE, HIGH, KPIS
+from agents.evaluation.signal import draw_curves
+from agents.evaluation.statistics import (
+    Interval,
+    bands,
+    depths_of,
+    endings,
+    grouped,
+    has_curves,
+    interquartile_means,
+    mean_interval,
+    paired_difference,
+    sentences,
+    share_of_lead,
+    strained,
+    summarise,
+)
+from probe_env import Context
+from probe_env.envs.task import ENDINGS
+from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.tally import POD_NAMES
+
+
+@pytest.mark.processor
+def test_intervals_cover_the_truth_as_often_as_they_say(seeds):
+    """Means of 30 normal values: 95 % intervals held the true mean in 94.1 +- 0.5 % of 2000 draws.
+
+    Of 200, between 171 and 199 may, and a coverage of 85 % is noticed half of the time.
+    """
+    rng, hits = np.random.default_rng(seeds(1)), 0
+    for _ in range(200):
+        interval = mean_interval(rng.normal(3.0, 2.0, size=30))
+        assert interval.low < interval.mean < interval.high
+        hits += interval.low <= 3.0 <= interval.high
+    least, most = hits_within(200, 0.931, 0.951)
+    assert least <= hits <= most
+
+
+def test_means_of_special_cases():
+    assert mean_interval(np.array([2.0])) == Interval(2.0, 2.0, 2.0)
+    assert mean_interval(np.full(5, 1.5)) == Interval(1.5, 1.5, 1.5)
+    with pytest.raises(ValueError, match="must be finite"):
+        mean_interval(np.array([1.0, np.nan]))
+    values = np.arange(20.0) ** 2
+    assert interquartile_means(values) == trim_mean(values, 0.25)
+    assert set(CORE) | set(HIGH) <= set(KPIS)
+
+
+def synthetic(difference, contexts=40, noise=1.0):
+    """Two policies whose contexts differ by much more than the policies do."""
+    rng, rows = np.random.default_rng(1), []
+    base = rng.normal(300.0, 100.0, size=contexts)
+    for policy, shift in (("A", -difference), ("B", 0.0)):
+        for context in range(contexts):
+            time_ = base[context] + shift + rng.normal(0.0, noise)
+            row = dict.fromkeys((*CORE, "complete"), 1.0) | {"lost_drive": 0.0, "diverged": 0.0}
+            rows.append(row | {"policy": policy, "context": context, "seed": 0, "inspection_time_s": time_})
+    return pd.DataFrame(rows)
+
+
+def test_pairing_sees_what_the_scatter_between_contexts_hides():
+    table = synthetic(41.0)
+    difference = paired_difference(table, "A", "B", "inspection_time_s")
+    assert difference.mean == pytest.approx(-41.0, abs=1.0)
+    assert difference.high - difference.low < 2.0
+    with pytest.raises(ValueError, match="nothing to pair"):
+        paired_difference(table[~((table["policy"] == "A") & (table["context"] == 3))], "A", "B", "reward")
+
+
+def test_sentences_give_difference_and_interval():
+    (line,) = sentences(synthetic(41.0), "B")
+    assert line.startswith("A takes 41")
+    assert "s less [" in line
+    (alone,) = sentences(synthetic(41.0, contexts=1), "B")  # one tube has no interval
+    assert re.search(r"A takes 4\d(\.\d)? s less than B", alone)
+    (none,) = sentences(synthetic(0.0), "B")
+    assert "no clearly different amount" in none
+
+
+def test_the_share_of_the_planners_lead():
+    rewards = {"planner": [10.0, 14.0], "best-schedule": [2.0, 4.0], "mine": [6.0, 9.0]}
+    rows = [
+        dict.fromkeys((*CORE, "complete"), 1.0) | {"policy": name, "context": k, "seed": 0, "reward": value}
+        for name, values in rewards.items() for k, value in enumerate(values)
+    ]  # fmt: skip
+    table = pd.DataFrame(rows)
+    assert share_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
+    assert any("It has 50 [" in line for line in sentences(table, "best-schedule"))
+    with pytest.raises(ValueError, match="same contexts"):
+        share_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
+
+
+def test_summary_endings_and_training_seeds():
+    table = synthetic(41.0)
+    table.loc[0, ["complete", "lost_drive"]] = 0.0, 1.0
+    rows = summarise(table).set_index(["policy", "kpi"])
+    assert rows.loc[("A", "inspection_time_s"), "worst"] == table[table["policy"] == "A"]["inspection_time_s"].max()
+    assert rows.loc[("A", "reward"), "worst"] == table[table["policy"] == "A"]["reward"].min()
+    assert endings(table).loc["A"].tolist() == [39, 1, 0, 40]
+    table = grouped(pd.DataFrame({"policy": ["ppo@2", "a@b", "ppo"]}))
+    assert table.to_dict("list") == {"policy": ["ppo", "a@b", "ppo"], "agent": [2, 0, 0]}
+
+
+def test_a_strained_cable_is_named():
+    rows = [("a", 0.0, 0.0), ("a", 2.0, 0.0), ("b", 0.0, 0.0), ("c", 1.0, 40.0)]
+    table = pd.DataFrame(rows, columns=["policy", "cost_tension", "cost_buckling"])
+    assert strained(table) == [
+        "a: the root over the tension limit in 1 of 2 episodes, for 2 control periods at most",
+        "c: the root over the tension limit in 1 of 1 episodes, for 1 control period at most",
+        "c: the root pressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
+    ]
+    assert strained(table[["policy"]]) == []
+
+
+# ---- detection depths ----
+
+
+def found(**snr):
+    """Episodes of policies by the signal-to-noise of the 20 % groove in each of their tubes."""
+    rows = []
+    for policy, values in snr.items():
+        for context, groove in enumerate(values):
+            curve = pod_gaussian(snr_at(Sensor(), np.array([groove])), 4.6)[0]
+            rows.append({"policy": policy, "context": context, "seed": 0} | dict(zip(POD_NAMES, curve, strict=True)))
+    return pd.DataFrame(rows)
+
+
+def test_equal_tubes_leave_nothing_to_chance():
+    depths = depths_of(found(one=[7.5] * 6)).iloc[0]
+    assert depths["a90_95_percent_wall"] == pytest.approx(depths["a90_percent_wall"], rel=1e-12)
+    assert depths["a90_percent_wall"] == pytest.approx(20.0 * (4.6 + 1.2816) / 7.5, rel=2e-3)
+    assert depths["a50_percent_wall"] == pytest.approx(20.0 * 4.6 / 7.5, rel=2e-3)
+
+
+def test_the_bound_narrows_with_tubes():
+    """Resampled: the bound of 4 n tubes is half as far away, as of any mean; to a quarter of it."""
+    some = np.random.default_rng(0).uniform(4.0, 9.0, 12)
+    few, many = (depths_of(found(p=np.tile(some, n))).iloc[0] for n in (1, 4))
+    assert few["a90_percent_wall"] == pytest.approx(many["a90_percent_wall"], rel=1e-12)
+    away = [row["a90_95_percent_wall"] - row["a90_percent_wall"] for row in (few, many)]
+    assert away[0] > away[1] > 0.0
+    assert away[1] / away[0] == pytest.approx(0.5, abs=0.125)
+
+
+def test_the_bound_is_the_95th_percentile_in_closed_form():
+    """12 tubes of either of two kinds: the number of good ones among 24 resampled is binomial.
+
+    Fewer than 8 good ones are drawn with a chance of 3.2 %, at most 8 with 7.6 %: of 2,000 draws the 5 % in between are
+    4.4 deviations from both, a chance of 1e-5. Bounds of 90 and 97.5 % would be those of 9 and 7 good ones.
+    """
+    tubes, kinds = 24, np.array([9.0, 5.0])
+    bound = depths_of(found(p=np.repeat(kinds, tubes // 2))).iloc[0]["a90_95_percent_wall"]
+    good, bad = pod_gaussian(snr_at(Sensor(), kinds), 4.6)
+
+    def depth(count):
+        return 100.0 * depth_found((count * good + (tubes - count) * bad) / tubes, 0.9)
+
+    assert binom.ppf([0.025, 0.05, 0.1], tubes, 0.5).tolist() == [7.0, 8.0, 9.0]
+    assert bound == pytest.approx(depth(8), rel=1e-9)
+    assert depth(7) > 1.005 * bound > 1.01 * depth(9)
+
+
+def test_the_mean_curve_counts_and_not_the_mean_depth():
+    """One tube in five where nothing is found: no depth is found with 90 % over all of them."""
+    table = found(p=[8.0, 8.0, 8.0, 8.0, 1e-3])
+    assert depths_of(table).iloc[0]["a90_percent_wall"] == 100.0
+    curve = 0.8 * pod_gaussian(snr_at(Sensor(), np.array([8.0])), 4.6)[0]
+    assert depths_of(table).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
+
+
+def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):
+    """Tables of older versions have no curves, which is refused."""
+    drawn = bands(found(good=[7.0, 8.0, 9.0], bad=[2.0, 3.0, 4.0]))
+    assert (drawn["low"] <= drawn["pod"] + 1e-12).all()
+    assert (drawn["pod"] <= drawn["high"] + 1e-12).all()
+    assert len(drawn) == 2 * len(DEPTHS)
+    assert figures.curves(drawn, tmp_path / "pod.png").stat().st_size > 5000
+    whole = found(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *Context.model_fields, *ENDINGS), 1.0))
+    whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
+    assert has_curves(whole)
+    assert not has_curves(whole.drop(columns=POD_NAMES[0]))
+    with pytest.raises(ValueError, match="its episodes have no curves of detection: run the evaluation again"):
+        draw_curves(tmp_path, tmp_path / "out")
+    whole.to_parquet(tmp_path / "episodes.parquet", index=False)
+    draw_curves(tmp_path, tmp_path / "out")
+    assert "over 3 tubes" in capsys.readouterr().out
+    assert len(pd.read_csv(tmp_path / "out" / "pod.csv")) == len(DEPTHS)
+    assert (tmp_path / "out" / "pod.png").exists()
