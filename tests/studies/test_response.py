@@ -20,13 +20,15 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four insertions a group, into tubes of 9 and 8 m, at fast; three epochs."""
     monkeypatch.setattr(insertions, "SIZE", SIZE)
     monkeypatch.setattr(insertions, "LENGTHS", (9.0, 8.0))
-    monkeypatch.setattr(insertions, "FIDELITY", "fast")
+    for module in (insertions, response):
+        monkeypatch.setattr(module, "FIDELITY", "fast")
     monkeypatch.setattr(response, "LEAST_METRES", 1)
     monkeypatch.setattr(response, "LAGS", 2)
     monkeypatch.setattr(response, "EPOCHS", 3)
     monkeypatch.setattr(response, "BATCH", 8)
 
 
+@pytest.mark.slow
 def test_groups_are_simulated_once_and_the_response_is_of_all(
     small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from agents.rollouts.plan import per_metre
 
 from agents.evaluation.plan import per_metre
 from agents.policies.maps.lookup import expected_costs

@@ -4,8 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from agents.policies.plc.law import Constants, PlantData, PlcLaw
-from agents.policies.plc.trimmed import LOWERED, MOST_TRIM, NOISE_AVERAGE, RAISED, Trim, TrimmedLaw, read_trim
 
 from agents.cli import main
 from agents.policies.catalogue import make_policy
