@@ -74,7 +74,8 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
                 rows.append(row | changes)
     table = pd.DataFrame(rows)
     around = [column for column in columns if not column.startswith("policy")]
-    for metric, part in table.groupby("metric"):
+    for metric in study.compare.metrics:
+        part = table[table["metric"] == metric]
         good = part["mean"] if metric in HIGH else -part["mean"]
         same = [part[column].astype(str) for column in (*around, "baseline")]
         table.loc[part.index, "rank"] = good.groupby(same).rank(ascending=False, method="min")
@@ -132,7 +133,7 @@ def _groups(settings: Sequence[Setting], episodes: pd.DataFrame) -> dict[Key, pd
     """Episodes of every row of the study."""
     columns = key_columns(settings)
     parts = episodes.groupby(columns, sort=False, dropna=False)
-    return {tuple(None if value != value else value for value in key): part for key, part in parts}  # type: ignore[misc]
+    return {tuple(None if value != value else value for value in key): part for key, part in parts}
 
 
 def _replaced(columns: Sequence[str], key: Key, values: Changes, known: Any) -> Key:
@@ -174,7 +175,7 @@ def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.Dat
     (_across if study.figure else _forest)(study, shown, columns, output / "comparison.png")
     for baseline, part in shown.groupby("baseline", sort=False):
         by_row = part.groupby([*columns, *key_columns(settings)], sort=False, dropna=False)
-        cells = [[*map(_text, key[: len(columns)]), *map(_cell, rows.to_dict("records"))] for key, rows in by_row]  # type: ignore[index]
+        cells = [[*map(_text, key[: len(columns)]), *map(_cell, rows.to_dict("records"))] for key, rows in by_row]
         print_table(
             f"{study.question} Differences to {baseline}, 95 % intervals",
             (*columns, *(_label(metric) for metric in study.compare.metrics)), cells, left=len(columns),
@@ -254,22 +255,23 @@ def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     first = table[table["baseline"] == table["baseline"].iloc[0]]
     lines = [name for name in shown if not name.startswith("policy.")]
-    by_line = first.groupby(lines, sort=False, dropna=False)
-    for colour, (name, rows) in zip(colours(), by_line, strict=False):
-        _line(axis, *(rows[rows["metric"] == metric] for metric in study.figure), colour, ", ".join(map(_text, name)))
-    for metric, label in zip(study.figure, (axis.set_xlabel, axis.set_ylabel), strict=True):
-        label(_label(metric))
+    x, y = study.figure
+    for colour, (name, rows) in zip(colours(), first.groupby(lines, sort=False, dropna=False), strict=False):
+        parts = (rows[rows["metric"] == metric] for metric in (x, y))
+        _line(axis, (next(parts), next(parts)), colour, ", ".join(map(_text, name)))
+    axis.set_xlabel(_label(x))
+    axis.set_ylabel(_label(y))
     axis.grid(**GRID)
     axis.legend(frameon=False)
     save(figure, path)
 
 
-def _line(axis: Axes, x: pd.DataFrame, y: pd.DataFrame, colour: Any, label: str) -> None:
-    order = np.argsort(x["mean"].to_numpy())
+def _line(axis: Axes, parts: tuple[pd.DataFrame, pd.DataFrame], colour: Any, label: str) -> None:
+    order = np.argsort(parts[0]["mean"].to_numpy())
     across, along = (
         {name: (KPIS | OVER_TUBES).get(str(part["metric"].iloc[0]), ("", 1.0, ""))[1] * part[name].to_numpy()[order]
          for name in ("mean", "low", "high")}
-        for part in (x, y)
+        for part in parts
     )  # fmt: skip
     errors = [np.nan_to_num([part["mean"] - part["low"], part["high"] - part["mean"]]) for part in (across, along)]
     axis.errorbar(

@@ -170,7 +170,7 @@ def _policies(
     return policies, members
 
 
-def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Policy:
+def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
     """A policy with other parameters.
 
     Raises:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from agents.rollouts.plan import Plan, run_plan
 from kills import all_gone, hook_replace, hook_sync, kill, killed
 
 from agents.design import compare as design_compare
 from agents.design.compare import Comparison, compare
 from agents.design.search import Kept, search, trials_table
+from agents.evaluation.plan import Plan, run_plan
 from agents.learning.config import Training
 from agents.learning.train import BEST, CHECKPOINT, CURVE, train_all
 from agents.policies.fixed import Constant

@@ -107,9 +107,12 @@ def test_it_resumes(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert main(["study", str(folder / "short.toml"), "--output", str(folder / "out")]) == 0
     assert played == []
     assert (folder / "out" / "comparison.csv").read_bytes() == before
-    (folder / "more.toml").write_text(SHORT.replace("[0.5, 0.05]", "[0.5, 0.1, 0.05]"))
+    more = SHORT.replace("[0.5, 0.05]", "[0.5, 0.1, 0.05]")
+    (folder / "more.toml").write_text(more.replace("limit = 2", 'figure = ["reward", "a90_95_percent_wall"]'))
+    drawn = (folder / "out" / "comparison.png").read_bytes()
     assert main(["study", str(folder / "more.toml"), "--output", str(folder / "out"), "--limit", "1"]) == 0
     assert played == [3]
+    assert (folder / "out" / "comparison.png").read_bytes() != drawn
     assert "ramp" in capsys.readouterr().out
 
 
@@ -224,16 +227,17 @@ def test_the_share_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
     settings = expand(study)
     worth = {"planner": 10.0, "best-schedule": 2.0, "pi": 4.0}
     table = episodes_of(settings, lambda row, tube: worth[row["policy"]] * (1.0 + row["task.ramp"]) + tube)
-    rows = compare(study, settings, table).set_index(["policy", "task.ramp"])
+    compared = compare(study, settings, table)
+    rows = {(row["policy"], row["task.ramp"]): row for row in compared.to_dict("records")}
     for policy, share, rank in (("planner", 1.0, 1), ("best-schedule", 0.0, 3), ("pi", 0.25, 2)):
         for ramp in (0.5, 0.1):
-            row = rows.loc[policy, ramp]
+            row = rows[policy, ramp]
             assert row["share_of_lead"] == pytest.approx(share)
             assert row["rank"] == rank
             assert row["difference"] == pytest.approx((worth[policy] - 2.0) * (1.0 + ramp))
     labelled = table[table["task.ramp"] == 0.1]
     expected = paired_difference(labelled, "pi", "best-schedule", "reward")
-    assert rows.loc["pi", 0.1]["difference_low"] == pytest.approx(expected.low)
+    assert rows["pi", 0.1]["difference_low"] == pytest.approx(expected.low)
     text = text.replace('metrics = ["reward"]', 'metrics = ["reward", "back_reward"]')
     study = study_of(text, tmp_path / "missing.toml")
     with pytest.raises(ValueError, match="back_reward is not measured in this task"):

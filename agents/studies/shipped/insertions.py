@@ -132,7 +132,10 @@ def insert(
             rows[k].append((time[k], length[k], fed, window.air_supply_rate[k], *(column[k] for column in felt)))
         length, time = np.where(active, after, length), time + config.period * active
     tables = (np.array(listed, dtype=float).reshape(-1, 4 + len(RECORDED)) for listed in rows)
-    return [Log(*t.T[:4], MappingProxyType(dict(zip(RECORDED, t.T[4:], strict=True)))) for t in tables]
+    return [
+        Log(t[:, 0], t[:, 1], t[:, 2], t[:, 3], MappingProxyType(dict(zip(RECORDED, t[:, 4:].T, strict=True))))
+        for t in tables
+    ]
 
 
 def simulated(group: int) -> dict[str, FloatArray]:
