@@ -9,7 +9,6 @@ from typing import Any, Final
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES
 from agents.evaluation.statistics import (
@@ -55,15 +54,14 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
     missing = [metric for metric in study.compare.metrics if metric not in (*episodes.columns, *OVER_TUBES)]
     if missing:
         raise ValueError(f"compare.metrics: {', '.join(missing)} is not measured in this task")
-    upper = study.compare.upper
-    rows = []
+    upper, chosen, rows = study.compare.upper, baselines(study, settings), []
     for key, part in groups.items():
         name = names[key]
         for metric in study.compare.metrics:
             mean = _mean(labelled, name, metric)
             row = dict(zip(columns, key, strict=True)) | {"tubes": part["context"].nunique(), "metric": metric}
             row |= {"mean": mean.mean, "low": mean.low, "high": mean.high, "rank": None}
-            for baseline in baselines(study, settings):
+            for baseline in chosen:
                 other = names[_replaced(columns, key, baseline, groups)]
                 change = _difference(labelled, name, other, metric)
                 changes = {"baseline": _said(study, baseline), "difference": change.mean}
@@ -94,7 +92,8 @@ def baselines(study: Study, settings: Sequence[Setting]) -> list[Changes]:
         varied = {name: first.values[name] for name in study.varied}
         chosen = [varied or next(iter(first.members.values()))]
     columns = key_columns(settings)
-    keys = [key for setting in settings for key in _keys(columns, setting)]
+    members = (member | setting.values for setting in settings for member in setting.members.values())
+    keys = dict.fromkeys(tuple(_method(name, member.get(name)) for name in columns) for member in members)
     for baseline in (*chosen, *([study.compare.upper] if study.compare.upper else ())):
         for column, value in baseline.items():
             if column not in columns:
@@ -117,11 +116,6 @@ def key_columns(settings: Sequence[Setting]) -> list[str]:
     """Columns that tell rows apart: policy, its parameters, fidelity, varied fields."""
     members = [columns for setting in settings for columns in setting.members.values()]
     return list(dict.fromkeys(name for columns in (*members, settings[0].values) for name in columns))
-
-
-def _keys(columns: Sequence[str], setting: Setting) -> list[Key]:
-    members = (columns_ | setting.values for columns_ in setting.members.values())
-    return list(dict.fromkeys(tuple(_method(name, member.get(name)) for name in columns) for member in members))
 
 
 def _method(column: str, value: Any) -> Any:
@@ -208,14 +202,19 @@ def _text(value: Any) -> str:
     return "" if value is None or value != value else f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _shown(metric: str) -> tuple[str, float, str]:
+    """Name, factor and unit for people."""
+    return (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
+
+
 def _label(metric: str) -> str:
-    name, _, unit = (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
+    name, _, unit = _shown(metric)
     return f"{name} [{unit}]" if unit else name
 
 
 def _cell(row: Mapping[Any, Any]) -> str:
     """Mean, difference and its interval, in the units for people."""
-    factor = (KPIS | OVER_TUBES).get(str(row["metric"]), ("", 1.0, ""))[1]
+    factor = _shown(row["metric"])[1]
     mean = short(factor * row["mean"])
     if row["difference"] == row["difference_low"] == row["difference_high"] == 0.0:
         return mean
@@ -255,32 +254,17 @@ def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     first = table[table["baseline"] == table["baseline"].iloc[0]]
     lines = [name for name in shown if not name.startswith("policy.")]
-    x, y = study.figure
     for colour, (name, rows) in zip(colours(), first.groupby(lines, sort=False, dropna=False), strict=False):
-        parts = (rows[rows["metric"] == metric] for metric in (x, y))
-        _line(axis, (next(parts), next(parts)), colour, ", ".join(map(_text, name)))
-    axis.set_xlabel(_label(x))
-    axis.set_ylabel(_label(y))
+        points = [
+            _shown(metric)[1] * rows.loc[rows["metric"] == metric, ["mean", "low", "high"]].to_numpy(float)
+            for metric in study.figure
+        ]
+        x, y = (values[points[0][:, 0].argsort()].T for values in points)
+        errors = (np.nan_to_num([mean - low, high - mean]) for mean, low, high in (x, y))
+        label = plain(", ".join(map(_text, name)))
+        axis.errorbar(x[0], y[0], xerr=next(errors), yerr=next(errors), fmt="o-", capsize=3, color=colour, label=label)
+    axis.set_xlabel(_label(study.figure[0]))
+    axis.set_ylabel(_label(study.figure[1]))
     axis.grid(**GRID)
     axis.legend(frameon=False)
     save(figure, path)
-
-
-def _line(axis: Axes, parts: tuple[pd.DataFrame, pd.DataFrame], colour: Any, label: str) -> None:
-    order = np.argsort(parts[0]["mean"].to_numpy())
-    across, along = (
-        {name: (KPIS | OVER_TUBES).get(str(part["metric"].iloc[0]), ("", 1.0, ""))[1] * part[name].to_numpy()[order]
-         for name in ("mean", "low", "high")}
-        for part in parts
-    )  # fmt: skip
-    errors = [np.nan_to_num([part["mean"] - part["low"], part["high"] - part["mean"]]) for part in (across, along)]
-    axis.errorbar(
-        across["mean"],
-        along["mean"],
-        xerr=errors[0],
-        yerr=errors[1],
-        fmt="o-",
-        capsize=3,
-        color=colour,
-        label=plain(label),
-    )
