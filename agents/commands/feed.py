@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,9 +17,9 @@ class Evaluate:
 
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
     """Policies and trained agents by name (probe-env agents lists them; ppo@2 is another training seed), schedule files
-    (.csv, .toml), feedback laws (.json) or agents' bundles (.safetensors). NAME=FILE names one, NAME@K=FILE the
-    training seeds of one method. shielded:POLICY supplies more air where there would be too little drive. Alone,
-    the folder of a stored evaluation, also an interrupted one: its report is written again."""
+    (.csv, .toml), feedback laws (.json) or agents' bundles (.npz). NAME=FILE names one, NAME@K=FILE the training seeds
+    of one method. shielded:POLICY blows more where its feed and air would leave too little drive. Alone, the folder
+    of a stored evaluation, also an interrupted one: its report is written again, with --against of another policy."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the study's probe; random: one for every tube and seed, drawn from the design space."""
     against: str | None = None
@@ -35,8 +33,8 @@ class Evaluate:
     seeds: int = 1
     """Seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE;
-    with --passes both study, standard or fast, which has time-lapse on the way in alone. Or settings in
+    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
+    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone. Or settings in
     braces, as errors advise them."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     tube: Path | None = None
@@ -95,116 +93,6 @@ class Agents:
 
 
 @dataclass(frozen=True)
-class Tradeoff:
-    """Sweep one parameter of every policy family: the front of inspection time against vibration."""
-
-    families: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow-down", "on-off", "pi", "tension-scheduled")
-    """Families to sweep."""
-    output: Path = Path("output/tradeoff")
-    """Folder of the tables and the figure; what is there already is not run again."""
-    contexts: Literal["train", "validation", "test"] = "test"
-    """Shipped list of tubes."""
-    beside: tuple[str, ...] = ()
-    """Single policies to draw beside the fronts: schedules, agents."""
-    limit: int = 12
-    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
-    fidelity: str = "fast"
-    """How closely to simulate: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE."""
-    tube: Path | None = None
-    """Your own plant (tube.toml), see `probe-env evaluate --help`."""
-
-    def run(self) -> None:
-        """Run what is missing, store, print."""
-        from agents.evaluation.tradeoff import run_tradeoff
-        from agents.policies.places import place_at
-
-        place = place_at(self.tube, self.contexts, self.limit)
-        run_tradeoff(self.families, self.output, place, self.fidelity, self.beside)
-
-
-@dataclass(frozen=True)
-class Map:
-    """Wander on the training tubes and fit how loud the probe is over length, feed, air and tube."""
-
-    seeds: int = 2
-    """Insertions on each of the 96 training tubes."""
-    output: Path = Path("output/map")
-    """Folder of the insertions; what is there already is not run again."""
-    target: Path | None = None
-    """File of the map (.npz), how it was made beside it (.json); default: vibration-map.npz in the output folder, with
-    --tube NAME.toml NAME-map.npz beside that file, where every command with that tube finds it, unless the file is one
-    that ships."""
-    tube: Path | None = None
-    """Your own plant (tube.toml): 96 tubes drawn from what is known of it instead of the training list."""
-
-    def run(self) -> None:
-        """Run what is missing, fit, store."""
-        import_module("torch")  # for the fit, which comes after half an hour of simulation
-
-        from agents.policies.maps.fit import make_map
-        from agents.policies.places import plant_at
-
-        target = self.target or self._default_target()
-        if target.suffix != ".npz":
-            raise ValueError(f"target = {str(target)!r} is not a file of arrays (.npz)")
-        make_map(self.seeds, self.output, target, plant_at(self.tube))
-        print(f"written: {target}")
-
-    def _default_target(self) -> Path:
-        """Beside the tube's file, or in the output folder where there is none, or one that ships: its map stays."""
-        from agents.records.shipped import file_or_shipped, ships
-        from probe_env.envs.plants import map_beside
-
-        target = self.output / "vibration-map.npz"
-        if self.tube is None:
-            return target
-        if not ships("tubes", file_or_shipped("tubes", self.tube)):
-            return map_beside(self.tube)
-        print(f"probe-env: note: {self.tube} ships, and its map stays: the new one is {target}", file=sys.stderr)
-        return target
-
-
-@dataclass(frozen=True)
-class Optimise:
-    """Find the best constant feed or the best schedule over length for the training tubes, by CMA-ES on the map."""
-
-    families: tyro.conf.Positional[tuple[str, ...]] = ()
-    """What to search: best-constant, best-schedule, best-schedule-dDIAMETER; none: all."""
-    trials: int = 1200
-    """Schedules tried in each search."""
-    output: Path | None = None
-    """Folder of the schedules, their trials and how they were made; default: output/optimise, with --tube NAME.toml
-    output/optimise-NAME."""
-    work: Path | None = None
-    """Folder of the simulated episodes; what is there already is not run again. Default: simulated in the output
-    folder."""
-    vibration_map: Path | None = None
-    """File of the map (.npz), see `probe-env map`; default: the one beside the tube's file, or the shipped one."""
-    tube: Path | None = None
-    """Your own plant (tube.toml): searched for and simulated in its tubes."""
-
-    def run(self) -> None:
-        """Search, simulate on the validation tubes, store, print."""
-        from agents.policies.maps.search import FAMILIES, OF_A_PLANT, run_search
-        from agents.policies.places import map_of, plant_at
-        from probe_env.envs.surrogate.vibration_map import VibrationMap, stored_map
-
-        for family in self.families:
-            if family not in FAMILIES:
-                raise ValueError(f"family = {family!r} is not one of {', '.join(FAMILIES)}")
-        plant = plant_at(self.tube)
-        vibration = VibrationMap.load(self.vibration_map) if self.vibration_map else map_of(self.tube, plant)
-        output = self.output or Path(f"output/optimise-{self.tube.stem}" if self.tube else "output/optimise")
-        if self.tube and vibration is stored_map():
-            print(f"no map of {self.tube} is there: searched on the shipped one, of table 2's bore and air")
-        searched = self.families or tuple(FAMILIES if plant is None else OF_A_PLANT)
-        for family in searched:
-            run_search(family, self.trials, output, self.work or output / "simulated", vibration, plant)
-        files = ", ".join(f"{family}.csv" for family in searched)
-        print(f"written: {output}/ ({files}: schedules to evaluate; of each the trials and how it was made)")
-
-
-@dataclass(frozen=True)
 class Render:
     """Film a probe under a policy: an episode, or the motion near its tip in slow motion."""
 
@@ -213,10 +101,14 @@ class Render:
     view: Literal["helix", "strip"] = "helix"
     """helix: a whole episode, the helix with the probe in it, feed, air, vibration, reward; strip: the tube unrolled
     near the tip, 8 times slowed, with walls, floats, contacts and the sensor's motion."""
-    env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
-        "probe_env/Insertion-v1"
-    )
-    """Which environment."""
+    env_id: Literal[
+        "probe_env/Insertion-v1",
+        "probe_env/Snapshot-v1",
+        "probe_env/Inspection-v0",
+        "probe_env/Insertion-v0",
+        "probe_env/Snapshot-v0",
+    ] = "probe_env/Insertion-v1"
+    """Which environment; version 0 has the coarser mesh of before."""
     policy: str = "constant"
     """Policy or trained agent by name, schedule file or agent's bundle."""
     fidelity: str = "standard"

@@ -78,51 +78,13 @@ PLANT: Final = {
 """What a plant of one's own needs, and more."""
 USERS: Final = FIRST | PLANT
 MAKERS: Final = {
-    "tradeoff": Entry(
-        "feed:Tradeoff", "time against vibration, over one parameter of each policy",
-        "probe-env tradeoff constant pi --beside ppo --limit 6",
+    "study": Entry(
+        "studies:Study",
+        "a study by name or TOML file; makes shipped data again",
+        "probe-env study robustness --limit 2",
     ),
-    "robustness": Entry(
-        "robustness:Robustness", "what policies lose in tasks that they were not made for",
-        "probe-env robustness best-schedule ppo --limit 6",
-    ),
-    "map": Entry("feed:Map", "how loud a probe is where, which policies look up", "probe-env map --seeds 1"),
-    "optimise": Entry(
-        "feed:Optimise", "the best schedules by that map", "probe-env optimise best-schedule --trials 200"
-    ),
-    "optimise-passes": Entry(
-        "plant:OptimisePasses", "the best feed and air in and back, by simulation",
-        "probe-env optimise-passes --tube mine.toml --trials 20 --limit 6",
-    ),
-    "response": Entry(
-        "plant:Learn", "what calibrations and recommendations go by", "probe-env response --groups 2"
-    ),
-    "calibrations": Entry(
-        "plant:Calibrations", "calibrations of logs whose truth is known", "probe-env calibrations --logs 8"
-    ),
-    "recommendations": Entry(
-        "plant:Recommendations", "recommendations for tubes whose truth is known", "probe-env recommendations --tubes 8"
-    ),
-    "plants": Entry("plant:Plants", "policies in other bores and lengths", "probe-env plants --limit 2"),
-    "anchors": Entry(
-        "inspection:Anchors", "which policy finds smaller flaws, whatever the sensor's scale",
-        "probe-env anchors constant best-schedule --limit 6",
-    ),
-    "false-calls": Entry(
-        "inspection:FalseCalls", "whether noise is called as seldom as was promised",
-        "probe-env false-calls best-schedule --limit 2",
-    ),
-    "headroom": Entry(
-        "control:Headroom", "what feedback can still win: planners beside policies",
-        "probe-env headroom tension-scheduled ppo --limit 6",
-    ),
-    "passes": Entry("plant:Passes", "where to look: on the way in, back, or both", "probe-env passes --limit 6"),
-    "turning": Entry("plant:Turning", "how gently the feed has to turn round", "probe-env turning --limit 6"),
-    "feed-changes": Entry(
-        "plant:FeedChanges", "what a change of the feed on the way back does", "probe-env feed-changes"
-    ),
-}  # fmt: skip
-"""What the results and the documents are made with."""
+}
+"""Studies."""
 LISTS: Final = {
     "agents": Entry("feed:Agents", "trained agents and other policies that have a name", "probe-env agents"),
 }

@@ -111,7 +111,7 @@ def recommend(
     if seen.config.returns:
         print(
             f"{output.stem} is for the way in, and drawn back as fast as the device can;"
-            " probe-env optimise-passes searches feed and air of both ways"
+            " probe-env study best-round-trip searches feed and air of both ways"
         )
     if confirmation:
         with warnings.catch_warnings():  # what cannot be compared is refused before the search; warnings come with it

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
-"""Schedules found by ``probe-env optimise``, in ``agents/policies/data/``."""
+"""Schedules found by ``probe-env study best-schedules``, in ``agents/policies/data/``."""
 LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-law": PlcLaw, "trimmed-law": TrimmedLaw}
 BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)

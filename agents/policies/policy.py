@@ -118,5 +118,6 @@ def check_domains(
         if deviations:
             text = f"{name} was not made for these tubes: {'; '.join(deviations)}"
             if strict:
-                raise ValueError(f"{text}. Make a map of them (probe-env map --tube), or leave out --strict")
+                hint = "Make a map of them (probe-env study vibration-map --tube), or leave out --strict"
+                raise ValueError(f"{text}. {hint}")
             warnings.warn(text, OutsideDomain, stacklevel=2)

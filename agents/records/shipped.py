@@ -10,7 +10,7 @@ import errno
 from pathlib import Path
 from typing import Final, Literal
 
-Kind = Literal["agents", "scenes", "schedules", "logs", "tubes", "design", "train"]
+Kind = Literal["agents", "scenes", "schedules", "logs", "tubes", "design", "train", "studies"]
 PACKAGE: Final = Path(__file__).parents[1]
 AGENT_FILE: Final = "agent.safetensors"
 DEFAULT_SEED: Final = 0
@@ -18,7 +18,7 @@ DEFAULT_SEED: Final = 0
 an agent alone is this one's."""
 _CALLED: Final[dict[Kind, str]] = {
     "agents": "agents", "scenes": "scenes", "schedules": "schedules", "logs": "logs", "tubes": "tubes",
-    "design": "designs", "train": "training files",
+    "design": "designs", "train": "training files", "studies": "studies",
 }  # fmt: skip
 
 

@@ -1,1 +1,1 @@
-"""Studies of the simulator and of policies, each stored as tables and figures in a folder."""
+"""Studies: policies, cases and varied fields in a TOML file; episodes, paired differences and a figure in a folder."""

@@ -13,8 +13,8 @@ from agents.app.forms.points import AIR, FEED, LENGTH, MISSING, csv_of, points_o
 from agents.app.forms.tubes import TubeForm, field_named
 from agents.cli import main
 from agents.policies.catalogue import DATA
-from agents.policies.maps.search import MapCost
 from agents.policies.places import place_at
+from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule

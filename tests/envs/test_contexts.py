@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ks_1samp, rankdata, uniform
 
-from agents.policies.maps.fit import HELD_OUT
+from agents.studies.shipped.vibration_map import HELD_OUT
 from probe_env import load_contexts, spread_contexts
 from probe_env.envs.contexts import HELIX_DIAMETERS, SPLIT_SIZES
 

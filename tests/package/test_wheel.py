@@ -182,15 +182,12 @@ def test_without_the_extra_one_line_names_it(run, tmp_path):
     for arguments, missing in (
         (["train", "ppo"], "torch"),
         (["design"], "moocore"),
-        (["optimise"], "cmaes"),
-        (["tradeoff"], "moocore"),
-        (["map"], "torch"),
+        (["study", "best-schedules"], "cmaes"),
+        (["study", "vibration-map"], "torch"),
         (["log", "example-rig"], "pint"),
         (["evaluate", "pi", "ppo"], "torch"),
         (["calibrate", "example-rig"], "emcee"),
-        (["response"], "torch"),
-        (["calibrations"], "emcee"),
-        (["recommendations"], "emcee"),
+        (["study", "response"], "torch"),
     ):
         output = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
         line = f'this command needs {missing}, which is not installed: pip install "probe-env[agents]"'

@@ -1,4 +1,1 @@
-"""How loud a probe is where: insertions enter, a fitted map leaves, and the best schedules that are found on it.
-
-Imports fixed policies, places and domains of ``policies``, rollouts and records; torch in ``fit`` alone.
-"""
+"""The vibration map: vibration over length, feed, air and tube, and the best schedules looked up in it."""

@@ -237,7 +237,7 @@ def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
     if config.vibration_measure in PROFILED and vibration.measure != config.vibration_measure:
         raise ValueError(
             f"vibration_measure = {config.vibration_measure!r}, but the map is of {vibration.measure}: make one of"
-            " these tubes with `probe-env map --tube`"
+            " these tubes with `probe-env study vibration-map --tube`"
         )
 
 
@@ -253,7 +253,7 @@ def load_for(path: Path, plant: str, scene: Scene) -> VibrationMap:
         FileNotFoundError: no such file.
         FileError: the map is damaged, or of another bore, length, probe or air.
     """
-    known, remedy = VibrationMap.load(path), "make it anew with `probe-env map`"
+    known, remedy = VibrationMap.load(path), "make it again with `probe-env study vibration-map`"
     for name in ("inner_diameter", "helix_length"):
         before, now = getattr(known.scene.tube, name), getattr(scene.tube, name)
         if before != now:

@@ -6,9 +6,10 @@ import pytest
 
 from agents.evaluation.plan import per_metre
 from agents.policies.maps.lookup import expected_costs
-from agents.policies.maps.search import run_search
 from agents.policies.places import plant_at
 from agents.records.reading import FileError
+from agents.studies.builtin import Request
+from agents.studies.shipped.best_schedules import run_search
 from probe_env import Context, Scene
 from probe_env.envs.surrogate.vibration_map import (
     CONTEXT,
@@ -44,11 +45,11 @@ def test_the_limit_in_metres_costs_what_the_limit_in_signal_to_noise_does():
 
 def test_a_map_keeps_its_measure(tmp_path):
     path = tmp_path / "mine-map.npz"
-    path.write_bytes(noise_map(-0.3).to_bytes())
+    noise_map(-0.3).save(path)
     assert VibrationMap.load(path).measure == "snr"
-    path.write_bytes(noise_map(-0.3, "displacement").to_bytes())
+    noise_map(-0.3, "displacement").save(path)
     assert VibrationMap.load(path).measure == "displacement"
-    path.write_bytes(noise_map(-0.3, "loudness").to_bytes())
+    noise_map(-0.3, "loudness").save(path)
     with pytest.raises(FileError, match="measure = 'loudness' is not one of displacement, snr"):
         VibrationMap.load(path)
 
@@ -59,7 +60,7 @@ def test_a_map_of_millimetres_is_not_asked_for_noise(tmp_path):
         expected_costs(tube, CONFIG, vibration=stored_map())
     assert np.isfinite(expected_costs(tube, CONFIG, vibration=noise_map(-0.3))).all()
     with pytest.raises(ValueError, match="but the map is of displacement"):
-        run_search("best-constant", 16, tmp_path, tmp_path, stored_map(), plant_at("snr"))
+        run_search("best-constant", 16, Request(tmp_path), stored_map(), plant_at("snr"))
     with pytest.raises(ValueError, match="vibration_measure = 'velocity': maps know displacement and snr only"):
         expected_costs(tube, TaskConfig(vibration_measure="velocity"), vibration=stored_map())
 

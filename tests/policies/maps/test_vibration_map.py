@@ -9,10 +9,10 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from agents.policies.maps.fit import Wandering, fit_map
 from agents.policies.maps.lookup import best_schedule_for, expected_costs, grid, knots
 from agents.policies.on_map import Adaptive, Privileged, TensionScheduled
 from agents.policies.view import HALF_RANGE, MIDDLE, View
+from agents.studies.shipped.vibration_map import Wandering, fit_map
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.surrogate.vibration_map import (
@@ -65,7 +65,7 @@ def test_a_known_law_is_found_again(monkeypatch, seeds):
     Of eight other tables and starts 0.0545 +- 0.0008 decades were left, of which the deviation told 0.0548 +- 0.0009,
     and 99.47 +- 0.03 %: but for 1e-4 within 0.008, 0.009 and 0.3 %. (With all epochs 0.0485 to 0.0498 of four.)
     """
-    monkeypatch.setattr("agents.policies.maps.fit.EPOCHS", 60)
+    monkeypatch.setattr("agents.studies.shipped.vibration_map.EPOCHS", 60)
     seed = seeds(1)[0]
     table, logarithm = synthetic(seed=seed)
     fitted, quality = fit_map(table, seed=seed)

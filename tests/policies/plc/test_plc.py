@@ -4,16 +4,11 @@ import json
 import warnings
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from agents.plant.plc_export import structured_text, table, write_law
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.search import MapCost
 from agents.policies.places import place_at
-from agents.policies.plc import search
-from agents.policies.plc.quasi_steady import quasi_steady_rewards
-from agents.policies.plc.search import LOGARITHMIC, RANGES, constants_at, point_of, run_law_search
 from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
@@ -25,15 +20,10 @@ from agents.policies.plc_law import (
     read_constants,
 )
 from agents.policies.policy import OutsideDomain
-from agents.processes.workers import HERE
-from agents.records.provenance import commit
-from probe_env import Context, spread_contexts
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
-from probe_env.schedule import Schedule
 from tests.oracles.structured_text import FunctionBlock, block_inputs
 
 CONFIG = TaskConfig().all_shown
@@ -147,58 +137,6 @@ def test_a_table_says_what_the_law_does() -> None:
     expected = law_at(constants, PLANT, (length, friction, quiet, diameter))
     assert (feed, air / 3600.0) == (pytest.approx(expected[0], rel=1e-12), pytest.approx(expected[1], rel=1e-12))
     assert set(tabulated["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
-
-
-def test_a_quasi_steady_world_earns_what_the_map_expects_of_a_schedule() -> None:
-    """A fixed feed: the sum over seconds against that over the middles of metres, which the searches go by."""
-    tubes = (Context(friction=0.1, helix_diameter=2.5), Context(friction=0.25, helix_diameter=1.0))
-    fixed = Schedule("inserted_length", "linear", (5.0, 60.0), (0.1, 0.1), (100.0 / 3600.0, 100.0 / 3600.0))
-    rewards = quasi_steady_rewards(make_policy("slow", CONFIG), tubes, stored_map())
-    for reward, tube in zip(rewards, tubes, strict=True):
-        expected = MapCost((tube,), CONFIG, stored_map()).reward(fixed)
-        assert reward == pytest.approx(expected, abs=0.05)  # a metre is ten of its seconds: order two, 55 metres
-    assert rewards[0] > rewards[1]
-
-
-def test_the_law_keeps_the_reward_of_tension_scheduled_on_training_tubes_by_the_map() -> None:
-    tubes, vibration = spread_contexts("train", 12), stored_map()
-    law = quasi_steady_rewards(PlcLaw(CONFIG), tubes, vibration).mean()
-    schedule = quasi_steady_rewards(make_policy("best-schedule", CONFIG), tubes, vibration).mean()
-    assert law > schedule + 5.0  # no dice in this world
-
-
-def test_points_and_constants_are_inverses() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        x = rng.random(10)
-        np.testing.assert_allclose(point_of(constants_at(x)), x, atol=2e-3)  # four digits are kept
-    assert set(RANGES) == set(Constants.model_fields)
-    assert set(LOGARITHMIC) <= set(RANGES)
-
-
-def test_a_search_goes_from_the_map_to_the_simulation(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    """With rewards that are best at a known place."""
-    goal = constants_at(np.full(10, 0.4))
-
-    def by_map(policy, tubes, vibration):  # type: ignore[no-untyped-def]
-        return np.full(len(tubes), -np.abs(point_of(policy.constants) - 0.4).sum())
-
-    def run_plan(plan, folder, progress, workers):  # type: ignore[no-untyped-def]
-        rewards = {name: float(by_map(policy, plan.contexts, None)[0]) for name, policy in plan.policies.items()}
-        return pd.DataFrame({"policy": list(rewards), "reward": list(rewards.values()), "commit": "0123456789ab"})
-
-    monkeypatch.setattr(search, "quasi_steady_rewards", by_map)
-    monkeypatch.setattr(search, "run_plan", run_plan)
-    optimum = run_law_search(300, 5, 6, tmp_path, HERE, stored_map())
-    trials = pd.read_csv(tmp_path / "plc-law-trials.csv")
-    assert trials["where"].value_counts().to_dict() == {"map": 301, "simulated": 51}
-    assert trials["reward"].iloc[-1] > trials["reward"].iloc[0]
-    assert np.abs(point_of(optimum) - point_of(goal)).max() < 0.2
-    assert read_constants(tmp_path / "plc-law.json") == optimum
-    record = json.loads((tmp_path / "plc-law.json").read_text())
-    assert record["provenance"]["commit"].split(", ") == [commit(), "0123456789ab"]
-    with pytest.raises(ValueError, match="limit = 0 is outside the accepted range 1 to 96"):
-        run_law_search(10, 1, 0, tmp_path, HERE, stored_map())
 
 
 def test_a_damaged_file_is_refused_by_name(tmp_path) -> None:  # type: ignore[no-untyped-def]

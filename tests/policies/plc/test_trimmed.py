@@ -3,14 +3,11 @@
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from agents.cli import main
 from agents.plant.plc_export import structured_text
 from agents.policies.catalogue import make_policy
-from agents.policies.plc import trim_search
-from agents.policies.plc.trim_search import AIMS, TIMES, UNTRIMMED, cells, run_trim_search
 from agents.policies.plc_law import (
     LOWERED,
     MOST_TRIM,
@@ -23,7 +20,6 @@ from agents.policies.plc_law import (
     TrimmedLaw,
     read_trim,
 )
-from agents.processes.workers import HERE
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
@@ -113,33 +109,6 @@ def test_structured_text_does_what_the_policy_does(most_air: float) -> None:
         np.testing.assert_allclose([outputs["Feed"], outputs["Air"]], [feed[0], air[0]], rtol=1e-3)
         trims.append(memory[0, -1])
     assert np.ptp(trims) > 0.05 or (most_air < PLANT.air_supply_rates[1] and not np.any(trims))
-
-
-def test_the_grid_takes_the_best_and_says_by_how_much(tmp_path, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
-    def run_plan(plan, folder, workers):  # type: ignore[no-untyped-def]
-        assert plan.policies[UNTRIMMED].describe()["policy"] == "PlcLaw"
-        rows = []
-        for name, policy in plan.policies.items():
-            trim = getattr(policy, "trim", None)
-            worth = 5.0 - abs(np.log(trim.aim / AIMS[1])) - abs(np.log(trim.time / TIMES[2])) if trim else 0.0
-            rows += [
-                {"policy": name, "context": k, "seed": 0, "reward": worth + k, "commit": "0123456789ab"}
-                for k in range(len(plan.contexts))
-            ]
-        return pd.DataFrame(rows)
-
-    monkeypatch.setattr(trim_search, "run_plan", run_plan)
-    assert run_trim_search(6, tmp_path, HERE) == Trim(aim=AIMS[1], time=TIMES[2])
-    assert read_trim(tmp_path / "trimmed-law.json") == Trim(aim=AIMS[1], time=TIMES[2])
-    trials = pd.read_csv(tmp_path / "trimmed-law-trials.csv")
-    assert len(trials) == len(AIMS) * len(TIMES)
-    assert trials["gain"].max() == pytest.approx(5.0)
-    shown = cells(trials)
-    assert len(shown) == len(AIMS)
-    assert shown[1][3].startswith("+5.00 [5.00, 5.00]")
-    assert "30" in capsys.readouterr().out
-    with pytest.raises(ValueError, match="limit = 0 is outside the accepted range 1 to 96"):
-        run_trim_search(0, tmp_path, HERE)
 
 
 def test_it_ships_by_name_and_a_damaged_file_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

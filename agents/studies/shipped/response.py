@@ -1,23 +1,27 @@
-"""The response learnt from a bank of insertions, and how far those it was not learnt from stray from it."""
+"""Makes the calibration response: learnt from wandering insertions, with the errors of those left out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
+from importlib import import_module
 from typing import Final
 
 import numpy as np
 
-from agents.calibration.simulated.bank import make_bank
 from agents.plant.inference import LEAST_METRES
 from agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, observed
 from agents.records.provenance import provenance, write_json
+from agents.studies.builtin import Request
+from agents.studies.shipped.insertions import FIDELITY, make_bank
+from agents.studies.shipped.network import fit_network
 from agents.terminal.tables import print_terms
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 
-HIDDEN, EPOCHS, BATCH = 64, 150, 1024
+EPOCHS, BATCH = 150, 1024
+GROUPS: Final = 15
+"""Of insertions, for the shipped response."""
 FOLDS: Final = 4
 REACH: Final = (20.0, 1.5)
 """[m] over which strays fade that metres have in common: of a whole insertion's level, and of a segment."""
@@ -90,30 +94,12 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
 
 
 def _network(x: FloatArray, y: FloatArray, seed: int) -> Layers:
-    """Layers of a network that tells mean and logarithm of the deviation, by their likelihood."""
-    import torch
-
-    torch.manual_seed(seed)
+    """Layers for targets in their own units."""
     centre, width = y.mean(axis=0), y.std(axis=0)
-    inputs, targets = (torch.tensor(values, dtype=torch.float32) for values in (x, (y - centre) / width))
-    network = torch.nn.Sequential(
-        torch.nn.Linear(inputs.shape[1], HIDDEN), torch.nn.Tanh(),
-        torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.Tanh(),
-        torch.nn.Linear(HIDDEN, 2 * targets.shape[1]),
-    )  # fmt: skip
-    steps = EPOCHS * max(len(inputs) // BATCH, 1)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=3e-3, weight_decay=1e-3)
-    pace = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    for _ in range(steps):
-        chosen = torch.randint(len(inputs), (BATCH,))
-        mean, spread = network(inputs[chosen]).chunk(2, dim=1)
-        loss = torch.nn.functional.gaussian_nll_loss(mean, targets[chosen], torch.exp(2.0 * spread.clamp(-6.0, 2.0)))
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        pace.step()
-    parts = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
-    layers = [(p.weight.detach().numpy().T.astype(float), p.bias.detach().numpy().astype(float)) for p in parts]
+    layers = [
+        (w.astype(float), b.astype(float))
+        for w, b in fit_network(x, (y - centre) / width, seed, EPOCHS, BATCH, (-6.0, 2.0))
+    ]
     weights, biases = layers[-1]
     scale = np.concatenate([width, np.ones(len(width))])
     layers[-1] = weights * scale, biases * scale + np.concatenate([centre, np.log(width)])
@@ -155,19 +141,26 @@ def _alike(strays: FloatArray, number: FloatArray, length: FloatArray) -> FloatA
     return np.asarray((vectors * np.maximum(values, 1e-6)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
 
-def make_response(groups: int, fidelity: str, output: Path, target: Path) -> Response:
-    """Simulate the bank (resumable in ``output``), learn from it, and store response and how it was made.
+def run(request: Request) -> Response:
+    """Simulate the insertions (resumable), learn from them; writes response.npz and how it was made beside it.
+
+    ``limit`` is the number of groups, of 32 insertions each in one bore.
 
     Raises:
         ValueError: the number of groups is out of range.
     """
+    import_module("torch")  # for the network, which comes after hours of simulation
+
+    request.without("trials", "tube")
+    groups = GROUPS if request.limit is None else request.limit
     if not 1 <= groups <= 256:
-        raise ValueError(f"groups = {groups!r} is outside the accepted range 1 to 256")
-    parts = list(make_bank(groups, fidelity, output))
+        raise ValueError(f"limit = {groups!r} is outside the accepted range 1 to 256")
+    parts = list(make_bank(groups, request.output))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     response, quality = fit_response(bank)
+    target = request.output / "response.npz"
     response.save(target)
-    setting = {"insertions": len(np.unique(bank["specimen"])), "metres": len(bank["length"]), "fidelity": fidelity}
+    setting = {"insertions": len(np.unique(bank["specimen"])), "metres": len(bank["length"]), "fidelity": FIDELITY}
     write_json(target.with_suffix(".json"), provenance() | setting | quality)
     print_terms(
         {
@@ -175,4 +168,5 @@ def make_response(groups: int, fidelity: str, output: Path, target: Path) -> Res
             for name, value in (setting | quality).items()
         }
     )
+    print(f"written: {target}")
     return response

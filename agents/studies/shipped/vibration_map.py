@@ -1,9 +1,11 @@
-"""The vibration map of some tubes: wandering insertions, and a small network fitted to their metres."""
+"""Makes the vibration map of some tubes: wandering insertions, and a small network fitted to their metres."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -13,9 +15,13 @@ import pandas as pd
 from agents.evaluation.folder import PROFILE, PROFILE_HEARD
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import FixedPolicy
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.policies.places import map_beside, plant_at
+from agents.records.provenance import provenance, write_json
 from agents.records.reading import read_parquet
-from probe_env import Context, Plant, Scene, load_contexts
+from agents.records.shipped import file_or_shipped, ships
+from agents.studies.builtin import Request
+from agents.studies.shipped.network import fit_network
+from probe_env import Context, Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.surrogate.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
@@ -27,7 +33,9 @@ SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
 the motion, which at 0.4 m/s and a time-lapse of 4 are 1.9 m,"""
 SMEARED: Final = {"displacement": 0.0, "snr": 3.0}
 """[m] of each segment that are not fitted: they still hear the one before."""
-HIDDEN, EPOCHS, BATCH = 64, 300, 512
+EPOCHS, BATCH = 300, 512
+SEEDS: Final = 2
+"""Insertions on each of the 96 tubes."""
 HELD_OUT: Final = 12
 """Tubes, the first of the training list, on which the map is tested and not fitted: two of each helix diameter."""
 LEAST_SPREAD: Final = 0.05
@@ -71,7 +79,6 @@ def fit_map(
     import torch
 
     torch.set_num_threads(1)  # a small network: threads would wait for each other
-    torch.manual_seed(seed)
     profile = profile[profile["inserted_length"] % SEGMENT[measure] >= SMEARED[measure]]
     length, feed, air = (profile[n].to_numpy(float) for n in ("inserted_length", "feed_speed", "air_supply_rate"))
     tubes = profile[list(CONTEXT)].to_numpy(float)
@@ -81,27 +88,7 @@ def fit_map(
         inputs = (inputs - scaling[0]) / scaling[1]
     logarithm = np.log10(np.maximum(profile[PROFILED[measure]].to_numpy(float), 1e-7) / 1e-4)
     held = profile["context"].to_numpy() < HELD_OUT
-    x, y = (torch.tensor(values, dtype=torch.float32) for values in (inputs[~held], logarithm[~held]))
-    network = torch.nn.Sequential(
-        torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Tanh(),
-        torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.Tanh(),
-        torch.nn.Linear(HIDDEN, 2),
-    )  # fmt: skip
-    optimiser = torch.optim.AdamW(network.parameters(), lr=3e-3, weight_decay=1e-3)
-    steps = EPOCHS * max(len(x) // BATCH, 1)
-    pace = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    for _ in range(steps):
-        chosen = torch.randint(len(x), (BATCH,))
-        out = network(x[chosen])
-        loss = torch.nn.functional.gaussian_nll_loss(out[:, 0], y[chosen], torch.exp(2.0 * out[:, 1].clamp(-5, 1)))
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        pace.step()
-    parts = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
-    layers = tuple(
-        (p.weight.detach().numpy().T.astype(np.float32).copy(), p.bias.detach().numpy().copy()) for p in parts
-    )
+    layers = tuple(fit_network(inputs[~held], logarithm[~held, None], seed, EPOCHS, BATCH, (-5.0, 1.0)))
     fitted = VibrationMap(layers)
     if scene is not None:
         fitted = VibrationMap(layers, scene, np.array([tubes.min(axis=0), tubes.max(axis=0)]), scaling, "", measure)
@@ -110,29 +97,42 @@ def fit_map(
     return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
 
 
-def make_map(seeds: int, output: Path, target: Path, plant: Plant | None = None) -> VibrationMap:
-    """Wander on training tubes (resumable in ``output``), fit the map, store it in ``target``.
+def run(request: Request) -> Path:
+    """Make the map; for a tube of your own NAME-map.npz beside its file, unless that is one that ships.
 
-    Args:
-        seeds: insertions on each tube.
-        output: folder of the insertions.
-        target: file of the map.
-        plant: whose tubes; default: the shipped list.
+    ``trials`` are insertions on each tube.
+    """
+    import_module("torch")  # for the fit, which comes after half an hour of simulation
+
+    request.without("limit")
+    target = request.output / "vibration-map.npz"
+    if request.tube and ships("tubes", file_or_shipped("tubes", request.tube)):
+        print(f"probe-env: note: {request.tube} ships, and its map stays: the new one is {target}", file=sys.stderr)
+    elif request.tube:
+        target = map_beside(request.tube)
+    make_map(SEEDS if request.trials is None else request.trials, request, target)
+    print(f"written: {target}")
+    return target
+
+
+def make_map(seeds: int, request: Request, target: Path) -> VibrationMap:
+    """Wander on training tubes (resumable), fit the map, store it in ``target``.
 
     Raises:
         ValueError: the number of seeds is out of range.
     """
     if not 1 <= seeds <= 100:
-        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 100")
+        raise ValueError(f"trials = {seeds!r} is outside the accepted range 1 to 100")
+    plant = plant_at(request.tube)
     goes_on = {"lost_drive_periods": 1000}  # without drive: that is seen in the table
     config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)
     rms_limit(config)  # refuses a measure that no map tells of, before hours of work
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
     plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
-    episodes = run_plan(plan, output)
-    profile = with_contexts(read_parquet(output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
+    episodes = run_plan(plan, request.output, workers=request.workers)
+    profile = with_contexts(read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
-    write_atomically(target, fitted.to_bytes())
+    fitted.save(target)
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), provenance(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")

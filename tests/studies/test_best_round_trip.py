@@ -10,14 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.cli import main
 from agents.plant.recommendation import MARGIN
 from agents.plant.safe_air import pressed, pulled, safe_air
 from agents.policies.catalogue import make_policy
-from agents.policies.places import both_ways, place_of, with_probe
-from agents.processes.workers import HERE
-from agents.recommendation import both_ways as searched
-from agents.recommendation.both_ways import (
+from agents.policies.places import both_ways, place_of
+from agents.studies.builtin import Request
+from agents.studies.shipped import best_round_trip as searched
+from agents.studies.shipped.best_round_trip import (
     BESIDE,
     COLUMNS,
     NAME,
@@ -25,7 +24,7 @@ from agents.recommendation.both_ways import (
     csv_of,
     policy_of,
     ranges,
-    run_search,
+    run,
     starts,
 )
 from probe_env import Plant
@@ -62,7 +61,7 @@ def folders(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     seen: list[str] = []
 
     def run_plan(plan: Any, output: Path, **_: Any) -> pd.DataFrame:
-        assert (plan.config.passes, plan.config.inspects) == ("both", "back")
+        assert (plan.config.passes, plan.config.inspects) == ("both", "best")
         seen.append(output.name)
         rows = []
         for name, policy in plan.policies.items():
@@ -84,7 +83,7 @@ def test_the_search_finds_what_is_best(folders: list[str], tmp_path: Path) -> No
 
     Six other seeds of the process came to within 0.013; of 2,000 sets of 30 random points one in a hundred to 0.34.
     """
-    best = run_search(30, 2, "back", tmp_path, HERE, None)
+    best = run(Request(tmp_path, limit=2, trials=30))
     assert folders == [*(f"{k:03d}" for k in range(30)), "validation"]
     most = reward(BEST, 0)
     assert reward(dict(best), 0) > most - 0.2
@@ -103,33 +102,11 @@ def test_the_search_finds_what_is_best(folders: list[str], tmp_path: Path) -> No
     assert policy.describe()["back"]["feed_speed"][0] == best[COLUMNS[2]]
 
 
-def test_a_probe_has_a_search_of_its_own(folders: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Played with it, in air that is safe for it, and stored under its name."""
-    played, run_plan = [], searched.run_plan
-
-    def run_plan_seen(plan: Any, output: Path, **settings: Any) -> pd.DataFrame:
-        played.append(plan.config.scene.probe)
-        return run_plan(plan, output, **settings)
-
-    monkeypatch.setattr(searched, "run_plan", run_plan_seen)
-    best = run_search(3, 1, "back", tmp_path, HERE, probe="improved")
-    config = with_probe(CONFIG, "improved")
-    assert set(played) == {config.scene.probe} != {CONFIG.scene.probe}
-    record = json.loads((tmp_path / f"{NAME}-improved.json").read_text())
-    assert (record["probe"], record["schedule"]) == ("improved", dict(best))
-    own = ranges(config, TUBES)
-    assert {name: tuple(range_) for name, range_ in record["ranges"].items()} == own
-    assert own[COLUMNS[1]][0] > SPACE[COLUMNS[1]][0]  # smaller floats: the air pulls less
-    assert own[COLUMNS[3]][1] > SPACE[COLUMNS[3]][1]
-    assert (tmp_path / f"{NAME}-improved.csv").exists()
-    assert set(record["validated"]) == {f"{NAME}-improved", BESIDE}
-
-
 def test_a_search_goes_on_where_it_was(folders: list[str], tmp_path: Path) -> None:
     """A longer one begins as a shorter one did, so what was played is asked for again."""
     tables = []
     for trials in (12, 14):
-        run_search(trials, 1, "back", tmp_path, HERE, None)
+        run(Request(tmp_path, limit=1, trials=trials))
         tables.append(pd.read_csv(tmp_path / f"{NAME}-trials.csv"))
     pd.testing.assert_frame_equal(tables[0], tables[1].iloc[:12])
     assert folders.count("000") == 2
@@ -205,37 +182,3 @@ def test_air_is_safe_in_every_tube() -> None:
 def test_a_device_without_safe_air_is_refused(update: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         safe_air(CONFIG.model_copy(update=update), TUBES[:6], (0.1, 0.4))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--trials", "0"], "trials = 0 is outside the accepted range 1 and more"),
-        (["--limit", "97"], "limit = 97 is outside the accepted range 1 to 96"),
-        (["--limit", "0"], "limit = 0 is outside the accepted range 1 to 96"),
-        (["--probe", "none-such"], "none-such"),
-    ],
-)
-def test_a_budget_out_of_range_is_refused(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["optimise-passes", *arguments, "--output", str(tmp_path / "o")]) == 2
-    assert message in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "o").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "folder"),
-    [
-        ([], "optimise-passes"),
-        (["--probe", "improved"], "optimise-passes-improved"),
-        (["--tube", "example", "--probe", "configs/design/longer-guide.toml"], "optimise-passes-example-longer-guide"),
-        (["--inspects", "back"], "optimise-passes-back"),
-    ],
-)
-def test_every_task_has_a_folder_of_its_own(arguments: list[str], folder: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One after the other as documented: episodes of another task would be refused."""
-    seen = []
-    monkeypatch.setattr("agents.recommendation.both_ways.run_search", lambda *given: seen.append(given[3]))
-    assert main(["optimise-passes", *arguments]) == 0
-    assert seen == [Path("output") / folder]

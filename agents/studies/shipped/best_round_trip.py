@@ -1,11 +1,7 @@
-"""The best feed and air in and back: four numbers, by a Gaussian process over simulated inspections of both passes.
+"""Makes the best feed and air in and back: four numbers, by a Gaussian process over simulated round trips.
 
-No map knows the way back, so every trial is played, in tubes of the training list; an inspection takes seconds of a
-core, so a search has tens of trials where one on a map has a thousand. What was played is kept: a search that was
-interrupted asks for the same again and goes on.
-
-Too little air in loses the drive, too much air back buckles the cable between its floats, both in few tubes of many and
-then at once. So air is tried only where steady sliding keeps a margin of both in every tube that there is to draw.
+The vibration map knows no way back, so every trial is simulated; what is stored is not simulated again. Air is tried
+only where steady sliding keeps a margin of drive and of buckling in every tube, see ``safe_air``.
 """
 
 from __future__ import annotations
@@ -20,24 +16,27 @@ import optuna
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.plan import Plan, Policy, run_plan
+from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import a90_95, paired_difference
 from agents.plant.safe_air import safe_air
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.maps.lookup import FIRST
-from agents.policies.places import Place, both_ways, place_of, with_probe
+from agents.policies.places import Place, load_case
+from agents.policies.policy import Policy
 from agents.policies.wrappers import BothWays, fidelity_of, way_in
 from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
-from agents.terminal.names import name_of
+from agents.studies.builtin import Request
 from agents.terminal.tables import print_table
-from probe_env import Context, Plant
-from probe_env.envs.contexts import SPLIT_SIZES, Split
+from probe_env import Context
+from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
 from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
 
 FIDELITY: Final = "fast"
 NAME: Final = "best-both-ways"
+TRIALS, LIMIT = 40, 12
+"""Schedules tried, and training tubes of each."""
 COLUMNS: Final = (*FORTH.values(), *BACK.values())
 """What is searched: the columns of a schedule file."""
 DRAWN: Final = 5
@@ -104,80 +103,51 @@ def csv_of(config: TaskConfig, numbers: Numbers) -> str:
     return "\n".join(lines) + "\n"
 
 
-def called(probe: str | None) -> str:
-    """The name of what is found: of a probe's own where one is given."""
-    return NAME if probe is None else f"{NAME}-{name_of(Path(probe))}"
+def run(request: Request) -> Numbers:
+    """Search, and play what was found in the validation tubes; writes NAME.csv, NAME-trials.csv and NAME.json.
 
-
-def run_search(
-    trials: int,
-    limit: int,
-    inspects: str,
-    output: Path,
-    workers: Workers,
-    plant: Plant | None = None,
-    probe: str | None = None,
-) -> Numbers:
-    """Search, play what was found in the validation tubes; stores NAME.csv, NAME-trials.csv and NAME.json.
-
-    NAME is as ``called``.
-
-    Args:
-        trials: schedules played, ``starts`` among them.
-        limit: training tubes, the first, which are balanced.
-        inspects: what a metre counts for, as in ``TaskConfig``.
-        output: folder; ``output/simulated`` keeps the episodes.
-        workers: that simulate.
-        plant: for whose tubes and task; default: the shipped lists.
-        probe: a design's file, or the name of one that ships; default: the scene's own.
+    ``trials`` are schedules played, those of ``starts`` among them, ``limit`` the training tubes that each is played
+    in, the first, which are balanced. What a metre counts for and the probe are those of the tube's file.
 
     Raises:
-        ValueError: a budget is out of range, or the design does not fit the bore.
-        FileNotFoundError: no such design.
+        ValueError: a budget is out of range.
         FileError: a stored episode is damaged, or of another task.
     """
+    trials = TRIALS if request.trials is None else request.trials
+    limit = LIMIT if request.limit is None else request.limit
     if trials < 1:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
     if not 0 < limit <= SPLIT_SIZES["train"]:
         raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
-    train = _place(plant, probe, "train", limit, inspects)
-    unseen = _place(plant, probe, "validation", 0, inspects)
-    config, played, name = train.config.all_shown, output / "simulated", called(probe)
-    space = ranges(config, place_of(plant, "train").contexts)
+    train = load_case(request.tube, "train", limit, "both")
+    unseen = load_case(request.tube, "validation", 0, "both")
+    config, output, played = train.config.all_shown, request.output, request.output / "simulated"
+    space = ranges(config, load_case(request.tube, "train", 0, "both").contexts)
     print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
-    tried, commits = _tried(trials, space, train, played, workers)
+    tried, commits = _tried(trials, space, train, played, request.workers)
     row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
     best = {column: row[column] for column in COLUMNS}
-    compared = {name: best, BESIDE: starts(config, space)[0]}
+    compared = {NAME: best, BESIDE: starts(config, space)[0]}
     policies = {one: policy_of(config, numbers) for one, numbers in compared.items()}
-    table = run_plan(_plan(policies, unseen), played / "validation", workers=workers)
+    table = run_plan(_plan(policies, unseen), played / "validation", workers=request.workers)
     means = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
-    gain = paired_difference(table, name, BESIDE, "reward")
+    gain = paired_difference(table, NAME, BESIDE, "reward")
     record = {
-        "schedule": best,
-        "probe": None if probe is None else name_of(Path(probe)),
-        "inspects": inspects,
-        "training_tubes": limit,
-        "trials": trials,
-        "reward": row["reward"],
-    }
-    record |= {"ranges": space, "validation_tubes": len(unseen.contexts), "validated": means, "gain": asdict(gain)}
-    write_atomically(output / f"{name}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
-    write_atomically(output / f"{name}.csv", csv_of(config, best))
-    write_json(output / f"{name}.json", provenance(commits=[*commits, *table["commit"]]) | record)
+        "schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials,
+        "reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts), "validated": means,
+        "gain": asdict(gain),
+    }  # fmt: skip
+    write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / f"{NAME}.csv", csv_of(config, best))
+    write_json(output / f"{NAME}.json", provenance(commits=[*commits, *table["commit"]]) | record)
     rows = [
         (one, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[one][kpi]:.3g}" for kpi in KPIS))
         for one, numbers in compared.items()
     ]
     print_table(f"In {len(unseen.contexts)} validation tubes", HEADER, rows)
-    print(f"{name}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
+    print(f"{NAME}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
+    print(f"written: {output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
     return best
-
-
-def _place(plant: Plant | None, probe: str | None, split: Split, tubes: int, inspects: str) -> Place:
-    """Tubes and task of both passes, with the probe of a design where one is given."""
-    place = both_ways(place_of(plant, split, tubes), inspects)
-    return place if probe is None else place._replace(config=with_probe(place.config, probe))
 
 
 def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:

@@ -1,18 +1,17 @@
-"""The searched schedules: what a point means, the search finds a known optimum, what is stored is its best trial."""
+"""The searched schedules: what a point is, the search finds a known optimum, stored schedules are the best trials."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from kills import SERVER, hook_replace, kill, killed
 
-from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES
-from agents.policies.catalogue import BY_DIAMETER, make_policy
-from agents.policies.maps import search as optimise
-from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
+from agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
 from agents.records.provenance import commit
+from agents.studies.builtin import Request
+from agents.studies.shipped import best_schedules as optimise
+from agents.studies.shipped.best_schedules import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
@@ -21,7 +20,7 @@ from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig(privileged=True)
 SIMULATED_AT = "0123456789ab"
-DATA = Path(optimise.__file__).parents[1] / "data"
+SIMULATED = pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]})
 
 
 def test_a_point_of_the_search_is_a_schedule():
@@ -68,10 +67,12 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
         return -((schedule.feed_speed[0] - 0.1) ** 2) * 100.0 - (schedule.air_supply_rate[0] * 3600.0 - 80.0) ** 2 / 1e3
 
     monkeypatch.setattr(MapCost, "reward", reward)
-    monkeypatch.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]}))
+    monkeypatch.setattr(
+        optimise, "run_plan", lambda *_, **__: pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]})
+    )
     folders = [tmp_path / name for name in ("once", "again")]
     for folder in folders:
-        best = run_search("best-constant", 250, folder, tmp_path / "work", stored_map())
+        best = run_search("best-constant", 250, Request(folder), stored_map(), None)
     trials = [pd.read_csv(folder / "best-constant-trials.csv") for folder in folders]
     pd.testing.assert_frame_equal(*trials, check_exact=True)
     made_at = json.loads((folders[0] / "best-constant.json").read_text())["commit"]
@@ -81,38 +82,31 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
     assert best.air_supply_rate[0] * 3600.0 == pytest.approx(80.0, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "named"),
-    [
-        ("setting.json", "seven\n", "setting.json"),
-        ("episodes.jsonl", "seven\n", "episodes.jsonl"),
-        ("episodes.jsonl", '{"key": "0123456789abcdef", "unit": ["a", 0, 0], %s}\n', "setting.json: missing"),
-    ],
-)
-def test_damaged_episodes_are_refused_before_anything_is_tried(name, content, named, tmp_path, monkeypatch):
+def test_damaged_episodes_are_refused_before_anything_is_tried(tmp_path, monkeypatch):
     monkeypatch.setattr(MapCost, "reward", lambda *_: pytest.fail("a schedule was tried"))
-    file = tmp_path / "work" / "best-constant" / name
-    file.parent.mkdir(parents=True)
-    kpis, profile = dict.fromkeys((*CORE, "complete", *CORE_FAILURES), 1.0), {column: [1.0] for column in CARRIED}
-    file.write_text(content.replace("%s", f'"kpis": {json.dumps(kpis)}, "profile": {json.dumps(profile)}'))
-    with pytest.raises(FileError, match=named):
-        run_search("best-constant", 16, tmp_path, tmp_path / "work", stored_map())
-    assert [path.name for path in file.parent.iterdir()] == [name]
+    for name in ("setting.json", "episodes.jsonl"):
+        file = tmp_path / name / "simulated" / "best-constant" / name
+        file.parent.mkdir(parents=True)
+        file.write_text("seven\n")
+        with pytest.raises(FileError, match=name):
+            run_search("best-constant", 16, Request(tmp_path / name), stored_map(), None)
+        assert [path.name for path in file.parent.iterdir()] == [name]
 
 
 def search_until(folder, number):
     """Killed when the ``number``-th file is about to be put in its place; 0: never."""
     cost = pytest.MonkeyPatch()
     cost.setattr(MapCost, "reward", lambda _, schedule: -((schedule.feed_speed[0] - 0.1) ** 2))
-    cost.setattr(optimise, "run_plan", lambda *_: pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]}))
+    cost.setattr(optimise, "run_plan", lambda *_, **__: SIMULATED)
     for name in FILES:
         hook_replace(name, 1 if FILES.index(name) + 1 == number else 0, kill)
-    run_search("best-constant", 40, folder, folder / "work", stored_map())
+    run_search("best-constant", 40, Request(folder), stored_map(), None)
 
 
 FILES = ("best-constant-trials.csv", "best-constant.csv", "best-constant.json")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_a_search_killed_at_any_of_its_files_gives_the_same(number, tmp_path):
     """What was written is whole, and the same command makes what was never interrupted."""
@@ -131,12 +125,3 @@ def test_a_shorter_search_begins_as_a_longer_one():
     """What an interrupt left undone is all that differs: nothing of an earlier search is needed to go on."""
     both = [optimise.search(lambda x: -((x[0] - 0.3) ** 2) - x[1] ** 2, (0.5, 0.5), n, "test")[0] for n in (48, 96)]
     assert (both[0] == both[1][:48]).all()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), [(("best", 8), "family = 'best'"), (("best-constant", 0), "trials = 0")]
-)
-def test_bad_budgets_are_named(arguments, message, tmp_path):
-    with pytest.raises(ValueError, match=message):
-        run_search(*arguments, tmp_path / "out", tmp_path / "work", stored_map())
-    assert not list(tmp_path.iterdir())

@@ -1,16 +1,10 @@
-"""The best constant feed and the best open-loop schedules for the training tubes, by CMA-ES on the vibration map.
-
-All are schedules over the inserted length, so they are stored and evaluated as any other: in ``data/`` with
-every trial and how they were made. The map stands in for the simulator in the search; what is found is simulated on
-the validation tubes.
-"""
+"""Makes the best constant feed and the best schedules for the training tubes, by CMA-ES on the vibration map."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -21,8 +15,9 @@ from tqdm import tqdm
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.lookup import FIRST, least_air
-from agents.policies.places import place_of
+from agents.policies.places import map_of, place_of, plant_at
 from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.studies.builtin import Request
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
@@ -41,6 +36,8 @@ from probe_env.schedule import Schedule
 KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
 AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
 POPULATION: Final = 16
+TRIALS: Final = 1200
+"""Schedules tried in a search."""
 
 
 def metres(config: TaskConfig) -> FloatArray:
@@ -122,52 +119,53 @@ class MapCost:
         return float(len(metres(self.config)) * metre_reward(self.config, cost.mean()))
 
 
-def run_search(
-    family_name: str, trials: int, output: Path, work: Path, vibration: VibrationMap, plant: Plant | None = None
-) -> Schedule:
-    """Search a family; stores NAME.csv (the schedule), NAME-trials.csv and NAME.json in ``output``.
+def run(request: Request) -> None:
+    """Search all families, or for a tube of your own those that are not of one helix diameter; store and print.
 
-    A search takes less than a minute and is the same each time, so an interrupted one begins again; the simulated
-    episodes on the validation tubes are kept in ``work``.
-
-    Args:
-        family_name: of ``FAMILIES``.
-        trials: schedules tried.
-        output: folder of what is found.
-        work: folder of the episodes.
-        vibration: the map that tells what a schedule costs.
-        plant: for whose tubes; default: the shipped lists.
+    Searches take less than a minute and are the same each time, so an interrupted one begins again; the simulated
+    episodes on the validation tubes are kept. ``trials`` are the schedules tried in each search.
 
     Raises:
-        ValueError: no such family, or a budget out of range.
-        FileError: a file in ``work`` is damaged, or of another task; nothing was tried.
+        ValueError: a budget out of range, or the map is of another vibration measure.
+        FileError: a stored episode is damaged, or of another task; nothing was tried.
     """
-    check_measure(vibration, TaskConfig() if plant is None else plant.configured())
-    if family_name not in FAMILIES:
-        raise ValueError(f"family = {family_name!r} is not one of {', '.join(FAMILIES)}")
+    request.without("limit")
+    trials = TRIALS if request.trials is None else request.trials
     if trials < 1:
         raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
-    family = FAMILIES[family_name]
+    plant = plant_at(request.tube)
+    vibration = map_of(request.tube, plant)
+    if plant is not None and vibration is stored_map():
+        print(f"no map of {request.tube} is there: searched on the shipped one, of table 2's bore and air")
+    families = FAMILIES if plant is None else {name: FAMILIES[name] for name in OF_A_PLANT}
+    for name in families:
+        run_search(name, trials, request, vibration, plant)
+    files = ", ".join(f"{name}.csv" for name in families)
+    print(f"written: {request.output}/ ({files}: schedules to evaluate; of each the trials and how it was made)")
+
+
+def run_search(name: str, trials: int, request: Request, vibration: VibrationMap, plant: Plant | None) -> Schedule:
+    """Search a family; writes NAME.csv (the schedule), NAME-trials.csv and NAME.json; raises as ``run``."""
+    family, output = FAMILIES[name], request.output
     train, validation = (place_of(plant, split) for split in ("train", "validation"))
     config, tubes = train.config, family.tubes(validation.contexts)
-    if not tubes:
-        raise ValueError(f"family = {family_name!r}: no tube has a helix of {family.helix_diameter:g} m")
-    stored_episodes(
-        Plan({family_name: Scheduled(config, family.schedule(list(family.start), config))}, tubes, config=config,
-             fidelity=PRESETS["fast"]), work / family_name,
-    )  # fmt: skip
+    check_measure(vibration, config)
+
+    def plan_of(schedule: Schedule) -> Plan:
+        return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=PRESETS["fast"])
+
+    stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
     cost = MapCost(family.tubes(train.contexts), config, vibration)
-    points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, family_name)
+    points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
     table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
-    plan = Plan({family_name: Scheduled(config, best)}, tubes, config=config, fidelity=PRESETS["fast"])
-    simulated = run_plan(plan, work / family_name)
+    simulated = run_plan(plan_of(best), output / "simulated" / name, workers=request.workers)
     setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": float(rewards.max())}
     setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
-    write_atomically(output / f"{family_name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
-    write_atomically(output / f"{family_name}.csv", best.to_csv())
-    write_json(output / f"{family_name}.json", provenance(commits=[*simulated["commit"], commit()]) | setting)
-    print(f"{family_name}: " + ", ".join(f"{name} {value:.4g}" for name, value in setting.items()))
+    write_atomically(output / f"{name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
+    write_atomically(output / f"{name}.csv", best.to_csv())
+    write_json(output / f"{name}.json", provenance(commits=[*simulated["commit"], commit()]) | setting)
+    print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in setting.items()))
     print(best.to_csv())
     return best
 

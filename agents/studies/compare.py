@@ -1,0 +1,270 @@
+"""Compares the rows of a study: means with intervals, paired differences over tubes; as CSV, table and figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES
+from agents.evaluation.statistics import (
+    Interval,
+    a90_95,
+    by_context,
+    curves_by_tube,
+    difference_of_a90,
+    mean_interval,
+    paired_difference,
+    share_of_lead,
+    short,
+)
+from agents.records.drawing import BLUE, GREY, GRID, colours, plain, save
+from agents.records.provenance import provenance, write_atomically, write_json
+from agents.studies.run import Setting
+from agents.studies.spec import Changes, Study
+from agents.terminal.tables import print_table
+
+COLUMNS: Final = (
+    "tubes", "metric", "mean", "low", "high", "rank", "baseline", "difference", "difference_low", "difference_high",
+)  # fmt: skip
+"""Of ``comparison.csv``, behind the columns of the policy and the setting: a row a metric and baseline.
+
+``rank`` is among the policies of a setting, 1 the best. ``a90_95_percent_wall`` has no interval; its difference is
+that of the depth found with 90 % over all tubes.
+"""
+LINEAR_SHARE: Final = 0.02
+"""The axis of differences is logarithmic beyond this share of the greatest, where they differ by more than that."""
+Key = tuple[Any, ...]
+
+
+def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -> pd.DataFrame:
+    """Rows as ``COLUMNS``; with ``compare.upper`` also ``share_of_lead`` and its interval, of the reward.
+
+    Raises:
+        ValueError: a metric is not in the episodes; see ``baselines``.
+    """
+    columns, groups = key_columns(settings), _groups(settings, episodes)
+    names = {key: str(number) for number, key in enumerate(groups)}
+    # statistics know policies: here every group is one
+    labelled = pd.concat([part.assign(policy=names[key]) for key, part in groups.items()])
+    missing = [metric for metric in study.compare.metrics if metric not in (*episodes.columns, *OVER_TUBES)]
+    if missing:
+        raise ValueError(f"compare.metrics: {', '.join(missing)} is not measured in this task")
+    upper, chosen, rows = study.compare.upper, baselines(study, settings), []
+    for key, part in groups.items():
+        name = names[key]
+        for metric in study.compare.metrics:
+            mean = _mean(labelled, name, metric)
+            row = dict(zip(columns, key, strict=True)) | {"tubes": part["context"].nunique(), "metric": metric}
+            row |= {"mean": mean.mean, "low": mean.low, "high": mean.high, "rank": None}
+            for baseline in chosen:
+                other = names[_replaced(columns, key, baseline, groups)]
+                change = _difference(labelled, name, other, metric)
+                changes = {"baseline": _said(study, baseline), "difference": change.mean}
+                changes |= {"difference_low": change.low, "difference_high": change.high}
+                if upper and metric == "reward":
+                    share = share_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
+                    changes |= {"share_of_lead": share.mean, "share_low": share.low, "share_high": share.high}
+                rows.append(row | changes)
+    table = pd.DataFrame(rows)
+    around = [column for column in columns if not column.startswith("policy")]
+    for metric in study.compare.metrics:
+        part = table[table["metric"] == metric]
+        good = part["mean"] if metric in HIGH else -part["mean"]
+        same = [part[column].astype(str) for column in (*around, "baseline")]
+        table.loc[part.index, "rank"] = good.groupby(same).rank(ascending=False, method="min")
+    return table
+
+
+def baselines(study: Study, settings: Sequence[Setting]) -> list[Changes]:
+    """What rows are compared with: columns and values.
+
+    Raises:
+        ValueError: a baseline or upper bound is no row of the study.
+    """
+    chosen = list(study.compare.baseline)
+    if not chosen:
+        first = settings[0]
+        varied = {name: first.values[name] for name in study.varied}
+        chosen = [varied or next(iter(first.members.values()))]
+    columns = key_columns(settings)
+    members = (member | setting.values for setting in settings for member in setting.members.values())
+    keys = dict.fromkeys(tuple(_method(name, member.get(name)) for name in columns) for member in members)
+    for baseline in (*chosen, *([study.compare.upper] if study.compare.upper else ())):
+        for column, value in baseline.items():
+            if column not in columns:
+                raise ValueError(f"compare.baseline: {column!r} is not one of {', '.join(columns)}")
+            values = dict.fromkeys(key[columns.index(column)] for key in keys)
+            if value not in values:
+                raise ValueError(f"compare.baseline: {column} = {value!r} is not one of {', '.join(map(str, values))}")
+        for key in keys:
+            _replaced(columns, key, baseline, keys)
+    return chosen
+
+
+def _said(study: Study, baseline: Changes) -> str:
+    if study.varied and not study.compare.baseline:
+        return "the first setting"
+    return ", ".join(f"{column} = {value}" for column, value in baseline.items())
+
+
+def key_columns(settings: Sequence[Setting]) -> list[str]:
+    """Columns that tell rows apart: policy, its parameters, fidelity, varied fields."""
+    members = [columns for setting in settings for columns in setting.members.values()]
+    return list(dict.fromkeys(name for columns in (*members, settings[0].values) for name in columns))
+
+
+def _method(column: str, value: Any) -> Any:
+    """Policy NAME@SEED as NAME: training seeds are one method."""
+    return value.rpartition("@")[0] or value if column == "policy" and value.rpartition("@")[2].isdecimal() else value
+
+
+def _groups(settings: Sequence[Setting], episodes: pd.DataFrame) -> dict[Key, pd.DataFrame]:
+    """Episodes of every row of the study."""
+    columns = key_columns(settings)
+    parts = episodes.groupby(columns, sort=False, dropna=False)
+    return {tuple(None if value != value else value for value in key): part for key, part in parts}
+
+
+def _replaced(columns: Sequence[str], key: Key, values: Changes, known: Any) -> Key:
+    """The row that has other values in some columns; another policy has its own parameters.
+
+    Raises:
+        ValueError: there is none.
+    """
+    row = dict(zip(columns, key, strict=True))
+    if "policy" in values:
+        row |= {name: None for name in columns if name.startswith("policy.")}
+    found = tuple((row | values).values())
+    if found not in known:
+        text = ", ".join(f"{name} = {value}" for name, value in zip(columns, found, strict=True) if value is not None)
+        raise ValueError(f"compare.baseline: the study has no row of {text}")
+    return found
+
+
+def _mean(table: pd.DataFrame, name: str, metric: str) -> Interval:
+    if metric in OVER_TUBES:
+        return Interval(a90_95(table, name), np.nan, np.nan)
+    return mean_interval(by_context(table, name, metric).to_numpy())
+
+
+def _difference(table: pd.DataFrame, name: str, other: str, metric: str) -> Interval:
+    if metric in OVER_TUBES:
+        return difference_of_a90(curves_by_tube(table, name), curves_by_tube(table, other))
+    return paired_difference(table, name, other, metric)
+
+
+def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame, output: Path) -> pd.DataFrame:
+    """Write episodes.csv, comparison.csv, comparison.png and provenance.json, and print the comparison."""
+    table = compare(study, settings, episodes)
+    write_atomically(output / "episodes.csv", episodes.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / "comparison.csv", table.to_csv(index=False, float_format="%.6g"))
+    record = {"study": study.model_dump(mode="json")}
+    write_json(output / "provenance.json", provenance(commits=episodes["commit"]) | record)
+    shown, columns = _displayed(study, settings, table)
+    (_across if study.figure else _forest)(study, shown, columns, output / "comparison.png")
+    for baseline, part in shown.groupby("baseline", sort=False):
+        by_row = part.groupby([*columns, *key_columns(settings)], sort=False, dropna=False)
+        cells = [[*map(_text, key[: len(columns)]), *map(_cell, rows.to_dict("records"))] for key, rows in by_row]
+        print_table(
+            f"{study.question} Differences to {baseline}, 95 % intervals",
+            (*columns, *(_label(metric) for metric in study.compare.metrics)), cells, left=len(columns),
+        )  # fmt: skip
+    return table
+
+
+def _displayed(study: Study, settings: Sequence[Setting], table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """The comparison in the order of policies, and the columns that are shown of a row.
+
+    Where a study lists its settings, what they change goes to one column.
+    """
+    order = {policy: number for number, policy in enumerate(dict.fromkeys(table["policy"]))}
+    table = table.sort_values("policy", key=lambda names: names.map(order), kind="stable")
+    columns = [name for name in key_columns(settings) if table[name].astype(str).nunique() > 1]
+    if isinstance(study.vary, Mapping):
+        return table, columns or ["policy"]
+    usual = settings[0].values
+    changed = [
+        ", ".join(
+            f"{name.rpartition('.')[2]} = {_text(row[name])}" for name in study.varied if row[name] != usual[name]
+        )
+        for row in table.to_dict("records")
+    ]
+    columns = [name for name in columns if name not in study.varied]
+    return table.assign(setting=[text or "-" for text in changed]), [*columns, "setting"]
+
+
+def _text(value: Any) -> str:
+    return "" if value is None or value != value else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _shown(metric: str) -> tuple[str, float, str]:
+    """Name, factor and unit for people."""
+    return (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
+
+
+def _label(metric: str) -> str:
+    name, _, unit = _shown(metric)
+    return f"{name} [{unit}]" if unit else name
+
+
+def _cell(row: Mapping[Any, Any]) -> str:
+    """Mean, difference and its interval, in the units for people."""
+    factor = _shown(row["metric"])[1]
+    mean = short(factor * row["mean"])
+    if row["difference"] == row["difference_low"] == row["difference_high"] == 0.0:
+        return mean
+    low, high = short(factor * row["difference_low"]), short(factor * row["difference_high"])
+    share = row.get("share_of_lead")
+    lead = "" if share is None or share != share else f", {100.0 * share:.0f} % of the lead"
+    return f"{mean} ({short(factor * row['difference'], '+')} [{low}, {high}]{lead})"
+
+
+def _forest(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path) -> None:
+    """Differences of the first metric with their intervals: a panel a baseline, a line a row."""
+    part = table[table["metric"] == study.compare.metrics[0]]
+    panels = [rows for _, rows in part.groupby("baseline", sort=False)]
+    size = (4.0 + 4.5 * len(panels), 1.2 + 0.28 * len(panels[0]))
+    figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, sharey=True, layout="constrained")
+    for axis, rows in zip(axes[0], panels, strict=True):
+        values = rows[["difference", "difference_low", "difference_high"]].to_numpy(float)
+        for y, (mean, low, high) in enumerate(values):
+            axis.plot([low, high], [y, y], color=BLUE, linewidth=1.5)
+            axis.plot([mean], [y], "o", color=BLUE, markersize=4)
+        sizes = np.abs(values[:, 0][values[:, 0] != 0.0])
+        if len(sizes) and np.median(sizes) < LINEAR_SHARE * sizes.max():
+            axis.set_xscale("symlog", linthresh=float(max(np.median(sizes), LINEAR_SHARE**2 * sizes.max())))
+        axis.axvline(0.0, color=GREY, linewidth=0.8)
+        axis.set_title(f"less {plain(str(rows['baseline'].iloc[0]))}", fontsize="medium")
+        names = [", ".join(filter(None, map(_text, row))) for row in rows[list(shown)].itertuples(index=False)]
+        axis.set_yticks(range(len(rows)), map(plain, names), fontsize="small")
+        axis.grid(**GRID)
+    axes[0, 0].set_ylim(len(panels[0]) - 0.5, -0.5)
+    figure.supxlabel(f"difference of {_label(study.compare.metrics[0])}, 95 % intervals", fontsize="medium")
+    save(figure, path)
+
+
+def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path) -> None:
+    """One metric over another: a point a row with both intervals, a line through the rows of a policy and setting."""
+    assert study.figure is not None
+    figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
+    first = table[table["baseline"] == table["baseline"].iloc[0]]
+    lines = [name for name in shown if not name.startswith("policy.")]
+    for colour, (name, rows) in zip(colours(), first.groupby(lines, sort=False, dropna=False), strict=False):
+        points = [
+            _shown(metric)[1] * rows.loc[rows["metric"] == metric, ["mean", "low", "high"]].to_numpy(float)
+            for metric in study.figure
+        ]
+        x, y = (values[points[0][:, 0].argsort()].T for values in points)
+        errors = (np.nan_to_num([mean - low, high - mean]) for mean, low, high in (x, y))
+        label = plain(", ".join(map(_text, name)))
+        axis.errorbar(x[0], y[0], xerr=next(errors), yerr=next(errors), fmt="o-", capsize=3, color=colour, label=label)
+    axis.set_xlabel(_label(study.figure[0]))
+    axis.set_ylabel(_label(study.figure[1]))
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    save(figure, path)

@@ -1,0 +1,207 @@
+"""Runs a study: a plan for every setting, and one table of episodes with a column for every varied field."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import pandas as pd
+from pydantic import ValidationError
+
+from agents.evaluation.plan import BATCH, Plan, run_plan
+from agents.evaluation.statistics import grouped
+from agents.policies.catalogue import named_policies
+from agents.policies.fixed import Scheduled
+from agents.policies.law import Lawful
+from agents.policies.places import Place, map_of, place_of, plant_at, with_probe
+from agents.policies.policy import OutsideDomain, Policy
+from agents.policies.wrappers import BothWays
+from agents.processes.workers import HERE, Workers
+from agents.studies.spec import Changes, Study
+from probe_env import Plant
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.machine import available_cores
+from probe_env.physics.methods import METHODS
+from probe_env.settings import explain
+
+RECOMMENDED: Final = ("recommended", "recommended-law")
+"""Policies that are searched for the plant of a setting, by the calibrated response."""
+
+
+class Setting(NamedTuple):
+    """One setting of a study.
+
+    Attributes:
+        values: column -> value: fidelity and varied fields, read back from what is simulated.
+        plan: policies, tubes, task and fidelity.
+        members: policy of the plan -> its columns: ``policy`` and ``policy.PARAMETER``.
+        folder: name of the folder of its episodes.
+    """
+
+    values: Changes
+    plan: Plan
+    members: dict[str, Changes]
+    folder: str
+
+
+def expand(study: Study) -> list[Setting]:
+    """All settings of a study, checked before anything is run.
+
+    Raises:
+        ValueError: a field, a value or a policy is not valid; names it.
+        FileNotFoundError: no such plant, probe or schedule.
+    """
+    settings = [_setting(study, fidelity, changes) for fidelity, changes in study.settings()]
+    folders = [setting.folder for setting in settings]
+    twice = next((setting for setting in settings if folders.count(setting.folder) > 1), None)
+    if twice:
+        raise ValueError(f"vary: two settings are equal: {twice.values}")
+    return settings
+
+
+def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) -> pd.DataFrame:
+    """Run what is missing in ``output`` and return all episodes, with the columns of their settings.
+
+    Raises:
+        ValueError: a folder holds episodes of another task.
+    """
+    tables = []
+    for number, setting in enumerate(settings, start=1):
+        print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
+        # methods without lanes run episode by episode, so that each is stored as it ends
+        batch = BATCH if METHODS[setting.plan.fidelity.method].lanes else available_cores()
+        table = run_plan(setting.plan, output / "episodes" / setting.folder, batch=batch, workers=workers)
+        columns = pd.DataFrame([setting.members[name] for name in table["policy"]], index=table.index)
+        tables.append(pd.concat([columns.assign(**setting.values), table.drop(columns="policy")], axis=1))
+    return grouped(pd.concat(tables, ignore_index=True))
+
+
+def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
+    try:
+        plant, place = _place(study, changes)
+        unvaried = _changed(place.config.all_shown, study.set)
+        config = _changed(unvaried, changes)
+        accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
+        accuracy = accuracy.model_copy(update=_under("fidelity", study.set | changes))
+        known = config if study.policies_know == "varied task" else unvaried
+        policies, members = _policies(study, known, place, plant)
+    except (ValueError, TypeError) as error:
+        problem = explain(error) if isinstance(error, ValidationError) else str(error)
+        where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
+        raise ValueError(f"{where}: {problem}" if where else problem) from error
+    plan = Plan(policies, place.contexts, study.seeds, config, accuracy)
+    values = {"fidelity": fidelity} | {name: _value(name, changes, config, plan.fidelity) for name in study.varied}
+    return Setting(values, plan, members, _folder(values))
+
+
+def _place(study: Study, changes: Changes) -> tuple[Plant | None, Place]:
+    """The plant, None for the shipped lists, and its task, tubes and map."""
+    tube = Path(study.tube) if study.tube else None
+    plant, update = plant_at(tube), _under("plant", study.set | changes)
+    if update:
+        plant = (plant or Plant()).model_copy(update=update)
+    return plant, place_of(plant, study.contexts, study.limit, map_of(tube, plant))
+
+
+def _changed(config: TaskConfig, changes: Changes) -> TaskConfig:
+    """The task with the fields of ``changes`` that are its own, and with another probe."""
+    update = _under("task", changes)
+    for root in ("scene", "sensor"):
+        if part := _under(root, changes):
+            update[root] = part
+    config = config.model_copy(update=update) if update else config
+    probe = changes.get("probe", "scene")
+    return config if probe == "scene" else with_probe(config, probe)
+
+
+def _under(root: str, changes: Changes) -> dict[str, Any]:
+    """Nested mapping of the dotted fields under a root."""
+    nested: dict[str, Any] = {}
+    for name, value in changes.items():
+        first, *rest = name.split(".")
+        if first != root or not rest:
+            continue
+        table = nested
+        for part in rest[:-1]:
+            table = table.setdefault(part, {})
+        table[rest[-1]] = value
+    return nested
+
+
+def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) -> Any:
+    """Value of a varied field in what is simulated; of a plant's field or a probe as the study gives it."""
+    root, *rest = name.split(".")
+    if root in ("plant", "probe"):
+        return changes.get(name, "scene" if root == "probe" else None)
+    value: Any = {"task": config, "scene": config.scene, "sensor": config.sensor, "fidelity": fidelity}[root]
+    for part in rest:
+        value = getattr(value, part)
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else value
+
+
+def _policies(
+    study: Study, config: TaskConfig, place: Place, plant: Plant | None
+) -> tuple[dict[str, Policy], dict[str, Changes]]:
+    """Policies by the names that the plan gives them, and their columns."""
+    policies: dict[str, Policy] = {}
+    members: dict[str, Changes] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
+        for spec, parameters in study.members():
+            if spec in RECOMMENDED:
+                base = {spec: _recommended(spec, config, plant)}
+            else:
+                base = named_policies([spec], config, place.vibration)
+            for name, policy in base.items():
+                settings = [f"{key}={value}" for key, value in parameters.items()]
+                member = " ".join((name, *settings))
+                if member in policies:
+                    raise ValueError(f"policies: {member} is there twice; NAME=FILE gives a file another name")
+                policies[member] = _with(policy, name, parameters) if parameters else policy
+                columns = {f"policy.{key}": value for key, value in parameters.items()}
+                members[member] = {"policy": name} | columns
+    return policies, members
+
+
+def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
+    """A policy with other parameters.
+
+    Raises:
+        ValueError: no such parameter, or a value of another kind.
+    """
+    if isinstance(policy, BothWays):
+        return replace(policy, forth=_with(policy.forth, name, parameters))
+    own = fields(policy) if is_dataclass(policy) else ()
+    known = [part.name for part in own if part.name not in ("config", "vibration")]
+    for key, value in parameters.items():
+        if key not in known:
+            raise ValueError(f"policies: {name} has no parameter {key!r}; accepted: {', '.join(known) or 'none'}")
+        now = getattr(policy, key)
+        if now is not None and isinstance(now, str) != isinstance(value, str):
+            raise ValueError(f"policies: {name}: {key} = {value!r} is of another kind than {now!r}")
+    return replace(policy, **parameters)
+
+
+def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
+    """What the calibrated response recommends for a plant, searched on training tubes."""
+    from agents.plant.recommendation import recommended, recommended_law
+    from agents.plant.response import stored_response
+
+    tubes, response = place_of(plant, "train").contexts, stored_response()
+    if name == "recommended":
+        return Scheduled(config, recommended(tubes, response, config).schedule)
+    return Lawful(config, law=recommended_law(tubes, response, config))
+
+
+def _folder(values: Changes) -> str:
+    """A folder's name: the values for people, and a digest that no two settings share."""
+    text = "-".join(f"{name.rpartition('.')[2]}-{value}" for name, value in values.items())
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
+    return f"{re.sub(r'[^A-Za-z0-9_.+-]+', '-', text)[:80].strip('-.')}-{digest}"

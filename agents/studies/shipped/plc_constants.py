@@ -1,0 +1,230 @@
+"""Makes the PLC laws' constants: CMA-ES on the vibration map, then in simulation; the trim by a grid in simulation.
+
+The part on the map takes minutes and is the same each time, so an interrupted one begins again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from cmaes import CMA
+from tqdm import tqdm
+
+from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.statistics import paired_difference
+from agents.policies.fixed import FixedPolicy
+from agents.policies.places import Place, place_of
+from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
+from agents.policies.policy import Policy
+from agents.processes.workers import Workers
+from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.studies.builtin import Request
+from agents.terminal.tables import print_table
+from probe_env import Context
+from probe_env.arrays import FloatArray
+from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap, expected_cost, stored_map
+from probe_env.envs.task import metre_reward
+from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.fidelity import resolve_fidelity
+from probe_env.physics.closed_forms import sliding_tension
+
+RANGES: Final[dict[str, tuple[float, float]]] = {
+    "average": (3.0, 40.0), "onset_length": (10.0, 60.0), "onset_friction": (0.0, 3.0), "onset_diameter": (0.0, 3.0),
+    "slow_feed": (0.05, 0.4), "slow_length": (0.0, 2.0), "slow_friction": (0.0, 2.0), "slow_diameter": (0.0, 2.0),
+    "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6),
+}  # fmt: skip
+"""Where each constant is looked for; those of a magnitude by their logarithm."""
+LOGARITHMIC: Final = ("average", "onset_length", "slow_feed", "quiet")
+POPULATION: Final = 10
+TRIALS, GENERATIONS, LIMIT = 600, 6, 12
+"""Laws tried on the map, generations that are simulated after that, and training tubes of these."""
+WIDE, NEAR = 0.2, 0.05
+"""First spread of a search, as a share of the ranges: on the map, and in simulation around what the map gave."""
+
+AIMS: Final = (2.5e-5, 3e-5, 3.5e-5, 4.2e-5, 5e-5)
+"""Noise that is aimed at, as radial rms [m]."""
+TIMES: Final = (40.0, 80.0, 160.0)
+"""Of the trim [s]."""
+UNTRIMMED: Final = "plc-law"
+TRIM_LIMIT: Final = 48
+START = 5.0
+"""[m] inserted at the beginning."""
+
+
+def constants_at(x: FloatArray) -> Constants:
+    """Of a point (10,) in the unit cube."""
+    values = {}
+    for share, (name, (low, high)) in zip(x, RANGES.items(), strict=True):
+        values[name] = low * (high / low) ** share if name in LOGARITHMIC else low + share * (high - low)
+    return Constants.model_validate({name: float(f"{value:.4g}") for name, value in values.items()})
+
+
+def point_of(constants: Constants) -> FloatArray:
+    """The inverse of ``constants_at``, within the cube."""
+    shares = []
+    for name, (low, high) in RANGES.items():
+        value = getattr(constants, name)
+        linear = (value - low) / (high - low)
+        shares.append(np.log(value / low) / np.log(high / low) if name in LOGARITHMIC else linear)
+    return np.asarray(np.clip(shares, 0.0, 1.0))
+
+
+def run(request: Request) -> None:
+    """Search the ten constants of plc-law, then the two of trimmed-law; store and print.
+
+    Writes plc-law.json, trimmed-law.json and every trial; what was simulated is kept and not played again. ``trials``
+    are laws tried on the map, ``limit`` training tubes that are simulated, the first, which are balanced.
+
+    Raises:
+        ValueError: the limit is out of range.
+    """
+    request.without("tube")
+    limit = LIMIT if request.limit is None else request.limit
+    if not 0 < limit <= SPLIT_SIZES["train"]:
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
+    trials = TRIALS if request.trials is None else request.trials
+    search_law(trials, GENERATIONS, limit, request)
+    search_trim(TRIM_LIMIT if request.limit is None else limit, request)
+    print(f"written: {request.output}/ (plc-law.json, trimmed-law.json, the trials of both)")
+
+
+def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
+    """The constants of plc-law: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
+    vibration, output = stored_map(), request.output
+    whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
+    config = whole.config.all_shown
+    rows: list[dict[str, object]] = []
+
+    def by_map(laws: list[Constants]) -> list[float]:
+        by_law = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
+        return [float(rewards.mean()) for rewards in by_law]
+
+    best = _searched(by_map, point_of(Constants()), WIDE, max(trials // POPULATION, 1), ("map", rows))
+    simulated = _Simulated(place, output / "episodes", request.workers)
+    best = _searched(simulated, point_of(best), NEAR, generations, ("simulated", rows)) if generations else best
+    table = pd.DataFrame(rows)
+    write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
+    record = {
+        "constants": best.model_dump(),
+        "rewards": {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)},
+        "tubes": {"map": len(whole.contexts), "simulated": limit},
+    }
+    write_json(output / "plc-law.json", record | {"provenance": provenance(commits=simulated.commits)})
+    return best
+
+
+class _Simulated:
+    """Mean rewards of laws on some tubes, by simulation; episodes are kept."""
+
+    def __init__(self, place: Place, folder: Path, workers: Workers) -> None:
+        self.place, self.folder, self.workers, self.done = place, folder, workers, 0
+        self.commits = [commit()]  # of the laws tried on the map, which are tried anew each time
+
+    def __call__(self, laws: list[Constants]) -> list[float]:
+        config = self.place.config.all_shown
+        policies = {f"law-{self.done + k}": PlcLaw(config, law) for k, law in enumerate(laws)}
+        plan = Plan(policies, self.place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+        table = run_plan(plan, self.folder / f"{self.done:04d}", progress=False, workers=self.workers)
+        self.done += len(laws)
+        self.commits += list(table["commit"])
+        means = table.groupby("policy")["reward"].mean()
+        return [float(means[name]) for name in policies]
+
+
+def _searched(
+    reward: Callable[[list[Constants]], list[float]],
+    start: FloatArray,
+    spread: float,
+    generations: int,
+    record: tuple[str, list[dict[str, object]]],
+) -> Constants:
+    """The best that a CMA-ES around ``start`` tried; at its end the mean of the search is tried as well."""
+    bounds = np.tile([0.0, 1.0], (len(start), 1))
+    search = CMA(mean=start, sigma=spread, bounds=bounds, population_size=POPULATION, seed=0)
+    where, rows = record
+    best, most = constants_at(start), -np.inf
+    for _ in tqdm(range(generations), desc=where, unit="generation"):
+        points = [search.ask() for _ in range(POPULATION)]
+        laws = [constants_at(point) for point in points]
+        rewards = reward(laws)
+        search.tell([(point, -value) for point, value in zip(points, rewards, strict=True)])
+        for law, value in zip(laws, rewards, strict=True):
+            rows.append({"where": where, "reward": value, **law.model_dump()})
+            if value > most:
+                best, most = law, value
+    centre = constants_at(np.clip(search.mean, 0.0, 1.0))
+    value = reward([centre])[0]
+    rows.append({"where": where, "reward": value, **centre.model_dump()})
+    return centre if value >= most else best
+
+
+def search_trim(limit: int, request: Request) -> Trim:
+    """The constants of trimmed-law: a grid of aims and times, compared with the law without a trim."""
+    place = place_of(None, "train", limit)
+    config = place.config.all_shown
+    trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
+    policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
+    policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}
+    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    table = run_plan(plan, request.output / "trim-episodes", workers=request.workers)
+    rows: list[dict[str, Any]] = []
+    for name, trim in trims.items():
+        gain = paired_difference(table, name, UNTRIMMED, "reward")
+        row = trim.model_dump() | {"reward": table[table["policy"] == name]["reward"].mean()}
+        rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
+    trials = pd.DataFrame(rows)
+    best = rows[int(trials["reward"].to_numpy().argmax())]
+    chosen = Trim(aim=best["aim"], time=best["time"])
+    write_atomically(request.output / "trimmed-law-trials.csv", trials.to_csv(index=False, float_format="%.6g"))
+    record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
+    write_json(request.output / "trimmed-law.json", record | {"provenance": provenance(commits=table["commit"])})
+    by_place = {(row["aim"], row["time"]): row for row in rows}
+    cells = []
+    for aim in AIMS:
+        gains = [by_place[aim, time] for time in TIMES]
+        shown = [f"{row['gain']:+.2f} [{row['gain_low']:.2f}, {row['gain_high']:.2f}]" for row in gains]
+        cells.append((f"{1e6 * aim:.3g}", *shown))
+    header = ("aim [µm]", *(f"{time:g} s" for time in TIMES))
+    print_table(f"Reward less that of {UNTRIMMED}, {limit} tubes, by the trim's time", header, cells, left=0)
+    return chosen
+
+
+def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibration: VibrationMap) -> FloatArray:
+    """Expected reward (n,) of insertions, jerk left out, in which tension, noise and cost are those of steady states.
+
+    Args:
+        policy: that looks at length, feed, air, tension, noise and helix diameter; its draws are its own.
+        tubes: (n,).
+        vibration: the map.
+    """
+    config = policy.config
+    values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
+    column = {name: values[:, k] for k, name in enumerate(CONTEXT)}
+    count, end, dt = len(tubes), config.scene.tube.helix_length, config.period
+    length, reward, noise = np.full(count, START), np.zeros(count), np.full(count, RF_FLOOR)
+    feed = np.full(count, config.feed_speeds[1])
+    air = np.full(count, config.air_supply_rates[0])
+    memory = np.zeros((count, policy.memory))
+    policy.start(memory)
+    for step in range(round(config.time_limit / dt)):
+        seen = {
+            "inserted_length": length, "feed_speed": feed, "air_supply_rate": air, "rf_noise": noise,
+            "helix_diameter": column["helix_diameter"], "time": np.full(count, step * dt),
+        }  # fmt: skip
+        pulled = sliding_tension(column["friction"], seen, config.scene) * column["drag_factor"]
+        feed, air = policy.targets(seen | {"root_tension": pulled}, memory)
+        left = np.maximum(end - length, 0.0)
+        travel = np.minimum(feed * dt, left)
+        mean, deviation = vibration.tells(length + 0.5 * travel, feed, air, values, config.scene)
+        noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
+        reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
+        length = length + travel
+        if (left <= 0.0).all():
+            break
+    return reward - config.uninspected_weight * np.maximum(end - length, 0.0)

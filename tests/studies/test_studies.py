@@ -1,0 +1,299 @@
+"""Studies: a file becomes settings with columns, runs resume, and rows are paired tube by tube."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from agents.evaluation import plan as plans
+from agents.evaluation.statistics import paired_difference
+from agents.policies.catalogue import named_policies
+from agents.policies.fixed import PI, Scheduled
+from agents.policies.places import with_probe
+from agents.records.shipped import shipped_folder, shipped_names
+from agents.studies import run as runs
+from agents.studies.builtin import BUILT_IN
+from agents.studies.compare import baselines, compare, key_columns
+from agents.studies.run import Setting, expand
+from agents.studies.spec import Study
+from probe_env import load_contexts
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import PRESETS
+
+SHORT = """
+question = "Does a slower ramp change anything in a short tube?"
+policies = ["constant", { name = "pi", level = [3e-5, 6e-5] }]
+limit = 2
+
+[set]
+"plant.tube.helix_length" = 8.0
+
+[vary]
+"task.ramp" = [0.5, 0.05]
+
+[compare]
+metrics = ["reward", "a90_95_percent_wall"]
+baseline = [{ policy = "constant" }, { "task.ramp" = 0.5 }]
+"""
+
+
+def study_of(text: str, path: Path) -> Study:
+    path.write_text(text)
+    return Study.from_toml(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The short study, run by the command with two workers."""
+    folder = tmp_path_factory.mktemp("studies")
+    (folder / "short.toml").write_text(SHORT)
+    assert main(["study", str(folder / "short.toml"), "--output", str(folder / "out"), "--jobs", "2"]) == 0
+    return folder
+
+
+def test_every_row_has_columns_and_is_the_episode_of_an_evaluation(folder: Path) -> None:
+    table = pd.read_csv(folder / "out" / "episodes.csv")
+    assert list(table.columns[:6]) == ["policy", "policy.level", "fidelity", "task.ramp", "context", "seed"]
+    rows = table[["policy", "policy.level", "task.ramp", "context"]].fillna(0.0).itertuples(index=False, name=None)
+    levels = (("constant", 0.0), ("pi", 3e-5), ("pi", 6e-5))
+    assert list(rows) == [(*policy, ramp, k) for ramp in (0.5, 0.05) for policy in levels for k in range(2)]
+    tube = folder / "tube.toml"
+    tube.write_text("[tube]\nhelix_length = 8.0\n[feed]\nramp = 0.05\n")
+    arguments = ["constant", "--tube", str(tube), "--limit", "2", "--fidelity", "fast", "--output", str(folder / "one")]
+    assert main(["evaluate", *arguments]) == 0
+    alone = pd.read_csv(folder / "one" / "episodes.csv")
+    same = table[(table["policy"] == "constant") & (table["task.ramp"] == 0.05)].reset_index(drop=True)
+    for name in ("reward", "inspection_time_s", "radial_rms_m", "a90_percent_wall", "cost", "friction"):
+        np.testing.assert_allclose(same[name], alone[name], rtol=1e-5)  # six digits are stored
+    slower = table[table["task.ramp"] == 0.5].reset_index(drop=True)
+    assert (slower["radial_rms_m"] != table[table["task.ramp"] == 0.05].reset_index(drop=True)["radial_rms_m"]).any()
+
+
+def test_differences_are_paired_over_tubes(folder: Path) -> None:
+    table, rows = (pd.read_csv(folder / "out" / name) for name in ("episodes.csv", "comparison.csv"))
+    keys = ["policy", "policy.level", "task.ramp"]
+    rewards = {key: part.set_index("context")["reward"] for key, part in table.fillna(0.0).groupby(keys)}
+    rows = rows.fillna({"policy.level": 0.0})
+    assert len(rows) == 6 * 2 * 2
+    for row in rows[rows["metric"] == "reward"].to_dict("records"):
+        key = tuple(row[name] for name in keys)
+        other = ("constant", 0.0, key[2]) if row["baseline"] == "policy = constant" else (*key[:2], 0.5)
+        differences = rewards[key] - rewards[other]
+        assert row["difference"] == pytest.approx(differences.mean(), abs=1e-4)
+        assert row["mean"] == pytest.approx(rewards[key].mean(), rel=1e-5)
+        assert differences.min() - 1e-4 <= row["difference_low"] <= row["difference"] + 1e-4
+        assert row["difference"] - 1e-4 <= row["difference_high"] <= differences.max() + 1e-4
+    assert (rows.groupby(["task.ramp", "metric", "baseline"])["rank"].min() == 1.0).all()
+    assert (folder / "out" / "comparison.png").stat().st_size > 10_000
+
+
+def test_it_resumes(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is run again; with one more ramp only that is."""
+    before = (folder / "out" / "comparison.csv").read_bytes()
+    played: list[int] = []
+    play = plans._play
+
+    def counted(plan: Any, missing: Any, *rest: Any) -> Any:
+        played.append(len(missing))
+        return play(plan, missing, *rest)
+
+    monkeypatch.setattr(plans, "_play", counted)
+    assert main(["study", str(folder / "short.toml"), "--output", str(folder / "out")]) == 0
+    assert played == []
+    assert (folder / "out" / "comparison.csv").read_bytes() == before
+    more = SHORT.replace("[0.5, 0.05]", "[0.5, 0.1, 0.05]")
+    (folder / "more.toml").write_text(more.replace("limit = 2", 'figure = ["reward", "a90_95_percent_wall"]'))
+    drawn = (folder / "out" / "comparison.png").read_bytes()
+    assert main(["study", str(folder / "more.toml"), "--output", str(folder / "out"), "--limit", "1"]) == 0
+    assert played == [3]
+    assert (folder / "out" / "comparison.png").read_bytes() != drawn
+    assert "ramp" in capsys.readouterr().out
+
+
+def test_bad_files_name_file_field_and_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before anything is run."""
+    cases = {
+        ('"task.ramp" = [', '"task.rampe" = ['): "rampe: there is no such field; accepted: scene, sensor",
+        ('"task.ramp" = [', '"ramp" = ['): "vary: 'ramp' is not one of fidelity, probe, task.FIELD",
+        ("0.05]", "-1.0]"): "ramp: -1.0 m/s2 is outside the accepted range 0.001 to 1000 m/s2",
+        ("0.05]", "0.5]"): "vary: two settings are equal",
+        ("[0.5, 0.05]", "[]"): "every field of vary needs a value",
+        ('"reward"', '"rewrd"'): "compare.metrics: metrics that are not known: rewrd; accepted: a90_95",
+        ("level =", "levl ="): "pi has no parameter 'levl'; accepted: level, proportional",
+        ("[3e-5, 6e-5]", '"low"'): "pi: level = 'low' is of another kind",
+        ('name = "pi"', 'nam = "pi"'): "a table of a policy needs its name",
+        ('"constant", ', '"constnt", '): "policy = 'constnt' is not one of",
+        ('"constant", ', '"constant", "constant", '): "policies: constant is there twice",
+        ('{ policy = "constant" }', '{ policy = "slow" }'): "compare.baseline: policy = 'slow' is not one of constant",
+        ('{ policy = "constant" }', '{ policy = "pi" }'): "the study has no row of policy = pi",
+        ('{ "task.ramp" = 0.5 }', '{ "task.ramp" = 0.4 }'): "compare.baseline: task.ramp = 0.4 is not one of 0.5",
+        ('{ "task.ramp" = 0.5 }', "{ ramp = 0.4 }"): "compare.baseline: 'ramp' is not one of policy",
+        ("limit = 2", "limit = 49"): "limit = 49 is outside the accepted range 0 (all) to 48",
+        ("limit = 2", 'limit = 2\nfidelity = "fats"'): "fidelity = 'fats' is not one of",
+        ("limit = 2", 'limit = 2\nfigure = ["reward", "cost"]'): "figure must be two of compare.metrics",
+        ("helix_length", "helix_lenth"): "helix_lenth: there is no such field",
+        ("question", "questio"): "question: Field required",
+    }
+    wrong = []
+    for (old, new), message in cases.items():
+        assert old in SHORT
+        path = tmp_path / "bad.toml"
+        path.write_text(SHORT.replace(old, new, 1))
+        status = main(["study", str(path), "--output", str(tmp_path / "out")])
+        printed = capsys.readouterr().err
+        if status != 2 or f"probe-env: error: {path}: " not in printed or message not in printed:
+            wrong.append((new, printed))
+    assert not wrong
+    assert not (tmp_path / "out").exists()
+
+
+def test_fields_change_what_they_say(tmp_path: Path) -> None:
+    """Of task, scene, sensor, fidelity, probe and plant; columns are read back from what is simulated."""
+    text = """
+    question = "?"
+    policies = ["pi"]
+    limit = 1
+    policies_know = "unvaried task"
+    vary = [{}, { "task.delay_periods" = 2 }, { "scene.tube.ovality" = 0.1 }, { "sensor.quiet_snr" = 15.0 },
+            { "fidelity.time_step" = 1e-4 }, { probe = "improved" }, { fidelity = "standard" }]
+    """
+    settings = expand(study_of(text, tmp_path / "fields.toml"))
+    usual = TaskConfig().all_shown
+    tasks = [setting.plan.config for setting in settings]
+    assert tasks[0] == tasks[4] == tasks[6] == usual
+    assert tasks[1].delay_periods == 2
+    assert tasks[2].scene.tube.ovality == 0.1
+    assert tasks[3].sensor.quiet_snr == 15.0
+    assert tasks[5] == with_probe(usual, "improved")
+    assert settings[4].plan.fidelity == PRESETS["fast"].model_copy(update={"time_step": 1e-4})
+    assert settings[6].plan.fidelity == PRESETS["standard"]
+    columns = pd.DataFrame([setting.values for setting in settings])
+    assert columns["task.delay_periods"].tolist() == [0, 2, 0, 0, 0, 0, 0]
+    assert columns["probe"].tolist() == ["scene"] * 5 + ["improved", "scene"]
+    assert columns["fidelity"].tolist() == ["fast"] * 6 + ["standard"]
+    assert columns["fidelity.time_step"].tolist() == [2e-4] * 4 + [1e-4, 2e-4, 2e-4]
+    for setting in settings:
+        (policy,) = setting.plan.policies.values()
+        assert isinstance(policy, PI)
+        assert policy.config == usual
+    assert settings[0].plan.contexts == load_contexts("test")[:1]
+
+
+def test_sweeps_are_of_one_policy_each_and_training_seeds_are_one(tmp_path: Path) -> None:
+    text = """
+    question = "?"
+    policies = [
+      { name = "planner", periods = [2, 8], every = 2 }, "mine@0=fast-in", "mine@1=steady-back", "shielded:pi",
+    ]
+    limit = 1
+    """
+    study = study_of(text, tmp_path / "sweeps.toml")
+    (setting,) = expand(study)
+    names = [columns["policy"] for columns in setting.members.values()]
+    assert names == ["planner", "planner", "mine@0", "mine@1", "shielded-pi"]
+    assert [policy.periods for policy in list(setting.plan.policies.values())[:2]] == [2, 8]  # type: ignore[attr-defined]
+    assert key_columns([setting]) == ["policy", "policy.periods", "policy.every", "fidelity"]
+    assert baselines(study, [setting]) == [{"policy": "planner", "policy.periods": 2, "policy.every": 2}]
+
+
+def episodes_of(settings: list[Setting], reward: Callable[[dict[str, Any], int], float]) -> pd.DataFrame:
+    """Made-up episodes in six tubes."""
+    rows = []
+    for setting in settings:
+        for columns in setting.members.values():
+            for tube in range(6):
+                values = columns | setting.values
+                rows.append(values | {"context": tube, "seed": 0, "reward": reward(values, tube), "commit": "x"})
+    return pd.DataFrame(rows)
+
+
+def test_the_share_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
+    text = """
+    question = "?"
+    policies = ["planner", "best-schedule", "pi"]
+    vary = [{ "task.ramp" = 0.5 }, { "task.ramp" = 0.1 }]
+    [compare]
+    metrics = ["reward"]
+    baseline = { policy = "best-schedule" }
+    upper = { policy = "planner" }
+    """
+    study = study_of(text, tmp_path / "share.toml")
+    settings = expand(study)
+    worth = {"planner": 10.0, "best-schedule": 2.0, "pi": 4.0}
+    table = episodes_of(settings, lambda row, tube: worth[row["policy"]] * (1.0 + row["task.ramp"]) + tube)
+    compared = compare(study, settings, table)
+    rows = {(row["policy"], row["task.ramp"]): row for row in compared.to_dict("records")}
+    for policy, share, rank in (("planner", 1.0, 1), ("best-schedule", 0.0, 3), ("pi", 0.25, 2)):
+        for ramp in (0.5, 0.1):
+            row = rows[policy, ramp]
+            assert row["share_of_lead"] == pytest.approx(share)
+            assert row["rank"] == rank
+            assert row["difference"] == pytest.approx((worth[policy] - 2.0) * (1.0 + ramp))
+    labelled = table[table["task.ramp"] == 0.1]
+    expected = paired_difference(labelled, "pi", "best-schedule", "reward")
+    assert rows["pi", 0.1]["difference_low"] == pytest.approx(expected.low)
+    text = text.replace('metrics = ["reward"]', 'metrics = ["reward", "back_reward"]')
+    study = study_of(text, tmp_path / "missing.toml")
+    with pytest.raises(ValueError, match="back_reward is not measured in this task"):
+        compare(study, settings, table)
+
+
+def test_all_studies_that_ship_can_be_run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every file expands, its baselines are rows, and the list has it with its question."""
+    monkeypatch.setattr(runs, "_recommended", lambda name, config, plant: Scheduled(config))  # searched elsewhere
+    for name in shipped_names("studies"):
+        study = Study.from_toml(shipped_folder("studies") / f"{name}.toml").changed(1, (), (), None)
+        settings = expand(study)
+        baselines(study, settings)
+    assert main(["study", "--list"]) == 0
+    listed = capsys.readouterr().out
+    assert not [name for name in (*shipped_names("studies"), *BUILT_IN) if f"  {name} " not in listed]
+    for study_ in BUILT_IN.values():
+        assert callable(study_.run)
+
+
+def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
+    study = study_of(SHORT, tmp_path / "short.toml")
+    changed = study.changed(1, ("slow",), ("standard",), Path("example"))
+    assert changed.policies == ("constant", "slow")  # what it compares with stays
+    assert (changed.limit, changed.fidelity, changed.tube) == (1, ("standard",), "example")
+    with pytest.raises(ValueError, match="limit = 49"):
+        study.changed(49, (), (), None)
+
+
+def test_unknown_studies_and_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cases = [
+        ("robustnes", "robustness"), ("--no-list", "study --list"), ("turning --trials 3", "trials = 3"),
+        ("response --trials 3", "trials = '3'"), ("feed-changes --fidelity fast", "fidelity = fast"),
+        ("best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),
+        ("best-schedules --trials 0", "trials = 0 is outside"), ("vibration-map --trials 0", "trials = 0 is outside"),
+        ("plc-constants --limit 0", "limit = 0 is outside"), ("response --limit 0", "limit = 0 is outside"),
+    ]  # fmt: skip
+    for arguments, message in cases:
+        assert main(["study", *arguments.split(), "--output", str(tmp_path / "out")]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_policies_of_a_plant_are_recommended_for_it(tmp_path: Path) -> None:
+    """``recommended`` differs between plants and is the same for the same plant."""
+    text = """
+    question = "?"
+    policies = ["recommended"]
+    limit = 1
+    [vary]
+    "plant.tube.inner_diameter" = [22e-3, 26e-3]
+    """
+    settings = expand(study_of(text, tmp_path / "plants.toml"))
+    described = [setting.plan.policies["recommended"].describe() for setting in settings]
+    assert described[0] != described[1]
+    for setting in settings:
+        assert setting.plan.config.scene.tube.inner_diameter == setting.values["plant.tube.inner_diameter"]
+        assert list(named_policies(["pi"], setting.plan.config)) == ["pi"]
