@@ -32,24 +32,3 @@ class Plc:
         trim = read_trim() if self.trimmed else None
         write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
         print_law(constants, trim)
-
-
-@dataclass(frozen=True)
-class World:
-    """Find what the map leaves out, so that agents can train in it, and how far rewards there are off."""
-
-    limit: int = 24
-    """Training tubes that are recorded, the first, which are balanced."""
-    simulated: Path = Path("results/evaluation/episodes.csv")
-    """Episodes of an evaluation at fast on the test tubes, which rewards are compared with."""
-    output: Path = Path("output/world")
-    """Folder of map-world.json and map-world.csv."""
-
-    def run(self) -> None:
-        """Record, find, compare, print."""
-        from agents.terminal.tables import print_table
-        from agents.worlds.measure import HEADER, cells, run_world
-
-        summary = run_world(self.limit, self.simulated, self.output)
-        print_table("Rewards in the world of the map", HEADER, cells(summary), left=1)
-        print(f"written: {self.output}/ (map-world.json, map-world.csv)")

@@ -36,10 +36,7 @@ class Calibrate:
         for needed in ("emcee", "corner"):  # before half a minute of sampling
             import_module(needed)
 
-        from agents.calibration.pictures import draw_bands, draw_corner
-        from agents.calibration.sources import recorded_of
-        from agents.calibration.telling import print_calibration
-        from agents.plant.calibration import calibrate
+        from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
         from agents.plant.response import stored_response
         from agents.policies.places import plant_at
         from agents.records.provenance import provenance, write_json

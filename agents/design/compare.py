@@ -5,20 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import pandas as pd
-from pydantic import ValidationError
+from pydantic import FiniteFloat, ValidationError, model_validator
 from tqdm import tqdm
 
 from agents.design.trials import DesignTrials, claim, tube_column
-from agents.evaluation.kpis import CORE, OF_DESIGNS, kpis_of
+from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
 from agents.evaluation.statistics import Interval, failures, in_words, mean_interval, short
 from agents.policies.catalogue import domains_of, name_and_spec
 from agents.policies.places import TABLE_2
 from agents.policies.policy import check_domains
 from agents.records.journal import Journal
-from agents.records.models import Trial
+from agents.records.models import Key, Stored, require
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.tables import Columns, read_csv
 from agents.terminal.tables import print_table
@@ -32,6 +32,18 @@ COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys
 NEWER: Final[Columns] = dict.fromkeys(OF_DESIGNS, "number")
 """Columns of the stored table that a summary needs, and those that it shows where they are there."""
 BATCH = 16
+
+
+class Trial(Stored):
+    """A line of ``designs.jsonl``."""
+
+    key: Key
+    kpis: dict[str, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        require("kpis", self.kpis, (*CORE, *CORE_FAILURES))
+        return self
 
 
 def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -> pd.DataFrame:

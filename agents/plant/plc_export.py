@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from agents.policies import plc_law
 from agents.policies.places import Place
-from agents.policies.plc import law, trimmed
 from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
 from agents.records.provenance import write_atomically
@@ -63,8 +63,8 @@ def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = 
     )
     environment.filters["real"] = _real
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-        law=law,
-        trimmed=trimmed,
+        law=plc_law,
+        trimmed=plc_law,
         trim=trim,
         constants=own,
         plant=[(name, value, unit) for (name, unit), value in zip(PLANT_DATA.items(), values, strict=True)],

@@ -39,7 +39,6 @@ from agents.training.config import Training
 from agents.training.imitation import imitate
 from agents.training.view_env import ViewVecEnv
 from agents.vec_env import ProbeVecEnv
-from agents.worlds.vec_env import vec_env
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import MEBI, one_line, read_bytes
 
@@ -208,9 +207,10 @@ def train(
 def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv, ProbeVecEnv]:
     """The algorithm with new weights, the environments it learns in, and the simulation below them."""
     settings = training.environment
-    batch = vec_env(
+    batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, training.shown_task,
         fidelity=settings.fidelity, contexts=training.trained_in, probes=settings.probes, threads=threads,
+        surrogate_map=training.vibration,
     )  # fmt: skip
     env = ViewVecEnv(batch, training.view, training.shown_task, settings.reward_scale)
     set_random_seed(seed)

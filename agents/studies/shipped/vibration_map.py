@@ -15,8 +15,8 @@ import pandas as pd
 from agents.evaluation.folder import PROFILE, PROFILE_HEARD
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import map_beside, plant_at
-from agents.records.provenance import provenance, write_json
+from agents.policies.places import plant_at
+from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import read_parquet
 from agents.records.shipped import file_or_shipped, ships
 from agents.studies.builtin import Request
@@ -24,6 +24,7 @@ from agents.studies.shipped.network import fit_network
 from probe_env import Context, Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.plants import map_beside
 from probe_env.envs.surrogate.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.fidelity import PRESETS
@@ -132,7 +133,7 @@ def make_map(seeds: int, request: Request, target: Path) -> VibrationMap:
     episodes = run_plan(plan, request.output, workers=request.workers)
     profile = with_contexts(read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
-    fitted.save(target)
+    write_atomically(target, fitted.to_bytes())
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), provenance(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")

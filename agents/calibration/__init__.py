@@ -1,1 +1,0 @@
-"""Studies of calibration on simulated logs, and the training of its response."""

@@ -1,1 +1,0 @@
-"""Studies of recommended schedules, and the search for round-trip schedules."""
