@@ -116,13 +116,15 @@ def run_plan(
     threads: int | None = None,
     workers: Workers = HERE,
     source: Source | None = None,
+    command: str | None = None,
 ) -> pd.DataFrame:
     """Run what is missing in ``output`` and return the table of all episodes of the plan.
 
     Every episode is appended to ``episodes.jsonl`` as it ends, also in a worker (on Ray when its portion ends); at the
     end ``episodes.csv`` and ``episodes.parquet`` (KPIs) and ``profile.parquet`` (per metre of inserted length) are
     written. Until then ``unfinished.json`` says what there is to be. Without an output nothing is read or written.
-    With a ``source`` it plays what is missing, in place of this process or workers.
+    With a ``source`` it plays what is missing, in place of this process or workers. ``command`` is stored as the
+    command line; default: that of this process.
 
     Raises:
         ValueError: the folder holds episodes of another setting; nothing is changed.
@@ -134,7 +136,7 @@ def run_plan(
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
-    write_json(output / UNFINISHED, provenance() | plan.policies_described() | plan.described())
+    write_json(output / UNFINISHED, provenance(command) | plan.policies_described() | plan.described())
     if missing:
         write_json(output / "setting.json", plan.setting())
         with (
@@ -147,7 +149,7 @@ def run_plan(
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | plan.policies_described())
+    write_json(output / "provenance.json", provenance(command, table["commit"]) | plan.policies_described())
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
