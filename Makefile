@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-processors test-pythons test-bounds browser test-app time-app lint types kernels results study bench timelapse stability chart peers scaling policies train train-smoke evaluation designs tradeoff fidelity test-ray readme docs clean
+.PHONY: setup demo test test-slow quick lint types kernels test-pythons test-ray browser test-app docs clean
 
 setup: $(STAMP)
 
@@ -31,26 +31,35 @@ types: setup
 kernels: setup
 	$(BIN)/python -m probe_env.compile_kernels
 
-PYTHONS ?= 3.12 3.13
+# two test processes on two cores: threads of linear algebra would wait for each other
+test test-slow quick: export OPENBLAS_NUM_THREADS = 1
+test test-slow quick: export OMP_NUM_THREADS = 1
+PYTEST := $(BIN)/pytest --numprocesses 2 --dist worksteal
 
-# two processes on two cores: threads of linear algebra would wait for each other
-test test-processors $(PYTHONS:%=test-python-%): export OPENBLAS_NUM_THREADS = 1
-test test-processors $(PYTHONS:%=test-python-%): export OMP_NUM_THREADS = 1
-
+# make test TESTS=tests/envs runs a part
+TESTS ?= tests
 test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
-	$(BIN)/pytest --numprocesses 2 --dist worksteal
+	$(PYTEST) -m "not slow" $(TESTS)
 
-# the statistics as other processors round them, and with other seeds
-test-processors: setup
+# what takes long: the wheel, the site, training, real kills, ensembles, other processors and seeds, bounds checks
+test-slow: setup kernels
+	$(PYTEST) -m slow $(TESTS)
 	$(BIN)/python tests/processors.py --numprocesses 2 --dist worksteal
-
-# every kernel, compiled anew with bounds checks
-test-bounds: setup
 	$(BIN)/pytest tests/physics/test_bounds.py
 
-# torch has no wheel for processors alone on every index, and is not needed by the physics and the environments: tests
-# that need it or an agent library are skipped there, and the run says so
+# lint, types of the changed files, and the tests of their rooms; BASE is what they are compared with
+BASE ?= HEAD
+CHANGED = $(shell git diff --name-only --diff-filter=d $(BASE) -- '*.py'; git ls-files --others --exclude-standard -- '*.py')
+ROOMS = $(wildcard $(sort $(shell echo $(CHANGED) | tr ' ' '\n' | sed -nE 's#^(probe_env|agents|tests)/([a-z_]+)/.*#tests/\2#p; s#^probe_env/[a-z_]+\.py#tests/settings#p')))
+quick: setup
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(if $(filter probe_env/% agents/%,$(CHANGED)),$(BIN)/mypy $(filter probe_env/% agents/%,$(CHANGED)))
+	$(if $(ROOMS),$(PYTEST) -m "not slow" $(ROOMS),@echo "no tests of changed rooms")
+
+# other versions of Python; tests that need torch or an agent library are skipped there
+PYTHONS ?= 3.12 3.13
 PYTHON3.12 ?= python3.12
 PYTHON3.13 ?= python3.13
 WITHOUT_TORCH := cmaes corner emcee moocore openpyxl optuna pint
@@ -61,41 +70,6 @@ test-python-%:
 	.venv-$*/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]' $(WITHOUT_TORCH)
 	.venv-$*/bin/python -m probe_env.compile_kernels
 	.venv-$*/bin/pytest --numprocesses 2 --dist worksteal -ra
-
-# Everything published, again, where it is stale; `make results` says first what and how long. STAGES narrows it down.
-results: setup
-	$(BIN)/probe-env results $(STAGES)
-	$(BIN)/probe-env readme
-
-# One stage of configs/results.toml, with what it reads
-STAGE_TARGETS := study chart stability timelapse bench scaling tradeoff fidelity
-$(STAGE_TARGETS): setup
-	$(BIN)/probe-env results $@
-
-policies: setup
-	$(BIN)/probe-env results map optimise
-
-evaluation: setup
-	$(BIN)/probe-env results evaluation any-probe
-
-designs: setup
-	$(BIN)/probe-env results countermeasures search confirmed confirmed-finely codesign driven
-
-# an environment of its own: the other packages are no dependency
-PEERS := .venv-peers
-peers:
-	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
-	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --constraint constraints-peers.txt --editable '.[peers]'
-	$(PEERS)/bin/probe-env peers --output results/chart
-
-train: setup
-	$(BIN)/probe-env train configs/train/ppo.toml --output results/agents/ppo --jobs 2 --resume
-	$(BIN)/probe-env train configs/train/ppo-no-tension.toml --output results/agents/ppo-no-tension --jobs 2 --resume
-	$(BIN)/probe-env train configs/train/ppo-any-probe.toml --output results/agents/ppo-any-probe --jobs 2 --resume
-	$(BIN)/probe-env train configs/train/student.toml --output results/agents/student --jobs 2 --resume
-
-train-smoke: setup
-	$(BIN)/pytest tests/learning/test_train.py -k smoke
 
 # an environment of its own: RLlib pins gymnasium 1.2.2
 RAY := .venv-ray
@@ -115,14 +89,7 @@ browser: setup
 test-app: browser
 	PROBE_ENV_CHROMIUM=$(CHROMIUM) PROBE_ENV_PICTURES=$(PICTURES) $(BIN)/pytest tests/browser
 
-# how long its user waits, stored in results/app; on a machine that does nothing else
-time-app: browser
-	PROBE_ENV_CHROMIUM=$(CHROMIUM) $(BIN)/python tests/browser/answers.py
-
-readme: setup
-	$(BIN)/probe-env readme
-
-# the site to read, with warnings as errors, and the check of its links; `make test` builds and checks one of its own
+# the site, with warnings as errors, and the check of its links
 SITE := output/docs
 docs: setup
 	rm -rf $(SITE)
@@ -131,5 +98,5 @@ docs: setup
 	@echo "open $(CURDIR)/$(SITE)/index.html"
 
 clean:
-	rm -rf $(VENV) $(RAY) $(PEERS) $(PYTHONS:%=.venv-%) output
+	rm -rf $(VENV) $(RAY) $(PYTHONS:%=.venv-%) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

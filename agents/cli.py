@@ -50,7 +50,6 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
     from probe_env import SimulationError
 
     try:
-        from agents.publishing.places import in_its_place
         from agents.terminal.masking import masked
         from agents.terminal.notices import said_when_compiling
         from probe_env.files import one_line
@@ -59,7 +58,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         _show_choices()
         command = _command(name, arguments)
         with said_when_compiling():
-            in_its_place(command).run()
+            command.run()
     except ImportError as error:
         module = _missing(error)
         extra = extra_with(module)

@@ -114,12 +114,9 @@ class World:
 
     def run(self) -> None:
         """Record, find, compare, print."""
-        from agents.publishing.places import check_checkout
         from agents.terminal.tables import print_table
         from agents.worlds.measure import HEADER, cells, run_world
 
-        if self.simulated == World.simulated and not self.simulated.exists():
-            check_checkout("world")  # an installed package has no stored evaluation
         summary = run_world(self.limit, self.simulated, self.output)
         print_table("Rewards in the world of the map", HEADER, cells(summary), left=1)
         print(f"written: {self.output}/ (map-world.json, map-world.csv)")

@@ -136,8 +136,6 @@ MAKERS: Final = {
     "peers": Entry("study:Peers", "other packages beside this one", "probe-env peers --output output/chart"),
     "bench": Entry("study:Bench", "the kernels' speed", "probe-env bench --repeats 3"),
     "scaling": Entry("study:Scaling", "what more cores bring", "probe-env scaling --output output/scaling"),
-    "results": Entry("results:Results", "everything published, where it is stale", "probe-env results --plan"),
-    "readme": Entry("results:Readme", "the documents' tables, from stored results", "probe-env readme --check"),
 }  # fmt: skip
 """What the results and the documents are made with."""
 LISTS: Final = {

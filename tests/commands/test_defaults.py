@@ -1,15 +1,10 @@
 """Where commands read and write if they are not told: never over a file that ships."""
 
-from dataclasses import MISSING, fields
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from agents.cli import main
-from agents.commands.feed import Evaluate, Report
-from agents.commands.registry import COMMANDS
-from agents.publishing.places import is_published
 
 ROOT = Path(__file__).parents[2]
 SNR = ROOT / "configs" / "tubes" / "snr.toml"
@@ -40,18 +35,3 @@ def test_the_map_of_ones_own_tube_goes_beside_its_file_and_any_where_it_is_asked
     assert main(["map", "--tube", str(SNR), "--target", str(tmp_path / "other.npz")]) == 0  # as the stage does
     assert maps == [tmp_path / "mine-map.npz", tmp_path / "other.npz"]
     assert capsys.readouterr().err == ""
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_no_default_output_is_published(name, monkeypatch):
-    monkeypatch.chdir(ROOT)
-    module, _, kind = COMMANDS[name].place.partition(":")
-    given = fields(getattr(import_module(f"agents.commands.{module}"), kind))
-    outputs = [
-        f.default for f in given if f.name in ("output", "target", "work", "folder") and f.default is not MISSING
-    ]
-    assert not [path for path in outputs if path is not None and is_published(path)]
-
-
-def test_a_report_is_by_default_that_of_what_was_evaluated():
-    assert Report().folder == Evaluate().output

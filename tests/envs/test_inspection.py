@@ -9,7 +9,6 @@ from pydantic import ValidationError
 
 from agents.policies import catalogue
 from agents.policies.catalogue import make_policy
-from agents.publishing.stages import OF_RETURN_ALONE
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.kpis import OF_MOTION
@@ -117,11 +116,9 @@ def test_a_probe_that_is_left_in_the_tube_earns_less_than_one_that_comes_back(pl
 
 
 def test_probes_that_go_one_way_never_run_the_passes_of_both(monkeypatch):
-    """Nor what makes a policy of both: which is why results of one way do not depend on them (``OF_RETURN_ALONE``)."""
+    """Nor what makes a policy of both: which is why results of one way do not depend on them."""
     assert not isinstance(passes_of(1, TaskConfig(), 0), BothWays)
     assert isinstance(passes_of(1, BOTH, 0), BothWays)
-    own = (BothWays, catalogue._both_ways)
-    assert tuple(f"{one.__module__}:{one.__qualname__}" for one in own) == OF_RETURN_ALONE
     monkeypatch.setattr(catalogue, "_both_ways", None)
     for name in ("fast-in", "trimmed-law", "shielded:trimmed-law", "planner"):
         assert make_policy(name, TaskConfig().all_shown)

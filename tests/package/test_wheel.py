@@ -6,6 +6,7 @@ installed is hidden by an import hook.
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -17,9 +18,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.publishing.trees import share_compiled
 from agents.records.shipped import shipped_agents, shipped_names
 from agents.terminal.extras import modules_of
+from probe_env.kernel_cache import STAMP
 
 ROOT = Path(__file__).parents[2]
 AGENTS, COMMANDS = modules_of("agents"), modules_of("commands")
@@ -87,7 +88,10 @@ def python(wheel, tmp_path_factory):
     command = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    share_compiled(site)
+    for path in (*(ROOT / "probe_env").rglob("*.nb[ic]"), *(ROOT / "probe_env").rglob(STAMP)):
+        target = site / path.relative_to(ROOT)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copyfile(path, target)
     return python
 
 

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.pages import plant as page
 from agents.policies.places import place_of
 from agents.processes.workers import Workers
 from agents.records.columns import COST_KPIS
@@ -126,16 +125,6 @@ def test_what_is_stored_is_not_played_again_and_can_be_read(study, monkeypatch):
     assert np.allclose(stored["reward"], summary["reward"], rtol=1e-4)
     assert (output / "robustness.png").stat().st_size > 0
     assert json.loads((output / "provenance.json").read_text())["limit"] == 2
-
-
-def test_the_page_tells_of_what_is_stored_or_that_nothing_is(study, tmp_path, monkeypatch):
-    output, _ = study
-    monkeypatch.setattr(page, "RESULTS", tmp_path)
-    assert "Nothing is stored yet" in page.robustness()
-    (tmp_path / "robustness").symlink_to(output)
-    text = page.robustness()
-    assert "| nominal |" in text
-    assert "paired tube by tube" in text
 
 
 def test_a_table_that_is_damaged_is_told(study, tmp_path):

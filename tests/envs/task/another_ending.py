@@ -62,7 +62,6 @@ def tables_count():
     (counts,) = endings(table).to_dict("records")
     assert ended(counts) == f"{len(table) - 1} of {len(table)} complete, 1 jammed"
     print_summary(table, table["policy"].iloc[0])
-    print(control._failed(table))
     disturbed = table.assign(axis=NOMINAL, value="", **dict.fromkeys(COST_KPIS, 0.0))
     assert summary_of(disturbed)["jammed"].tolist() == [1.0 / len(table)]
 
@@ -78,8 +77,6 @@ sys.meta_path.insert(0, Edited())
 from agents.design import compare  # noqa: E402
 from agents.evaluation.page.tables import ended  # noqa: E402
 from agents.evaluation.report import print_summary  # noqa: E402
-from agents.pages import control  # noqa: E402
-from agents.pages.signal import detection  # noqa: E402
 from agents.records.columns import COST_KPIS  # noqa: E402
 from agents.records.tables import EPISODES_NEWER, read_episodes  # noqa: E402
 from agents.robustness.axes import NOMINAL  # noqa: E402
@@ -98,4 +95,3 @@ episodes_end(MapEpisodes)
 trials_are_judged()
 tables_count()
 comparisons_count()
-print(detection.snr())

@@ -1,0 +1,76 @@
+"""README and docs/: examples run, commands and methods exist, links lead somewhere, the results table is stored."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+from agents.cli import main
+from agents.commands.registry import COMMANDS
+from probe_env.physics.methods import METHODS
+
+ROOT = Path(__file__).parents[2]
+PAGES = {str(path.relative_to(ROOT)): path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))}
+EXAMPLES = [
+    pytest.param(page, example, id=f"{page}-{k}")
+    for page, text in sorted(PAGES.items())
+    for k, example in enumerate(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    if "ray." not in example  # tests/ray has that one
+]
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("page", "example"), EXAMPLES)
+def test_the_python_examples_run(page, example, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, page, "exec"), {"__name__": "example"})
+
+
+def test_the_results_table_of_the_readme_is_the_stored_one(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    table = runpy.run_path(str(ROOT / "docs" / "readme_table.py"))["table"]()
+    assert table in PAGES["README.md"]
+
+
+def test_commands_and_methods_are_on_their_pages():
+    assert [name for name in COMMANDS if f"| `{name}` |" not in PAGES["docs/commands.md"]] == []
+    assert [name for name in METHODS if f"`{name}`" not in PAGES["docs/fidelity.md"]] == []
+
+
+def test_the_commands_on_pages_exist(capsys):
+    used = {name for text in PAGES.values() for name in re.findall(r"^\s*probe-env ([\w-]+)", text, re.MULTILINE)}
+    assert len(used) > 10
+    assert used <= set(COMMANDS)
+    with pytest.raises(SystemExit) as done:
+        main(["evaluate", "--help"])
+    assert done.value.code == 0
+
+
+def test_links_between_pages_lead_somewhere():
+    """As a forge shows them; the site has a check of its own."""
+    broken = []
+    for page, text in PAGES.items():
+        for link in LINK.findall(text):
+            file, _, anchor = link.partition("#")
+            target = ((ROOT / page).parent / file if file else ROOT / page).resolve()
+            if link.startswith("https://"):
+                continue
+            if (
+                not target.is_file()
+                or not target.is_relative_to(ROOT)
+                or (anchor and anchor not in anchors(target.read_text()))
+            ):
+                broken.append(f"{page}: {link}")
+    assert broken == []
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of a page: its headings, lower case, without punctuation, joined by hyphens."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_a_link_to_no_heading_is_noticed():
+    assert anchors("# What to trust, and how far\n```sh\n# no heading\n```\n") == {"what-to-trust-and-how-far"}
