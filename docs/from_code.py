@@ -19,7 +19,7 @@ from sphinx.util.typing import stringify_annotation
 from probe_env import Scene
 from probe_env.fidelity import PRESETS, Fidelity, lapse_in_words
 from probe_env.physics.methods import METHODS
-from probe_env.settings import Model
+from probe_env.settings import Model, range_of
 
 PLACE: Final = re.compile(r"^<!-- from code: (\w+)(?: ([\w.]+))? -->$", re.MULTILINE)
 NDARRAY: Final = re.compile(
@@ -41,8 +41,9 @@ def fields(name: str) -> str:
     for field, info in model.model_fields.items():
         default = info.default
         shown = f"`{type(default).__name__}()`" if isinstance(default, Model) else f"`{_short(default)}`"
-        low, high, unit = _range(info.metadata)
-        rows.append((f"`{field}`", shown, unit, f"{low:g} to {high:g}" if low < high else _kind(info.annotation)))
+        known = range_of(model, field)
+        accepted = f"{known.low:g} to {known.high:g}" if known else _kind(info.annotation)
+        rows.append((f"`{field}`", shown, (known and known.unit) or "-", accepted))
     return _table(("field", "default", "unit", "accepted"), rows)
 
 
@@ -72,6 +73,8 @@ def presets() -> str:
     """What the names of a fidelity stand for."""
     rows = (
         (f"`{name}`", f"`{f.method}`", f"{f.time_step:g} s", str(f.nodes_per_pitch), _lapse(f))
+        if f.simulates
+        else (f"`{name}`", "the vibration map, no simulation", "-", "-", "-")
         for name, f in PRESETS.items()
     )
     return _table(("preset", "method", "time step", "nodes a pitch", "time-lapse"), rows)
@@ -90,16 +93,6 @@ _kept: dict[str, list[str]] = {}
 def _found(name: str) -> Any:
     module, _, attribute = name.rpartition(".")
     return getattr(import_module(module), attribute)
-
-
-def _range(metadata: Iterable[Any]) -> tuple[float, float, str]:
-    """Bounds and unit of a quantity; (0, 0, "") where there is none."""
-    for entry in metadata:
-        known = inspect.getclosurevars(entry.func).nonlocals if hasattr(entry, "func") else {}
-        if "low" in known:
-            return known["low"], known["high"], known["unit"] or "-"
-    low, high = (next((getattr(e, name) for e in metadata if hasattr(e, name)), None) for name in ("ge", "le"))
-    return (low, high, "-") if low is not None and high is not None else (0.0, 0.0, "-")
 
 
 def _kind(annotation: Any) -> str:

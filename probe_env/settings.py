@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from probe_env.files import FileError, read_toml
 
@@ -21,19 +22,39 @@ MOST_ERRORS = 8
 """Errors of one file that are told, so that the line can be read."""
 
 
-def quantity(low: float, high: float, unit: str) -> AfterValidator:
-    """Validator of a physical quantity: finite and within [low, high] ``unit``."""
+@dataclass(frozen=True)
+class Range:
+    """Accepted range of a field, as metadata that ``range_of`` reads; nothing is checked by it."""
 
-    def check(value: float) -> float:
-        if not low <= value <= high:  # also catches NaN
+    low: float
+    high: float
+    unit: str
+
+
+class Quantity(Range):
+    """Metadata of a physical quantity, which is validated: finite and within [low, high] ``unit``."""
+
+    def check(self, value: Any) -> Any:
+        """The value.
+
+        Raises:
+            PydanticCustomError: it is outside; names value, range and unit.
+        """
+        if not self.low <= value <= self.high:  # also catches NaN
+            unit = self.unit and f" {self.unit}"
             raise PydanticCustomError(
                 "out_of_range",
                 "{value}{unit} is outside the accepted range {low} to {high}{unit}",
-                {"value": repr(value), "low": f"{low:g}", "high": f"{high:g}", "unit": unit and f" {unit}"},
+                {"value": repr(value), "low": f"{self.low:g}", "high": f"{self.high:g}", "unit": unit},
             )
         return value
 
-    return AfterValidator(check)
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+
+quantity = Quantity
+"""Metadata of a field: ``Annotated[float, quantity(low, high, unit)]``."""
 
 
 class Model(BaseModel):
@@ -68,6 +89,34 @@ class Model(BaseModel):
         return type(self).model_validate(fields)
 
 
+def range_of(model: type[Model], field: str) -> Range | None:
+    """The accepted range of a field, as its metadata says; None if it has none.
+
+    Args:
+        model: the field is in.
+        field: its name, with dots for fields of sub-models, such as "contact.friction".
+
+    Raises:
+        KeyError: there is no such field.
+    """
+    *parts, name = field.split(".")
+    for part in parts:
+        model = next(kind for kind in _parts(model.model_fields[part].annotation) if isinstance(kind, type))
+    info = model.model_fields[name]
+    metadata = [*info.metadata]
+    for part in _parts(info.annotation):
+        metadata += getattr(part, "__metadata__", ())
+    known = next((entry for entry in metadata if isinstance(entry, Range)), None)
+    ends = [next((getattr(entry, end) for entry in metadata if hasattr(entry, end)), None) for end in ("ge", "le")]
+    return known if known or None in ends else Range(ends[0], ends[1], "")
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """A type and, if it is a choice of several, those."""
+    yield annotation
+    yield from get_args(annotation)
+
+
 def explain(error: ValidationError, within: str = "") -> str:
     """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
     lines, problems = [], error.errors(include_url=False, include_context=False)
@@ -94,8 +143,7 @@ def _no_such_field(title: str, place: tuple[int | str, ...]) -> str:
     model = next((kind for kind in _models(Model) if kind.__name__ == title), None)
     for part in place[:-1]:
         inner = model.model_fields[str(part)].annotation if model and part in model.model_fields else None
-        kinds = (inner, *get_args(inner))  # a model, or one among others
-        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Model)), None)
+        model = next((kind for kind in _parts(inner) if isinstance(kind, type) and issubclass(kind, Model)), None)
     return "there is no such field" + (f"; accepted: {', '.join(model.model_fields)}" if model else "")
 
 

@@ -16,7 +16,7 @@ from probe_env.envs.task.observations import BOTH_WAYS, OBSERVATIONS, PRIVILEGED
 from probe_env.envs.task.ranges import action_of, share_between, share_of, value_at
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
-from probe_env.settings import Model, quantity
+from probe_env.settings import Model, Range, quantity, range_of
 
 Inspects = Literal["in", "back", "best"]
 """What a metre counts for in an inspection of both passes."""
@@ -76,8 +76,9 @@ class TaskConfig(Model):
     period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
     time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
     settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
-    feed_speeds: tuple[float, float] = (0.02, 0.4)
-    air_supply_rates: tuple[float, float] = (30.0 / 3600.0, 130.0 / 3600.0)
+    # a feed that stands still would never end: what is not inspected costs what the slowest feed takes
+    feed_speeds: Annotated[tuple[float, float], Range(1e-6, 2.0, "m/s")] = (0.02, 0.4)
+    air_supply_rates: Annotated[tuple[float, float], Range(0.0, 0.2, "m3/s")] = (30.0 / 3600.0, 130.0 / 3600.0)
     feed_speed_step: Annotated[float, quantity(0.0, 1.0, "m/s")] = 0.0
     air_supply_step: Annotated[float, quantity(0.0, 0.1, "m3/s")] = 0.0
     ramp: Annotated[float, quantity(1e-3, 1e3, "m/s2")] = 0.5
@@ -106,13 +107,13 @@ class TaskConfig(Model):
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> TaskConfig:
-        # a feed that stands still would never end: what is not inspected costs what the slowest feed takes
-        for name, least, most, unit in (("feed_speeds", 1e-6, 2.0, "m/s"), ("air_supply_rates", 0.0, 0.2, "m3/s")):
-            low, high = getattr(self, name)
-            if not least <= low < high <= most:
+        for name in ("feed_speeds", "air_supply_rates"):
+            (low, high), known = getattr(self, name), range_of(type(self), name)
+            if known and not known.low <= low < high <= known.high:
                 raise PydanticCustomError(
                     "range",
-                    f"{name} = ({low!r}, {high!r}) must ascend within the accepted range {least:g} to {most:g} {unit}",
+                    f"{name} = ({low!r}, {high!r}) must ascend within the accepted range {known.low:g} to"
+                    f" {known.high:g} {known.unit}",
                 )
         return self
 
