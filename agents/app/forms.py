@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -25,7 +24,7 @@ from probe_env.envs.plants.plant import OF_AIR, OF_FEED
 from probe_env.envs.plants.posterior import with_posterior
 from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.files import FileError, read_toml
-from probe_env.settings import Model, explain
+from probe_env.settings import Model, Range, explain, range_of
 
 Kind = Literal["number", "integer", "figure", "pair", "list", "choice"]
 NOT_IN_FORM: Final = frozenset(
@@ -46,14 +45,13 @@ HINTS: Final[dict[Kind, str]] = {
 class Field:
     """A field of a tube file."""
 
-    table: str  # where it is
-    name: str  # where it is
-    description: str  # docstring of the model
-    kind: Kind  # how it is written
+    table: str
+    name: str
+    description: str
+    kind: Kind
     default: str  # text of the value that is used when it is left out
-    accepted: str  # range without the unit, "LOW to HIGH"; empty: none
-    unit: str  # empty: none
-    choices: tuple[str, ...] = ()  # of a choice
+    range: Range | None  # accepted range
+    choices: tuple[str, ...] = ()
 
     @property
     def path(self) -> str:
@@ -63,48 +61,24 @@ class Field:
     @property
     def title(self) -> str:
         """Name and unit."""
-        name = self.name.replace("_", " ")
-        return f"{name} [{self.unit}]" if self.unit else name
+        return self.name.replace("_", " ") + (f" [{self.range.unit}]" if self.range and self.range.unit else "")
 
     @property
     def hint(self) -> str:
         """Help text."""
-        accepted = f"accepted: {self.accepted} {self.unit}".strip() if self.accepted else ""
-        return "; ".join(filter(None, (self.description, accepted, HINTS.get(self.kind)))) or self.title
-
-
-@lru_cache
-def range_of(model: type[Model], path: str) -> tuple[str, str]:
-    """Accepted range and unit of the field "table.name" of a model: ("0.3 to 50", "m"); empty where it has none.
-
-    The fields carry no metadata yet: the range is read from the error for NaN.
-    """
-    table, _, name = path.partition(".")
-    for value in (math.nan, [math.nan, math.nan]):
-        try:
-            model.model_validate({table: {name: value}})
-        except ValidationError as error:
-            match = re.search(r"accepted range (\S+ to \S+?)(?: ([^\s(;][^(;]*?))?(?= \(given|;|$)", explain(error))
-            if match:
-                return match[1], match[2] or ""
-    return "", ""
+        accepted = f"accepted: {self.range.low:g} to {self.range.high:g} {self.range.unit}" if self.range else ""
+        return "; ".join(filter(None, (self.description, accepted.strip(), HINTS.get(self.kind)))) or self.title
 
 
 @lru_cache
 def tube_fields() -> dict[str, tuple[Field, ...]]:
     """All fields of a tube file by table."""
-    tables = {name: info.annotation for name, info in Plant.model_fields.items()}
+    tables = {name: kind.annotation for name, kind in Plant.model_fields.items()}
     models = {name: kind for name, kind in tables.items() if isinstance(kind, type) and issubclass(kind, Model)}
-    fields = {
-        table: tuple(_field(table, name, model) for name in model.model_fields) for table, model in models.items()
-    }
-    task = (name for name in TaskConfig.model_fields if name not in NOT_IN_FORM)
-    return fields | {"task": tuple(_field("task", name, TaskConfig) for name in task)}
-
-
-def field_named(path: str) -> Field:
-    """The field "table.name"; raises KeyError."""
-    return next(field for field in tube_fields()[path.partition(".")[0]] if field.path == path)
+    names = {name: list(model.model_fields) for name, model in models.items()}
+    names["task"] = [name for name in TaskConfig.model_fields if name not in NOT_IN_FORM]
+    models["task"] = TaskConfig
+    return {table: tuple(_field(table, name, models[table]) for name in names[table]) for table in models}
 
 
 def text_of(value: Any) -> str:
@@ -150,9 +124,8 @@ def _field(table: str, name: str, model: type[Model]) -> Field:
     default = info.default
     if default is None and table in ("feed", "air"):
         default = getattr(TaskConfig(), name, None)  # the task's
-    accepted, unit = ("", "") if kind == "choice" else range_of(Plant, f"{table}.{name}")
     description = " ".join((info.description or "").replace("`", "").split())
-    return Field(table, name, description, kind, _default_text(default), accepted, unit, choices)
+    return Field(table, name, description, kind, _default_text(default), range_of(model, name), choices)
 
 
 def _default_text(default: Any) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
 import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
@@ -38,8 +38,6 @@ COLUMNS: Final = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate", 
 """Columns of a control period in SI units; the reward is the sum of the episode so far."""
 MIN_SAMPLES: Final = 100
 """Fewer samples of the sensor are not shown."""
-ATTEMPTS: Final = 3
-"""A run fails when its worker dies this many times in a row without finishing an episode."""
 State = Literal["waiting", "running", "finished", "stopped", "failed"]
 ACTIVE: Final = ("waiting", "running")
 
@@ -293,20 +291,18 @@ class RunQueue:
             self._play(run)
 
     def _play(self, run: Run) -> None:
-        """Play a run to its end; after the death of a worker the next one continues with the stored episodes."""
-        attempts = 0
-        while run.state == "running" and not self._closed:
-            before = run.done
-            try:
-                for message in (run.request, *run.commands):
-                    self._pipe.send(message)
-                while run.state == "running":
-                    self._update(run, self._pipe.recv())
-            except (EOFError, OSError):
-                if self._closed:
-                    return
-                attempts = 1 if run.done > before else attempts + 1
-                self._replace_worker(run, attempts)
+        """Play a run to its end."""
+        try:
+            for message in (run.request, *run.commands):
+                self._pipe.send(message)
+            while run.state == "running":
+                self._update(run, self._pipe.recv())
+        except (EOFError, OSError):
+            if not self._closed:
+                self._end_worker()
+                died = f"the worker process died (exit status {self._process.wait()})"
+                self._update(run, RunEnded("failed", f"{died}: finished insertions are stored, resume the run"))
+                self._process, self._pipe = started("agents.app.worker:serve")
 
     def _update(self, run: Run, message: Message) -> None:
         with self._changed:
@@ -314,21 +310,11 @@ class RunQueue:
             self.changes += 1
             self._changed.notify_all()
 
-    def _replace_worker(self, run: Run, attempts: int) -> None:
-        self._end_worker()
-        died = f"the worker process died (exit status {self._process.wait()})"
-        if attempts >= ATTEMPTS:
-            self._update(run, RunEnded("failed", f"{died} {attempts} times in a row without finishing an insertion"))
-        else:
-            run.problem = f"{died}; finished insertions are stored, the others were started again"
-        self._process, self._pipe = started("agents.app.worker:serve")
-
     def _end_worker(self) -> None:
         self._pipe.close()
-        deadline = time.monotonic() + GRACE
-        while self._process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.01)
-        if self._process.poll() is None:
+        try:
+            self._process.wait(GRACE)
+        except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.app.forms import TubeForm, field_named, text_of, tube_fields, value_of
+from agents.app.forms import TubeForm, text_of, tube_fields, value_of
 from agents.app.schedules import (
     AIR,
     FEED,
@@ -31,7 +31,7 @@ from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 EXAMPLE = Path("configs/tubes/example.toml")
-FIELDS = [field for fields in tube_fields().values() for field in fields]
+FIELDS = {field.path: field for fields in tube_fields().values() for field in fields}
 
 
 def test_the_form_has_every_field_of_the_file_with_its_unit_and_range():
@@ -41,24 +41,24 @@ def test_the_form_has_every_field_of_the_file_with_its_unit_and_range():
         ("air.air_lag", "s"),
         ("task.period", "s"),
     ):
-        field = field_named(path)
-        assert field.unit == unit
-        low, high = map(float, field.accepted.split(" to "))
-        form = TubeForm()
-        for value in (low, high):
+        field = FIELDS[path]
+        form, accepted = TubeForm(), field.range
+        assert accepted.unit == unit
+        assert f"accepted: {accepted.low:g} to {accepted.high:g} {unit}" in field.hint
+        for value in (accepted.low, accepted.high):
             try:
                 form.change(field, repr(value))
             except ValueError as error:  # for another reason
                 assert "outside the accepted range" not in str(error)  # noqa: PT017
-        with pytest.raises(ValueError, match=f"accepted range {field.accepted} {unit}"):
-            form.change(field, repr(1.01 * high))
-    assert {field.path for field in FIELDS if field.table != "task"} == {
+        with pytest.raises(ValueError, match=f"accepted range {accepted.low:g} to {accepted.high:g} {unit}"):
+            form.change(field, repr(1.01 * accepted.high))
+    assert {field.path for field in FIELDS.values() if field.table != "task"} == {
         f"{table}.{name}"
         for table, info in Plant.model_fields.items()
         if hasattr(info.annotation, "model_fields")
         for name in info.annotation.model_fields
     }
-    assert all(field.description for field in FIELDS if field.table != "task")
+    assert all(field.description for field in FIELDS.values() if field.table != "task")
 
 
 def test_a_default_can_be_typed_and_changes_nothing():
@@ -66,7 +66,7 @@ def test_a_default_can_be_typed_and_changes_nothing():
     failures, usual = [], Plant().configured()
     numbers = [name for name, value in usual if isinstance(value, int | float | tuple)]
     assert len(numbers) > 20
-    for field in FIELDS:
+    for field in FIELDS.values():
         form = TubeForm()
         if field.default:
             form.change(field, field.default)
@@ -98,8 +98,8 @@ def test_a_default_can_be_typed_and_changes_nothing():
     ],
 )
 def test_the_value_of_a_text(path, text, value):
-    assert value_of(field_named(path), text) == value
-    assert value_of(field_named(path), text_of(value)) == value
+    assert value_of(FIELDS[path], text) == value
+    assert value_of(FIELDS[path], text_of(value)) == value
 
 
 def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
@@ -107,7 +107,7 @@ def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     form.open(EXAMPLE)
     assert not form.changed
     assert form.stored(tmp_path) == EXAMPLE
-    form.change(field_named("tube.helix_length"), "30")
+    form.change(FIELDS["tube.helix_length"], "30")
     stored = form.stored(tmp_path)
     assert Plant.from_toml(stored) == form.plant
     assert form.stored(tmp_path) == stored  # the same tube, the same file
@@ -125,7 +125,7 @@ def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp
     form.open(EXAMPLE)
     before = form.tables, form.plant
     with pytest.raises(ValueError, match="accepted range 0 to 1") as error:
-        form.change(field_named("contact.friction"), "1.5")
+        form.change(FIELDS["contact.friction"], "1.5")
     assert (form.tables, form.plant) == before
     path = tmp_path / "bad.toml"
     path.write_text(EXAMPLE.read_text().replace("friction = { low = 0.12, high = 0.22 }", "friction = 1.5"))

@@ -137,19 +137,20 @@ class InsertionScreen(RunScreen):
         names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
         options = {"options": names, "value": ["best-schedule"], "name": "policies"}
         self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
-        self.with_schedule, switch = ui.labelled_switch("my schedule", True)
+        self.with_schedule = models.Switch(label="my schedule", active=True)
         self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
         self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
         start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
-        return [switch, self.policies, self.limit, self.fidelity, start]
+        return [self.with_schedule, self.policies, self.limit, self.fidelity, start]
 
     def _run_controls(self) -> list[Any]:
         step = ui.button("step", lambda: self.send("step"), 70)
         look = ui.button("slow motion", lambda: self.send("look"), 120)
         stop = ui.button("stop", lambda: self.send("stop"), 70)
         self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
-        self.whole, whole = ui.labelled_switch("whole probe", False, self.refresh)
-        return [self.pause, step, look, stop, self.pace, self.watch, whole]
+        self.whole = models.Switch(label="whole probe")
+        self.whole.on_change("active", lambda attr, old, new: self.refresh())
+        return [self.pause, step, look, stop, self.pace, self.watch, self.whole]
 
     def _run_list(self) -> list[Any]:
         self.table, self.notice = ui.Text(), ui.Text()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from html import escape
 from typing import Any, Final
 
-from bokeh.models import Button, Column, Pane, PrintfTickFormatter, RadioButtonGroup, Row, Span, Switch
+from bokeh.models import Button, Column, Pane, PrintfTickFormatter, RadioButtonGroup, Row, Span
 from bokeh.models.dom import HTML
 from bokeh.plotting import figure
 from bokeh.themes import Theme
@@ -136,14 +136,6 @@ def choice(labels: Iterable[str], active: int, changed: Callable[[], None]) -> R
     group = RadioButtonGroup(labels=list(labels), active=active)
     group.on_change("active", lambda attr, old, new: changed())
     return group
-
-
-def labelled_switch(label: str, active: bool, changed: Callable[[], None] | None = None) -> tuple[Any, Row]:
-    """A switch, and the row with its label."""
-    switch = Switch(active=active)
-    if changed is not None:
-        switch.on_change("active", lambda attr, old, new: changed())
-    return switch, Row(children=[switch, Text(f"<p>{label}</p>").pane], styles={"align-self": "flex-end"})
 
 
 def row(*children: Any, **styles: str) -> Row:
