@@ -237,26 +237,27 @@ class TubeForm:
             raise FileError(path, "the name of a tube file must end with .toml")
         if ships("tubes", path):
             raise FileError(path, "this file ships with the project: choose another name")
-        tables = _copy(self.tables)
-        if self.posterior:
-            tables[POSTERIOR] = os.path.relpath((self._folder / self.posterior).resolve(), path.resolve().parent)
-        write_atomically(path, tomli_w.dumps(tables))
+        self._write(path)
         self.open(path)
 
     def stored(self, folder: Path) -> Path | None:
         """File for a run: the opened one, or a copy with the changes in a folder; None: the study's tubes."""
         if self.is_study or not self.changed:
             return self.path
-        copy = TubeForm()
-        copy.path, copy.tables, copy.plant = self.path, self.tables, self.plant
         digest = hashlib.sha256(self.plant.model_dump_json().encode()).hexdigest()[:6]
         path = folder / f"{self.path.stem if self.path else 'tube'}-{digest}.toml"
-        copy.save(path)
+        self._write(path)
         return path
 
     @property
     def _folder(self) -> Path:
         return self.path.parent if self.path else Path()
+
+    def _write(self, path: Path) -> None:
+        tables = _copy(self.tables)
+        if self.posterior:
+            tables[POSTERIOR] = os.path.relpath((self._folder / self.posterior).resolve(), path.resolve().parent)
+        write_atomically(path, tomli_w.dumps(tables))
 
     def _validate(self, tables: dict[str, Any]) -> None:
         try:

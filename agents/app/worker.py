@@ -24,7 +24,6 @@ from agents.app.runs import (
     Command,
     Frame,
     ManualPolicy,
-    Message,
     ProbeShape,
     RunEnded,
     RunRequest,
@@ -126,19 +125,16 @@ class _Player:
             self.done = sum(key in stored for key, *_ in plan.planned())
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
             notes = tuple(str(warning.message) for warning in caught)
-            self._send(RunStarted(len(plan.units()), notes, limit, plan.config.sensor))
+            self.pipe.send(RunStarted(len(plan.units()), notes, limit, plan.config.sensor))
             run_plan(plan, output, progress=False, source=self._source, command=self.request.command)
             write_report(output)
-            self._send(RunEnded("finished"))
+            self.pipe.send(RunEnded("finished"))
         except StoppedError:
-            self._send(RunEnded("stopped"))
+            self.pipe.send(RunEnded("stopped"))
         except (EOFError, ConnectionError):
             raise
         except (ValueError, OSError, SimulationError, RuntimeError, ImportError) as error:
-            self._send(RunEnded("failed", refusal(error)))
-
-    def _send(self, message: Message) -> None:
-        self.pipe.send(message)
+            self.pipe.send(RunEnded("failed", refusal(error)))
 
     def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
         """The lines of the episodes; obeys commands and sends frames in between."""
@@ -202,7 +198,7 @@ class _Player:
         units = tuple(unit if running[k] else None for k, unit in enumerate(playing.units))
         rows = tuple((unit, np.array(rows)) for unit, rows in self.rows.items())
         shape = None if playing.units[self.watched] is None else shape_of(playing, self.watched)
-        self._send(Frame(units, self.watched, rows, shape, self.done, self.paused))
+        self.pipe.send(Frame(units, self.watched, rows, shape, self.done, self.paused))
         self.rows, self.shown_at = {}, time.monotonic()
 
     def _look(self, playing: Playing) -> None:
@@ -219,4 +215,4 @@ class _Player:
         feed, air = episodes.config.targets(playing.actions, may_stand=True)[k] * episodes.passes.way[k]
         with suppress(SimulationError):  # what was seen until it diverged is shown
             watch.follow(simulator, float(feed), float(air), duration)
-        self._send(watch.motion())
+        self.pipe.send(watch.motion())

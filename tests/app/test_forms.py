@@ -6,22 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.app import schedules
 from agents.app.forms import TubeForm, text_of, tube_fields, value_of
-from agents.app.schedules import (
-    AIR,
-    FEED,
-    LENGTH,
-    MISSING,
-    csv_text,
-    log_line,
-    overlay_names,
-    points_of,
-    policy_line,
-    predict,
-    schedule_of,
-    tidied,
-    with_point,
-)
+from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
 from agents.policies.catalogue import DATA
 from agents.policies.maps.search import MapCost
@@ -135,25 +122,29 @@ def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp
 
 def test_points_are_a_schedule_file():
     schedule = Schedule.read("configs/schedules/example.csv")
-    points = points_of(schedule)
-    restored = schedule_of(points)
-    assert points_of(restored) == points
+    points = schedules.points_of(schedule)
+    restored = schedules.schedule_of(points)
+    assert schedules.points_of(restored) == points
     assert restored.position == schedule.position
     assert restored.feed_speed == schedule.feed_speed
     assert restored.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-6)  # six digits
-    assert csv_text(points).startswith("# interpolation: linear\n")
+    assert schedules.csv_text(points).startswith("# interpolation: linear\n")
 
 
 def test_points_are_tidied_after_a_drag():
     config = TaskConfig()
-    tidy = tidied({LENGTH: [20.0, 5.0, 12.5], FEED: [0.1, 9.0, MISSING], AIR: [100.0, float("nan"), 90.0]}, config)
+    tidy = schedules.tidied(
+        {LENGTH: [20.0, 5.0, 12.5], FEED: [0.1, 9.0, MISSING], AIR: [100.0, float("nan"), 90.0]}, config
+    )
     assert tidy[LENGTH] == [5.0, 12.5, 20.0]
     assert tidy[FEED][1] == config.feed_speeds[1]  # the middle of 9 and 0.1 is out of range
     assert tidy[AIR] == [90.0, 90.0, 100.0]
-    assert np.diff(tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
-    more = with_point(tidy, config)
+    assert (
+        np.diff(schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
+    )
+    more = schedules.with_point(tidy, config)
     assert more[LENGTH] == [5.0, 12.5, 20.0, 40.0]
-    schedule_of(more)
+    schedules.schedule_of(more)
 
 
 @pytest.mark.parametrize(
@@ -165,31 +156,31 @@ def test_points_are_tidied_after_a_drag():
     ],
 )
 def test_invalid_points_are_refused_as_their_file_is(column, value, message):
-    points = points_of(Schedule.read("configs/schedules/example.csv"))
+    points = schedules.points_of(Schedule.read("configs/schedules/example.csv"))
     points[column][0] = value
     with pytest.raises(ValueError, match="line 3") as refused:
-        schedule_of(points)
+        schedules.schedule_of(points)
     assert str(refused.value) == message
 
 
 def test_the_prediction_is_the_objective_of_the_search_for_schedules():
     place, schedule = place_at(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
-    prediction = predict(schedule, place)
+    prediction = schedules.predict(schedule, place)
     cost = MapCost(place.contexts, place.config, place.vibration)
     assert prediction.reward == pytest.approx(cost.reward(schedule), rel=1e-9)  # sums in another order
     assert (prediction.low < prediction.middle).all()
     assert (prediction.middle < prediction.high).all()
     assert prediction.length[0] == 5.5
     with pytest.raises(ValueError, match="over time"):
-        predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
+        schedules.predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
 
 
 def test_every_offered_overlay_is_a_line():
     place = place_at(EXAMPLE, "test", 1)
-    for name in overlay_names():
-        line = policy_line(name, place)
+    for name in schedules.overlay_names():
+        line = schedules.policy_line(name, place)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name
-    assert (np.diff(log_line(Path("example-rig")).length) >= 0.0).all()
+    assert (np.diff(schedules.log_line(Path("example-rig")).length) >= 0.0).all()
     with pytest.raises(ValueError, match="depends on what it measures"):
-        policy_line("pi", place)
+        schedules.policy_line("pi", place)

@@ -77,7 +77,8 @@ class LengthCharts:
         data: dict[str, list[Any]] = {name: [] for name in self.source.data}
         for number, (name, values) in enumerate(lines.items()):
             colour, dash = ui.PALETTE[number % len(ui.PALETTE)], ui.DASHES[number % len(ui.DASHES)]
-            line = {"name": name, "colour": colour, "dash": dash, "width": 3.0 if name == bold else 1.8}
+            line: dict[str, Any] = {"name": name, "colour": colour, "dash": dash}
+            line["width"] = 3.0 if name == bold else 1.8
             line["inserted_length"] = values["inserted_length"]
             line |= {key: np.asarray(values[key]) * AXES[key][1] for key in self.keys}
             line[RMS] = np.maximum(line[RMS], MIN_RMS)

@@ -48,31 +48,21 @@ class RunScreen(ui.Screen):
 
     def __init__(self, session: Session, pace: int = 0) -> None:
         super().__init__(session)
-        self.pace = ui.choice(self.paces, pace, self.send_pace)
+        self.pace = ui.choice(self.paces, pace, lambda: self.send(self.pace_command()))
         self.pause = ui.button("pause", self.toggle, 90)
 
-    @property
-    def shown_run(self) -> Run | None:
-        """The run of this screen."""
-        return self.session.run
-
-    def send(self, name: Any, *values: float) -> None:
+    def send(self, command: Command) -> None:
         """Send a command to the run."""
-        if self.shown_run is not None:
-            self.session.app.queue.send(self.shown_run, Command(name, values))
+        if self.session.run is not None:
+            self.session.app.queue.send(self.session.run, command)
 
     def pace_command(self) -> Command:
         """The chosen pace."""
         return Command("pace", (list(self.paces.values())[self.pace.active or 0],))
 
-    def send_pace(self) -> None:
-        """Send the chosen pace to the run."""
-        command = self.pace_command()
-        self.send(command.name, *command.values)
-
     def toggle(self) -> None:
         """Pause or continue."""
-        self.send("go" if self.shown_run is not None and self.shown_run.paused else "pause")
+        self.send(Command("go" if self.session.run is not None and self.session.run.paused else "pause"))
 
 
 class InsertionScreen(RunScreen):
@@ -144,9 +134,9 @@ class InsertionScreen(RunScreen):
         return [self.with_schedule, self.policies, self.limit, self.fidelity, start]
 
     def _run_controls(self) -> list[Any]:
-        step = ui.button("step", lambda: self.send("step"), 70)
-        look = ui.button("slow motion", lambda: self.send("look"), 120)
-        stop = ui.button("stop", lambda: self.send("stop"), 70)
+        step = ui.button("step", lambda: self.send(Command("step")), 70)
+        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
+        stop = ui.button("stop", lambda: self.send(Command("stop")), 70)
         self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
         self.whole = models.Switch(label="whole probe")
         self.whole.on_change("active", lambda attr, old, new: self.refresh())
@@ -185,7 +175,7 @@ class InsertionScreen(RunScreen):
     def _watch(self) -> None:
         run = self.session.run
         if run and run.frame and self.watch.value and int(self.watch.value) != run.frame.watched:
-            self.send("watch", float(self.watch.value))
+            self.send(Command("watch", (float(self.watch.value),)))
 
     def _list_runs(self) -> None:
         runs = self.session.app.queue.runs

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Final
 
 from bokeh.models import Select, Slider
 
-from agents.app.runs import ACTIVE, MANUAL, Command, Run
+from agents.app.runs import ACTIVE, MANUAL, Command
 from agents.app.schedules import HOUR
 from agents.app.screens import widgets as ui
 from agents.app.screens.charts import RMS, LengthCharts, UnrolledProbe
@@ -37,16 +37,15 @@ class ManualScreen(RunScreen):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session, pace=2)
-        self.run: Run | None = None
         self._refreshes = 0
         rivals = [*NAMES, *shipped_agents()]
         self.rival = ui.control(Select, "against", options=rivals, value="tension-scheduled")
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
-        stop = ui.button("stop", lambda: self.send("stop"), 90)
+        stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
         feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
         air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
-        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._send_setting, 340, **feed)
-        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", self._send_setting, 340, **air)
+        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._set, 340, **feed)
+        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", self._set, 340, **air)
         counter = {"start": 0, "end": 1_000_000, "step": 1, "value": 0, "visible": False}
         self.space_bar = ui.control(Slider, "", self.toggle, **counter)
         self.score = ui.Text()
@@ -64,11 +63,6 @@ class ManualScreen(RunScreen):
         self.tube_changed()
         self.refresh()
 
-    @property
-    def shown_run(self) -> Run | None:
-        """The manual drive."""
-        return self.run
-
     def tube_changed(self) -> None:
         """Set the sliders to the ranges of another tube."""
         self.guarded(self._set_ranges)()
@@ -82,8 +76,8 @@ class ManualScreen(RunScreen):
 
     def refresh(self) -> None:
         """Show both insertions."""
-        run = self.run
-        if run is None:
+        run = self.session.run
+        if run is None or not run.request.manual:
             self.score.text = "<p class='quiet'>Press <b>Start</b>.</p>"
             return
         traces = {unit[0]: run.trace(unit) for unit in run.traces}
@@ -98,16 +92,17 @@ class ManualScreen(RunScreen):
             self.charts.show(traces, run.info.limit, MANUAL)
 
     def _start(self) -> None:
-        if self.run is not None and self.run.state in ACTIVE:
-            self.send("stop")
-        self.run = self.session.drive(self.rival.value, [self.pace_command(), self._setting()])
+        run = self.session.run
+        if run is not None and run.request.manual and run.state in ACTIVE:
+            self.send(Command("stop"))
+        self.session.drive(self.rival.value, [self.pace_command(), self._setting()])
         self.refresh()
+
+    def _set(self) -> None:
+        self.send(self._setting())
 
     def _setting(self) -> Command:
         return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))
-
-    def _send_setting(self) -> None:
-        self.send("hand", *self._setting().values)
 
 
 def _score(name: str, trace: dict[str, Any] | None) -> str:

@@ -8,22 +8,8 @@ from typing import Any, Final
 
 from bokeh import models
 
-from agents.app.schedules import (
-    HOUR,
-    LENGTH,
-    MISSING,
-    NAMES,
-    Line,
-    Points,
-    log_line,
-    overlay_names,
-    points_of,
-    policy_line,
-    predict,
-    schedule_of,
-    tidied,
-    with_point,
-)
+from agents.app import schedules
+from agents.app.schedules import HOUR, LENGTH, MISSING, NAMES, Line, Points
 from agents.app.screens import widgets as ui
 from agents.app.screens.charts import MM, empty_source
 from agents.app.state import Session
@@ -125,20 +111,20 @@ class ScheduleScreen(ui.Screen):
 
     def _controls(self) -> list[Any]:
         opened, save, overlays = (self.guarded(work) for work in (self._open, self._save, self._show_overlays))
-        text = {"placeholder": "my.csv, or a name", "name": "open-schedule"}
-        self.open = ui.control(models.TextInput, "open a schedule", opened, **text)
+        example = "my.csv, or a name"
+        self.open = ui.control(models.TextInput, "open a schedule", opened, placeholder=example)
         text = {"value": self.session.name, "name": "save-schedule"}
         self.save = ui.control(models.TextInput, "save as", save, 150, **text)
         choice = {"options": ["linear", "steps"], "value": self.session.interpolation}
         self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
-        choice = {"options": list(overlay_names()), "value": ["constant"]}
+        choice = {"options": list(schedules.overlay_names()), "value": ["constant"]}
         self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
         self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
         return [self.open, self.save, self.kind, self.overlay, self.log]
 
     def _moving(self) -> None:
         if not self._busy:
-            self._predict(tidied(self._columns(self.moving), self.place.config))
+            self._predict(schedules.tidied(self._columns(self.moving), self.place.config))
 
     def _moved(self) -> None:
         """Points have been moved, added or typed."""
@@ -149,8 +135,8 @@ class ScheduleScreen(ui.Screen):
             if not any(MISSING in values for values in points.values()):
                 order = sorted(range(len(points[LENGTH])), key=lambda k: points[LENGTH][k])
                 ordered = {name: [values[k] for k in order] for name, values in points.items()}
-                schedule_of(ordered, self.session.interpolation)
-            self.guarded(lambda: self._put(tidied(points, self.place.config)))()
+                schedules.schedule_of(ordered, self.session.interpolation)
+            self.guarded(lambda: self._put(schedules.tidied(points, self.place.config)))()
         except ValueError as error:
             self._put(self.session.points)
             self.problem.text = ui.alert(error)
@@ -160,7 +146,7 @@ class ScheduleScreen(ui.Screen):
         self._predict()
 
     def _add(self) -> None:
-        self._put(with_point(self.session.points, self.place.config))
+        self._put(schedules.with_point(self.session.points, self.place.config))
 
     def _remove(self) -> None:
         chosen = set(self.points.selected.indices)
@@ -178,7 +164,9 @@ class ScheduleScreen(ui.Screen):
 
     def _predict(self, points: Points | None = None) -> None:
         try:
-            prediction = predict(schedule_of(points or self.session.points, self.session.interpolation), self.place)
+            prediction = schedules.predict(
+                schedules.schedule_of(points or self.session.points, self.session.interpolation), self.place
+            )
         except ValueError as error:
             self.problem.text = ui.alert(error)
             return
@@ -192,9 +180,9 @@ class ScheduleScreen(ui.Screen):
         )
 
     def _show_overlays(self) -> None:
-        lines: dict[str, Line] = {name: policy_line(name, self.place) for name in self.overlay.value}
+        lines: dict[str, Line] = {name: schedules.policy_line(name, self.place) for name in self.overlay.value}
         if self.log.value.strip():
-            lines["log"] = log_line(Path(self.log.value.strip()))
+            lines["log"] = schedules.log_line(Path(self.log.value.strip()))
         numbers = [1 + k % 7 for k in range(len(lines))]
         self.lines.data = {
             "name": list(lines),
@@ -210,10 +198,10 @@ class ScheduleScreen(ui.Screen):
         if not given:
             return
         if given in self.overlay.options and given not in shipped_names("schedules"):
-            line = policy_line(given, self.place)
+            line = schedules.policy_line(given, self.place)
             every = max(len(line.length) // 12, 1)
             length, feed, air = (tuple(map(float, values[::every])) for values in line)
-            self.session.points = points_of(Schedule("inserted_length", "linear", length, feed, air))
+            self.session.points = schedules.points_of(Schedule("inserted_length", "linear", length, feed, air))
             self.session.name = f"my-{given}"
         else:
             self.session.open_schedule(Path(policy_file(given)))
