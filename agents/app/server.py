@@ -68,12 +68,6 @@ def _collect_garbage(session: Any) -> None:
     gc.freeze()
 
 
-def _free_port() -> int:
-    """A free port; the accepted origins must name it before the server starts."""
-    with socket.create_server((HOSTS[1], 0)) as probe:
-        return int(probe.getsockname()[1])
-
-
 def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
     """Serve the page until interrupted.
 
@@ -114,7 +108,9 @@ def make_server(app: AppState, tube: Path | None, port: int) -> Server:
         document.on_session_destroyed(_collect_garbage)
         gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 
-    port = port or _free_port()
+    if port == 0:  # the accepted origins must name it before the server starts
+        with socket.create_server((HOSTS[1], 0)) as probe:
+            port = int(probe.getsockname()[1])
     return Server(
         {"/": Application(FunctionHandler(open_document))},
         address=HOSTS[1],

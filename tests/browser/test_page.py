@@ -82,8 +82,8 @@ def test_a_tap_adds_a_point_to_both_charts(page):
     before = points(page)
     x, y = page.evaluate(PLACE, [FEED, 0])
     page.mouse.click(x + 60, y + 40)
-    page.wait_for_function("(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n",
-                           arg=len(before[FEED]) + 1)  # fmt: skip
+    added = "(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n"
+    page.wait_for_function(added, arg=len(before[FEED]) + 1)
     page.wait_for_function(
         "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
     )
@@ -160,23 +160,13 @@ def test_a_dragged_flaw_moves_in_x_and_y(page):
     page.get_by_text("A flaw of 21 %").wait_for()
 
 
-BROKEN = [
+INVALID = [
     ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 50 m"),
     ("helix diameter [m]", "abc", "tube.helix_diameter"),
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
     ("inner diameter [m]", "nan", "tube.inner_diameter: nan m is outside the accepted range 0.005 to 0.1 m"),
-    ("helix length [m]", "-5", "tube.helix_length: -5.0 m is outside the accepted range 0.1 to 1000 m"),
-    ("line density [kg/m]", "1e9", "probe.line_density: 1000000000.0 kg/m is outside the accepted range 0.01 to 10"),
-    ("float pitch [m]", "0", "probe.float_pitch: 0.0 m is outside the accepted range 0.01 to 1 m"),
-    ("guide length [m]", "2.55", "probe.guide_length = 2.55 m must be a whole multiple of probe.float_pitch"),
-    ("flexural rigidity [N m2]", "five", "probe.flexural_rigidity: Input should be a valid number"),
-    ("friction", "2", "contact.friction: value = 2.0 is outside the accepted range 0 to 1"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
-    ("friction", "0.2 ± 0", "contact.friction.std: Input should be greater than 0"),
-    ("stiffness [N/m]", "1", "contact.stiffness: value = 1.0 N/m is outside the accepted range 100 to 1e+08 N/m"),
-    ("air supply rates [m3/s]", "0.03 to 0.01", "air_supply_rates = (0.03, 0.01) must ascend"),
     ("feed speeds [m/s]", "0 to 0.4", "feed_speeds = (0.0, 0.4) must ascend within the accepted range 1e-06 to 2"),
-    ("ramp [m/s2]", "0", "ramp: 0.0 m/s2 is outside the accepted range 0.001 to 1000 m/s2"),
     ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
     ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
     ("calibration", "nothing.json", "nothing.json"),
@@ -186,7 +176,7 @@ BROKEN = [
 def test_invalid_input_is_refused_at_its_field(page):
     screen(page, 1)
     page.get_by_text("Your own tube").wait_for()
-    for label, text, message in BROKEN:
+    for label, text, message in INVALID:
         given = page.get_by_label(label, exact=True).first
         before = given.input_value()
         given.fill(text)
