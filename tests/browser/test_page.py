@@ -59,9 +59,18 @@ def run(page):
     page.locator("[data-state=finished]").wait_for()
 
 
+def position(page, code, argument=None):
+    """Position of something in the window, once the layout has settled."""
+    last = None
+    while (now := page.evaluate(code, argument)) != last:
+        last = now
+        page.wait_for_timeout(300)
+    return now
+
+
 def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
     before, at = expected(page), points(page)
-    x, y = page.evaluate(PLACE, [FEED, 0])
+    x, y = position(page, PLACE, [FEED, 0])
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x, y + 30, steps=3)
@@ -80,7 +89,7 @@ def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
 
 def test_a_tap_adds_a_point_to_both_charts(page):
     before = points(page)
-    x, y = page.evaluate(PLACE, [FEED, 0])
+    x, y = position(page, PLACE, [FEED, 0])
     page.mouse.click(x + 60, y + 40)
     added = "(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n"
     page.wait_for_function(added, arg=len(before[FEED]) + 1)
@@ -143,10 +152,12 @@ def test_a_dragged_flaw_moves_in_x_and_y(page):
     page.get_by_text("A flaw of 20 %").evaluate("(words) => words.scrollIntoView(false)")  # the chart stands above it
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
-    before, x_y = page.evaluate(signals), page.evaluate(FLAW)
+    x_y, before = position(page, FLAW), page.evaluate(signals)
     page.mouse.move(*x_y)
     page.mouse.down()
+    page.wait_for_timeout(100)  # a busy browser takes events at the same time for a tap
     page.mouse.move(x_y[0] + 40, x_y[1] + 10, steps=4)
+    page.wait_for_timeout(100)
     page.mouse.up()
     page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49")
     changed = "(old) => Bokeh.documents[0].get_model_by_name('signals').data.x.some((value, k) => value != old[k])"

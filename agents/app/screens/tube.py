@@ -176,20 +176,15 @@ def _section_drawing() -> tuple[Callable[[Plant], None], Any]:
     plot.add_layout(plot.legend[0], "right")
 
     def draw(plant: Plant) -> None:
-        probe, bore = plant.probe, 1e3 * plant.tube.inner_diameter
-        carrier, guide = 1e3 * probe.carrier_float_diameter, 1e3 * probe.guide_float_diameter
-        cable = 1e3 * probe.cable_diameter
-        circles = [
-            ("bore", bore, 0.5 * bore, "#f4f4f4"),
-            ("carrier float", carrier, 0.5 * carrier, ui.SKY),
-            ("guide float", guide, 0.5 * guide, ui.ORANGE if guide != carrier else ui.SKY),
-            ("cable", cable, 0.5 * carrier, ui.GREY),
-        ]
+        probe, bore = plant.probe, plant.tube.inner_diameter
+        carrier, guide = probe.carrier_float_diameter, probe.guide_float_diameter
+        names = ("bore", "carrier float", "guide float", "cable")
+        diameters = 1e3 * np.array([bore, carrier, guide, probe.cable_diameter])
         source.data = {
-            "y": [y for _, _, y, _ in circles],
-            "radius": [0.5 * diameter for _, diameter, _, _ in circles],
-            "fill": [fill for *_, fill in circles],
-            "name": [f"{name} {diameter:g} mm" for name, diameter, _, _ in circles],
+            "y": 0.5e3 * np.array([bore, carrier, guide, carrier]),
+            "radius": 0.5 * diameters,
+            "fill": ["#f4f4f4", ui.SKY, ui.ORANGE if guide != carrier else ui.SKY, ui.GREY],
+            "name": [f"{name} {diameter:g} mm" for name, diameter in zip(names, diameters, strict=True)],
         }
 
     return draw, plot
