@@ -60,7 +60,9 @@ quantity = Quantity
 class Model(BaseModel):
     """Base of all models that files describe: frozen, strict about types, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, validate_default=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, validate_default=True, use_attribute_docstrings=True
+    )
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:

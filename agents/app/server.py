@@ -1,139 +1,122 @@
-"""The server of the page: bound to this machine, its own files only, no word to anybody else."""
+"""HTTP server on localhost; serves local files and makes no outgoing requests."""
 
 from __future__ import annotations
 
 import gc
 import socket
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
-from bokeh.server.auth_provider import AuthProvider
+from bokeh.server.auth_provider import NullAuth
 from bokeh.server.server import Server
 from tornado.web import HTTPError, RequestHandler
 
-from agents.app.desk import Office
-from agents.app.page.document import page_of
-from agents.app.page.runs import REPORT
-from agents.app.runs.queue import Queue
+from agents.app.runs import RunQueue
+from agents.app.screens.page import open_page
+from agents.app.screens.widgets import REPORT_URL
+from agents.app.state import AppState
 from agents.records.shipped import file_or_shipped
 from probe_env import Plant
 
-HERE: Final = ("localhost", "127.0.0.1")
-FILE: Final = "report.html"
-MOST_PORT: Final = 65535
+HOSTS: Final = ("localhost", "127.0.0.1")
+MAX_PORT: Final = 65535
 
 
-class _LocalOnly(AuthProvider):  # type: ignore[misc]  # bokeh is not typed
-    """Refuses requests that were not addressed to this machine: another site's name may point here."""
+def check_host(handler: RequestHandler) -> str:
+    """Refuse requests addressed to another host name, which another site may have pointed here; returns the user."""
+    if handler.request.host_name not in HOSTS:
+        raise HTTPError(403)
+    return "local"
+
+
+class LocalAuth(NullAuth):  # type: ignore[misc]  # bokeh is not typed
+    """Authentication of pages and their connections: requests to this machine only."""
 
     @property
-    def get_user(self) -> Any:
-        return _checked
-
-    @property
-    def get_user_async(self) -> None:
-        return None
+    def get_user(self) -> Callable[[RequestHandler], str]:
+        """The check of a request."""
+        return check_host
 
     @property
     def login_url(self) -> str:
+        """Unused, but required by Bokeh."""
         return "/"
 
-    @property
-    def get_login_url(self) -> None:
-        return None
 
-    @property
-    def login_handler(self) -> None:
-        return None
-
-    @property
-    def logout_url(self) -> None:
-        return None
-
-    @property
-    def logout_handler(self) -> None:
-        return None
-
-
-class _Report(RequestHandler):
-    """The report of a stored evaluation: a file of that name in the folder of one, and nothing else."""
+class ReportHandler(RequestHandler):
+    """Serves ``report.html`` of evaluation folders and nothing else."""
 
     def get(self) -> None:
-        """Send it; it can load nothing, by its own policy."""
-        _checked(self)
-        path = Path(self.get_query_argument("folder")) / FILE
-        if not path.is_file() or not (path.parent / "setting.json").is_file():
+        """Send the report of the folder in the query."""
+        check_host(self)
+        folder = Path(self.get_query_argument("folder"))
+        if not (folder / "report.html").is_file() or not (folder / "setting.json").is_file():
             raise HTTPError(404)
         self.set_header("Content-Type", "text/html; charset=utf-8")
-        self.write(path.read_bytes())
+        self.write((folder / "report.html").read_bytes())
 
 
-def _checked(handler: RequestHandler) -> str:
-    if handler.request.host_name not in HERE:
-        raise HTTPError(403)
-    return "here"
-
-
-def _collect(session: Any) -> None:
-    """A page was closed: look once through everything, for what went with it or with those before."""
+def _collect_garbage(session: Any) -> None:
+    """Free the memory of closed pages."""
     gc.unfreeze()
     gc.collect()
     gc.freeze()
 
 
-def _free_port() -> int:
-    """A port that nobody listens at: the origins that are let in must name it."""
-    with socket.create_server((HERE[1], 0)) as probe:
-        return int(probe.getsockname()[1])
-
-
 def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
-    """Serve the page until it is interrupted.
+    """Serve the page until interrupted.
 
     Args:
-        tube: a plant's file or the name of one that ships, that pages begin with; None: the study's tubes.
-        port: to listen at; 0: any that is free.
+        tube: tube file, or name of a shipped one, with which pages begin; None: the study's tubes.
+        port: port; 0: any free one.
         output: folder of runs, schedules and tubes.
         show: open a browser.
 
     Raises:
         FileNotFoundError: no such tube.
-        ValueError: the tube's file is not valid, or a port that there is not.
+        ValueError: the tube file or the port is not valid.
         OSError: the port is in use.
     """
-    if not 0 <= port <= MOST_PORT:
-        raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to {MOST_PORT}")
+    if not 0 <= port <= MAX_PORT:
+        raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to {MAX_PORT}")
     path = None if tube is None else file_or_shipped("tubes", tube)
     if path is not None:
         Plant.from_toml(path)
-    office = Office(Queue(), output)
+    app = AppState(RunQueue(), output)
     try:
-        server = server_of(office, path, port)
+        server = make_server(app, path, port)
         server.start()
         address = f"http://localhost:{server.port}/"
-        print(f"the page is at {address} (Ctrl-C ends it); what is finished is kept in {output}/", flush=True)
+        print(f"the page is at {address} (Ctrl-C ends it); results are stored in {output}/", flush=True)
         if show:
             webbrowser.open(address)
         server.run_until_shutdown()
     finally:
-        office.queue.close()
+        app.queue.close()
 
 
-def server_of(office: Office, tube: Path | None, port: int) -> Server:
-    """A server that is not started yet; it loads everything from itself."""
+def make_server(app: AppState, tube: Path | None, port: int) -> Server:
+    """A server that has not started; pages load everything from it."""
 
-    def open_page(document: Document) -> None:
-        page_of(office, tube).add_to(document)
-        document.on_session_destroyed(_collect)
-        gc.freeze()  # what is loaded and shown: to look through it for garbage stops the page for a third of a second
+    def open_document(document: Document) -> None:
+        open_page(app, tube).add_to(document)
+        document.on_session_destroyed(_collect_garbage)
+        gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 
-    taken = port or _free_port()
-    origins = [f"{host}:{taken}" for host in HERE]
+    if port == 0:  # the accepted origins must name it before the server starts
+        with socket.create_server((HOSTS[1], 0)) as probe:
+            port = int(probe.getsockname()[1])
     return Server(
-        {"/": Application(FunctionHandler(open_page))}, address=HERE[1], port=taken, allow_websocket_origin=origins,
-        extra_patterns=[(REPORT, _Report)], auth_provider=_LocalOnly(), check_unused_sessions_milliseconds=10_000,
-    )  # fmt: skip
+        {"/": Application(FunctionHandler(open_document))},
+        address=HOSTS[1],
+        port=port,
+        allow_websocket_origin=[f"{host}:{port}" for host in HOSTS],
+        extra_patterns=[(REPORT_URL, ReportHandler)],
+        auth_provider=LocalAuth(),
+        check_unused_sessions_milliseconds=10_000,
+    )

@@ -110,6 +110,7 @@ def run_plan(
     threads: int | None = None,
     workers: Workers = HERE,
     source: Source | None = None,
+    command: str | None = None,
 ) -> pd.DataFrame:
     """Play what is missing in a folder and return the table of all episodes of the plan.
 
@@ -125,6 +126,7 @@ def run_plan(
         threads: greatest number of threads; None: all cores.
         workers: that play episodes, by default this process.
         source: plays instead of this process or workers.
+        command: stored as the command line; default: that of this process.
 
     Raises:
         ValueError: the folder holds episodes of another setting, version or commit; nothing is changed.
@@ -136,7 +138,7 @@ def run_plan(
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
-    write_json(output / UNFINISHED, provenance() | plan.policies_described() | plan.described())
+    write_json(output / UNFINISHED, provenance(command) | plan.policies_described() | plan.described())
     if missing:
         write_json(output / "setting.json", plan.setting())
         with (
@@ -149,7 +151,7 @@ def run_plan(
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | plan.policies_described())
+    write_json(output / "provenance.json", provenance(command, table["commit"]) | plan.policies_described())
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 

@@ -1,4 +1,4 @@
-"""What is typed and dragged: every field of the models is there, files stay what they are, errors are the command's."""
+"""Forms: every field of the models, files, schedules, predictions and overlays, with the errors of the commands."""
 
 import tomllib
 from pathlib import Path
@@ -6,11 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.app.forms.expected import expected
-from agents.app.forms.fields import plant_fields, text_of, value_of
-from agents.app.forms.overlays import line_of, line_of_log, overlay_names
-from agents.app.forms.points import AIR, FEED, LENGTH, MISSING, csv_of, points_of, schedule_of, tidied, with_point
-from agents.app.forms.tubes import TubeForm, field_named
+from agents.app import schedules
+from agents.app.forms import TubeForm, text_of, tube_fields, value_of
+from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
 from agents.policies.catalogue import DATA
 from agents.policies.places import place_at
@@ -20,44 +18,53 @@ from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 EXAMPLE = Path("configs/tubes/example.toml")
-ALL = [field for fields in plant_fields().values() for field in fields]
+FIELDS = {field.path: field for fields in tube_fields().values() for field in fields}
 
 
 def test_the_form_has_every_field_of_the_file_with_its_unit_and_range():
-    for table, name in (("tube", "helix_length"), ("probe", "float_pitch"), ("air", "air_lag"), ("task", "time_limit")):
-        field = field_named(f"{table}.{name}")
-        low, high = map(float, field.accepted.split()[0:3:2])
-        for value, fits in ((low, True), (high, True), (1.01 * high, False)):
-            form = TubeForm()
+    for path, unit in (
+        ("tube.helix_length", "m"),
+        ("probe.float_pitch", "m"),
+        ("air.air_lag", "s"),
+        ("task.period", "s"),
+    ):
+        field = FIELDS[path]
+        form, accepted = TubeForm(), field.range
+        assert accepted.unit == unit
+        assert f"accepted: {accepted.low:g} to {accepted.high:g} {unit}" in field.hint
+        for value in (accepted.low, accepted.high):
             try:
                 form.change(field, repr(value))
-                refused = ""
-            except ValueError as error:
-                refused = str(error)
-            assert f"{value!r} {field.unit} is outside the accepted range" not in refused or not fits
-            assert fits or f"range {field.accepted}" in refused
-    assert {field.path for field in ALL if field.table != "task"} == {
+            except ValueError as error:  # for another reason
+                assert "outside the accepted range" not in str(error)  # noqa: PT017
+        with pytest.raises(ValueError, match=f"accepted range {accepted.low:g} to {accepted.high:g} {unit}"):
+            form.change(field, repr(1.01 * accepted.high))
+    assert {field.path for field in FIELDS.values() if field.table != "task"} == {
         f"{table}.{name}"
-        for table, info in Plant.model_fields.items() if hasattr(info.annotation, "model_fields")
+        for table, info in Plant.model_fields.items()
+        if hasattr(info.annotation, "model_fields")
         for name in info.annotation.model_fields
-    }  # fmt: skip
-    assert all(field.what for field in ALL if field.table != "task")
+    }
+    assert all(field.description for field in FIELDS.values() if field.table != "task")
 
 
-@pytest.mark.parametrize("field", ALL, ids=lambda field: field.path)
-def test_a_default_can_be_typed_and_changes_nothing(field):
-    """Defaults are shown in few digits, which stand for what they are, within these digits."""
-    form = TubeForm()
-    if field.default:
-        form.change(field, field.default)
-        assert set(form.given) == {field.table}
-        configured, usual = form.plant.configured(), Plant().configured()
-        numbers = [name for name, value in usual if isinstance(value, int | float | tuple)]
-        assert len(numbers) > 20
-        for name in numbers:
-            assert getattr(configured, name) == pytest.approx(getattr(usual, name), rel=1e-3)
-    form.change(field, "")
-    assert form.given == {}
+def test_a_default_can_be_typed_and_changes_nothing():
+    """Defaults are shown with few digits."""
+    failures, usual = [], Plant().configured()
+    numbers = [name for name, value in usual if isinstance(value, int | float | tuple)]
+    assert len(numbers) > 20
+    for field in FIELDS.values():
+        form = TubeForm()
+        if field.default:
+            form.change(field, field.default)
+            configured = form.plant.configured()
+            same = all(getattr(configured, name) == pytest.approx(getattr(usual, name), rel=1e-3) for name in numbers)
+            if set(form.tables) != {field.table} or not same:
+                failures.append(field.path)
+        form.change(field, "")
+        if form.tables:
+            failures.append(field.path)
+    assert failures == []
 
 
 @pytest.mark.parametrize(
@@ -77,103 +84,95 @@ def test_a_default_can_be_typed_and_changes_nothing(field):
         ("contact.cable", "no", False),
     ],
 )
-def test_a_text_is_what_a_file_would_say(path, text, value):
-    assert value_of(field_named(path), text) == value
-    assert value_of(field_named(path), text_of(value)) == value
+def test_the_value_of_a_text(path, text, value):
+    assert value_of(FIELDS[path], text) == value
+    assert value_of(FIELDS[path], text_of(value)) == value
 
 
-def test_a_tube_that_was_changed_is_saved_as_the_file_that_the_command_reads(tmp_path):
+def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     form = TubeForm()
     form.open(EXAMPLE)
     assert not form.changed
-    assert form.kept(tmp_path) == EXAMPLE
-    form.change(field_named("tube.helix_length"), "30")
-    kept = form.kept(tmp_path)
-    assert Plant.from_toml(kept) == form.plant
-    assert form.kept(tmp_path) == kept  # the same tube, the same file
+    assert form.stored(tmp_path) == EXAMPLE
+    form.change(FIELDS["tube.helix_length"], "30")
+    stored = form.stored(tmp_path)
+    assert Plant.from_toml(stored) == form.plant
+    assert form.stored(tmp_path) == stored  # the same tube, the same file
     form.save(tmp_path / "mine.toml")
-    assert tomllib.loads((tmp_path / "mine.toml").read_text()) == tomllib.loads(EXAMPLE.read_text()) | {
-        "tube": tomllib.loads(EXAMPLE.read_text())["tube"] | {"helix_length": 30.0}
-    }
+    example = tomllib.loads(EXAMPLE.read_text())
+    saved = tomllib.loads((tmp_path / "mine.toml").read_text())
+    assert saved == example | {"tube": example["tube"] | {"helix_length": 30.0}}
     form.open(EXAMPLE)
     with pytest.raises(ValueError, match="ships with the project"):
         form.save(EXAMPLE)
 
 
-def test_a_refused_change_is_told_in_the_words_of_the_command_and_changes_nothing(tmp_path, capsys):
+def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp_path, capsys):
     form = TubeForm()
     form.open(EXAMPLE)
-    before = form.given, form.plant
+    before = form.tables, form.plant
     with pytest.raises(ValueError, match="accepted range 0 to 1") as error:
-        form.change(field_named("contact.friction"), "1.5")
-    assert (form.given, form.plant) == before
+        form.change(FIELDS["contact.friction"], "1.5")
+    assert (form.tables, form.plant) == before
     path = tmp_path / "bad.toml"
     path.write_text(EXAMPLE.read_text().replace("friction = { low = 0.12, high = 0.22 }", "friction = 1.5"))
     assert main(["evaluate", "pi", "--tube", str(path), "--output", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == f"probe-env: error: {path}: {error.value}\n"
 
 
-def test_points_are_a_schedule_file_and_come_back():
+def test_points_are_a_schedule_file():
     schedule = Schedule.read("configs/schedules/example.csv")
-    points = points_of(schedule)
-    restored = schedule_of(points)
-    assert points_of(restored) == points
+    points = schedules.points_of(schedule)
+    restored = schedules.schedule_of(points)
+    assert schedules.points_of(restored) == points
     assert restored.position == schedule.position
     assert restored.feed_speed == schedule.feed_speed
     assert restored.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-6)  # six digits
-    assert csv_of(points).startswith("# interpolation: linear\n")
+    assert schedules.csv_text(points).startswith("# interpolation: linear\n")
 
 
 def test_points_are_tidied_after_a_drag():
     config = TaskConfig()
-    given = {LENGTH: [20.0, 5.0, 12.5], FEED: [0.1, 9.0, MISSING], AIR: [100.0, float("nan"), 90.0]}
-    tidy = tidied(given, config)
+    tidy = schedules.tidied(
+        {LENGTH: [20.0, 5.0, 12.5], FEED: [0.1, 9.0, MISSING], AIR: [100.0, float("nan"), 90.0]}, config
+    )
     assert tidy[LENGTH] == [5.0, 12.5, 20.0]
-    assert tidy[FEED][1] == config.feed_speeds[1]  # half-way between 9 and 0.1 is more than the device gives
+    assert tidy[FEED][1] == config.feed_speeds[1]  # the middle of 9 and 0.1 is out of range
     assert tidy[AIR] == [90.0, 90.0, 100.0]
-    assert np.diff(tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
-    more = with_point(tidy, config)
+    assert (
+        np.diff(schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
+    )
+    more = schedules.with_point(tidy, config)
     assert more[LENGTH] == [5.0, 12.5, 20.0, 40.0]
-    schedule_of(more)
+    schedules.schedule_of(more)
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        (FEED, 9.0, "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
-        (AIR, "much", "schedule: line 3, air_supply_m3_per_h = 'much' is not a number"),
-        (LENGTH, -1.0, "schedule: line 3, inserted_length_m = -1.0 is outside the accepted range 0 to 1000 m"),
-    ],
-)
-def test_points_that_are_no_schedule_are_refused_as_their_file_is(column, value, message):
-    points = points_of(Schedule.read("configs/schedules/example.csv"))
-    points[column][0] = value
-    with pytest.raises(ValueError, match="line 3") as refused:
-        schedule_of(points)
-    assert str(refused.value) == message
+def test_invalid_points_are_refused_as_their_file_is():
+    points = schedules.points_of(Schedule.read("configs/schedules/example.csv"))
+    points[FEED][0] = 9.0
+    message = "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"
+    with pytest.raises(ValueError, match=message):
+        schedules.schedule_of(points)
 
 
-def test_what_is_expected_is_what_the_search_for_schedules_goes_by():
+def test_the_prediction_is_the_objective_of_the_search_for_schedules():
     place, schedule = place_at(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
-    prediction = expected(schedule, place)
-    by_search = MapCost(place.contexts, place.config, place.vibration).reward(schedule)
-    assert prediction.reward == pytest.approx(by_search, rel=1e-9)  # sums in another order
+    prediction = schedules.predict(schedule, place)
+    cost = MapCost(place.contexts, place.config, place.vibration)
+    assert prediction.reward == pytest.approx(cost.reward(schedule), rel=1e-9)  # sums in another order
     assert (prediction.low < prediction.middle).all()
     assert (prediction.middle < prediction.high).all()
     assert prediction.length[0] == 5.5
-    with pytest.raises(ValueError, match="goes by time"):
-        expected(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
+    with pytest.raises(ValueError, match="over time"):
+        schedules.predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
 
 
-@pytest.mark.parametrize("name", overlay_names())
-def test_everything_that_is_offered_can_be_laid_over(name):
+def test_every_offered_overlay_is_a_line():
     place = place_at(EXAMPLE, "test", 1)
-    line = line_of(name, place)
-    assert len(line.length) == len(line.feed) == len(line.air) > 1
-    assert np.isfinite(np.concatenate(line)).all()
-
-
-def test_a_log_can_be_laid_over_and_what_feels_cannot():
-    assert (np.diff(line_of_log(Path("example-rig")).length) >= 0.0).all()
-    with pytest.raises(ValueError, match="decides by what it feels"):
-        line_of("pi", place_at(None, "test", 1))
+    for name in schedules.overlay_names():
+        line = schedules.policy_line(name, place)
+        assert len(line.length) == len(line.feed) == len(line.air) > 1, name
+        assert np.isfinite(np.concatenate(line)).all(), name
+    assert (np.diff(schedules.log_line(Path("example-rig")).length) >= 0.0).all()
+    with pytest.raises(ValueError, match="depends on what it measures"):
+        schedules.policy_line("pi", place)

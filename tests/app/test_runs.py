@@ -1,5 +1,6 @@
-"""Runs of the app: stored as the command stores them, whatever happens to the worker or to who waits for it."""
+"""Runs of the app: stored as by the command, whatever happens to the worker."""
 
+import json
 import os
 import signal
 import time
@@ -7,147 +8,142 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
+from probe_env.inspection.spectrum import FREQUENCY
 
-from agents.app.runs.driven import BY_HAND
-from agents.app.runs.frames import COLUMNS, Order
-from agents.app.runs.queue import Queue
-from agents.app.runs.shelf import described, free_folder, stored_runs, unfinished
-from agents.app.runs.wanted import Wanted
+from agents.app.run_store import new_folder, read_request, stored_run, stored_runs
+from agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
 from agents.evaluation.folder import episodes_of
-from agents.evaluation.report import write_report
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.places import place_at
+from probe_env.inspection.detection import threshold
+from probe_env.inspection.sensor import GROOVE, Sensor
 
 LONG = 120.0
-"""[s] that a test waits for a run of seconds: only one that hangs takes so long."""
+"""Time limit for a run of seconds [s]."""
 
 
 @pytest.fixture(scope="module")
 def queue():
-    line = Queue()
-    yield line
-    line.close()
+    queue = RunQueue()
+    yield queue
+    queue.close()
 
 
 @pytest.fixture
 def tube(tmp_path):
-    """A tube of 7 m, in which an insertion is over soon."""
+    """A tube of 7 m, in which an insertion is short."""
     path = tmp_path / "short.toml"
     path.write_text("[tube]\nhelix_length = 7.0\n[contact]\nfriction = { low = 0.1, high = 0.2 }\n")
     return path
 
 
-def wanted(folder, short, **changes):
-    return Wanted(**({"policies": ("constant", "pi"), "output": folder, "tube": short, "limit": 2} | changes))
+def request(folder, short, **changes):
+    return RunRequest(**({"policies": ("constant", "pi"), "output": folder, "tube": short, "limit": 2} | changes))
 
 
-def paused_at(queue, run, until):
-    """Waits until a run has paused and something holds."""
+def wait_for(condition, run):
     deadline = time.monotonic() + LONG
-    while not (run.frame and run.frame.paused and until()):
+    while not condition():
         assert run.state in ("waiting", "running"), run.problem
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        time.sleep(0.005)
 
 
-def test_a_run_is_the_evaluation_of_the_same_command_bit_for_bit(queue, tube, tmp_path):
-    run = queue.add(wanted(tmp_path / "app", tube))
+def wait_paused(run, until=lambda: True):
+    wait_for(lambda: run.paused and until(), run)
+
+
+def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp_path):
+    run = queue.add(request(tmp_path / "app", tube))
     assert queue.wait(run, LONG)
-    assert (run.state, run.done, run.planned) == ("finished", 4, 4)
-    plan = plan_of(run.wanted.policies, place_at(tube, "test", 2), 1, "fast")
+    assert (run.state, run.done, run.info.planned) == ("finished", 4, 4)
+    plan = plan_of(run.request.policies, place_at(tube, "test", 2), 1, "fast")
     table = evaluate_plan(plan, tmp_path / "command")
     stored = pd.read_parquet(tmp_path / "app" / "episodes.parquet")
     pd.testing.assert_frame_equal(stored, table, check_exact=True)
     assert episodes_of(tmp_path / "app").read() == episodes_of(tmp_path / "command").read()
+    assert (tmp_path / "app" / "report.html").exists()
     for unit in plan.units():
-        rows = run.trace(unit)
+        trace = run.trace(unit)
         episode = table[(table["policy"] == unit[0]) & (table["context"] == unit[1])].iloc[0]
-        assert rows[-1, COLUMNS.index("reward")] == episode["reward"]
-        assert rows[-1, COLUMNS.index("time")] == episode["inspection_time_s"]
-    assert Wanted.of_command(run.wanted.command, run.wanted.output) == run.wanted
+        assert trace["reward"][-1] == episode["reward"]
+        assert trace["time"][-1] == episode["inspection_time_s"]
+    command = json.loads((tmp_path / "app" / "provenance.json").read_text())["command"]
+    assert command == f"probe-env evaluate constant pi --tube {tube} --limit 2 --fidelity fast --output {tmp_path}/app"
 
 
 def test_pause_step_look_and_go_change_nothing(queue, tube, tmp_path):
-    """Slow motion looks at a copy; a paused run shows one period more with every step."""
-    plain, watched = (wanted(tmp_path / name, tube, policies=("constant",), limit=1) for name in ("plain", "watched"))
-    run = queue.add(watched, [Order("pause")])
-    assert queue.wait(queue.add(plain), 0.01) is False  # it is in line behind the one that waits
-    paused_at(queue, run, lambda: True)
+    plain, watched = (request(tmp_path / name, tube, policies=("constant",), limit=1) for name in ("plain", "watched"))
+    unit = ("constant", 0, 0)
+    run, other = queue.add(watched, [Command("pause")]), queue.add(plain)
+    assert queue.wait(other, 0.01) is False  # it waits for the paused one
+    wait_paused(run)
     for steps in range(1, 4):
-        queue.order(run, Order("step"))
-        paused_at(queue, run, lambda steps=steps: sum(map(len, run.traces.get(("constant", 0, 0), []))) == steps)
-    queue.order(run, Order("look"))
-    deadline = time.monotonic() + LONG
-    while run.film is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    shape = run.frame.shape
-    assert run.film.inserted_length[0] == pytest.approx(run.trace(("constant", 0, 0))[-1, 1])
-    assert shape.place.max() <= run.film.inserted_length[0] + 1e-9
-    assert shape.seen["inserted_length"] == pytest.approx(run.film.inserted_length[0], rel=1e-6)  # float32
-    queue.order(run, Order("go"))
-    other = queue.runs[-1]
+        queue.send(run, Command("step"))
+        wait_paused(run, lambda steps=steps: len(run.trace(unit)["time"]) == steps)
+    queue.send(run, Command("look"))
+    wait_for(lambda: run.motion is not None, run)
+    shape, length = run.frame.shape, run.motion.inserted_length[0]
+    assert length == pytest.approx(run.trace(unit)["inserted_length"][-1])
+    assert shape.position.max() <= length + 1e-9
+    assert shape.observation["inserted_length"] == pytest.approx(length, rel=1e-6)  # float32
+    queue.send(run, Command("go"))
     assert queue.wait(run, LONG)
     assert queue.wait(other, LONG)
     tables = [pd.read_parquet(folder / "episodes.parquet") for folder in (plain.output, watched.output)]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
-def test_a_stopped_run_keeps_what_was_finished_and_goes_on(queue, tube, tmp_path):
-    whole = wanted(tmp_path / "whole", tube)
-    run = queue.add(whole, [Order("pause")])
-    paused_at(queue, run, lambda: True)
-    queue.order(run, Order("stop"))
+def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):
+    whole = request(tmp_path / "whole", tube)
+    run = queue.add(whole, [Command("pause")])
+    wait_paused(run)
+    queue.send(run, Command("stop"))
     assert queue.wait(run, LONG)
     assert run.state == "stopped"
-    assert described(whole.output).outcome == "interrupted: 0 of 4 insertions are stored"
-    resumed = unfinished(whole.output)
-    assert resumed == whole
-    run = queue.add(resumed)
+    assert stored_run(whole.output).outcome == "interrupted: 0 of 4 insertions are stored"
+    assert read_request(whole.output) == whole
+    run = queue.add(read_request(whole.output))
     assert queue.wait(run, LONG)
-    assert described(whole.output).whole
+    assert stored_run(whole.output).complete
     assert [entry.folder for entry in stored_runs(tmp_path)] == [whole.output]
 
 
-def test_a_killed_worker_loses_nothing_that_was_finished(queue, tube, tmp_path):
-    """It is killed when the first insertion is stored, and the run goes on to the table of one that was not.
-
-    ``slow`` has as many periods left then as ``constant`` took, ten a second.
-    """
-    kept = wanted(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
-    run = queue.add(kept, [Order("pace", (10.0,))])
-    deadline = time.monotonic() + LONG
-    while not episodes_of(kept.output).read():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+def test_a_killed_worker_loses_no_finished_insertion(queue, tube, tmp_path):
+    """It is killed when the first insertion is stored, while ``slow`` is still under way at ten periods a second."""
+    kept = request(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
+    run = queue.add(kept, [Command("pace", (10.0,))])
+    wait_for(lambda: episodes_of(kept.output).read(), run)
     os.kill(queue._process.pid, signal.SIGKILL)
     assert queue.wait(run, LONG)
+    assert run.state == "failed"
+    assert "the worker process died (exit status -9): finished insertions are stored" in run.problem
+    run = queue.add(read_request(kept.output))
+    assert queue.wait(run, LONG)
     assert run.state == "finished"
-    assert "the worker was lost" in run.problem
     lines = (kept.output / "episodes.jsonl").read_text().splitlines()
-    assert len(lines) == 2  # nothing is lost, nothing done twice
+    assert len(lines) == 2  # nothing lost, nothing repeated
     plan = plan_of(kept.policies, place_at(tube, "test", 1), 1, "fast")
     assert {key for key, *_ in plan.planned()} == episodes_of(kept.output).read().keys()
 
 
-def test_what_a_hand_drives_is_a_policy_of_the_evaluation(queue, tube, tmp_path):
-    run = queue.add(
-        wanted(tmp_path / "hand", tube, policies=("constant",), limit=1, driven=True),
-        [Order("pause"), Order("hand", (0.1, 0.02))],
-    )
-    paused_at(queue, run, lambda: True)
+def test_a_manual_drive_is_a_policy_of_the_evaluation(queue, tube, tmp_path):
+    manual = request(tmp_path / "hand", tube, policies=("constant",), limit=1, manual=True)
+    run = queue.add(manual, [Command("pause"), Command("hand", (0.1, 0.02))])
+    wait_paused(run)
     for feed in (0.1, 0.3):
-        queue.order(run, Order("hand", (feed, 0.02)))
-        queue.order(run, Order("step"))
-    queue.order(run, Order("go"))
+        queue.send(run, Command("hand", (feed, 0.02)))
+        queue.send(run, Command("step"))
+    queue.send(run, Command("go"))
     assert queue.wait(run, LONG)
-    rows = run.trace((BY_HAND, 0, 0))
-    assert rows[:3, COLUMNS.index("target_feed_speed")] == pytest.approx([0.1, 0.3, 0.3], rel=1e-6)  # float32 actions
-    table = pd.read_parquet(run.wanted.output / "episodes.parquet")
-    assert set(table["policy"]) == {BY_HAND, "constant"}
+    feed = run.trace((MANUAL, 0, 0))["target_feed_speed"]
+    assert feed[:3] == pytest.approx([0.1, 0.3, 0.3], rel=1e-6)  # float32 actions
+    table = pd.read_parquet(manual.output / "episodes.parquet")
+    assert set(table["policy"]) == {MANUAL, "constant"}
     assert np.isfinite(table["reward"]).all()
-    page = write_report(run.wanted.output).read_text()
-    assert "by-hand.csv" in page
+    assert "by-hand.csv" in (manual.output / "report.html").read_text()
+    with pytest.raises(ValueError, match="cannot be resumed"):
+        read_request(manual.output)
 
 
 @pytest.mark.parametrize(
@@ -156,13 +152,12 @@ def test_what_a_hand_drives_is_a_policy_of_the_evaluation(queue, tube, tmp_path)
         ({"policies": ("nobody",)}, "policy = 'nobody' is not one of"),
         ({"policies": ("pi", "pi")}, "no name twice"),
         ({"limit": 49}, "limit = 49 is outside the accepted range 0 (all) to 48"),
-        ({"seeds": 0}, "seeds = 0 is outside the accepted range 1 to 1000"),
         ({"fidelity": "quick"}, "fidelity = 'quick' is not one of"),
         ({"tube": "nowhere.toml"}, "no such file: nowhere.toml"),
     ],
 )
-def test_what_the_command_refuses_is_told_in_its_words(queue, tube, tmp_path, changes, message):
-    run = queue.add(wanted(tmp_path / "refused", tube, **changes))
+def test_invalid_requests_fail_with_the_message_of_the_command(queue, tube, tmp_path, changes, message):
+    run = queue.add(request(tmp_path / "refused", tube, **changes))
     assert queue.wait(run, LONG)
     assert run.state == "failed"
     assert message in run.problem
@@ -170,20 +165,41 @@ def test_what_the_command_refuses_is_told_in_its_words(queue, tube, tmp_path, ch
 
 
 def test_folders_are_numbered_and_never_used_twice(tmp_path):
-    first = free_folder(tmp_path, "My schedule")
-    first.mkdir()
-    assert first.name == "001-my-schedule"
-    assert free_folder(tmp_path, "../..").name == "002-run"
+    assert new_folder(tmp_path, "My schedule").name == "001-my-schedule"
+    assert new_folder(tmp_path, "../..").name == "002-run"
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "request.json").write_text("{}")
+    for folder in ("001-my-schedule", "damaged"):
+        with pytest.raises((FileNotFoundError, ValueError), match="request"):
+            read_request(tmp_path / folder)
 
 
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        ("probe-env app", "not one that goes on here"),
-        ("probe-env evaluate pi --finer study", "--finer is an option that this page does not have"),
-        ("probe-env evaluate --limit 2", "it names no policy"),
-    ],
-)
-def test_only_what_the_page_can_run_goes_on(command, message, tmp_path):
-    with pytest.raises(ValueError, match=message):
-        Wanted.of_command(command, tmp_path)
+def still(feed=0.2, seconds=1.0):
+    """A probe that does not vibrate."""
+    none, count = np.zeros(0), round(seconds / 1e-3)
+    time = 1e-3 * (np.arange(count) + 1 - count)
+    tube = {"sensor": 0, "bore": 0.0242, "helix_length": 60.0}
+    signal = {"signal_time": time, "signal_radial": np.zeros(count), "spectrum": np.zeros(len(FREQUENCY))}
+    floats = dict.fromkeys(("position", "axial", "radial", "tension", "lever", "outer_gap"), none)
+    return ProbeShape(**floats, **tube, **signal, feed_speed=feed, observation={})
+
+
+def test_the_signal_to_noise_ratio_of_a_groove_without_vibration_is_its_closed_form():
+    """7.5 at 0.2 m/s, in proportion to the depth, and to the root of the time at the flaw."""
+    sensor = Sensor()
+    assert flaw_signal(sensor, still(), 0.5, GROOVE).snr == pytest.approx(7.5, rel=2e-3)
+    assert flaw_signal(sensor, still(), 0.5, 2.0 * GROOVE).snr == pytest.approx(15.0, rel=2e-3)
+    assert flaw_signal(sensor, still(feed=0.1), 0.5, GROOVE).snr == pytest.approx(7.5 * 2.0**0.5, rel=2e-3)
+
+
+def test_the_filtered_signal_of_a_flaw_is_as_high_as_its_ratio():
+    """But for noise of deviation 1, of which the highest of a few samples is taken: -4 to +5, with a chance of 1e-4."""
+    for before in (0.3, 0.5, 0.7):
+        signal = flaw_signal(Sensor(), still(), before, 2.0 * GROOVE)
+        assert -4.0 < signal.filtered - signal.snr < 5.0
+        assert signal.time[signal.near] == pytest.approx(-before, abs=0.051)  # half of 20 mm at 0.2 m/s
+        assert signal.filtered > signal.threshold == threshold(Sensor(), 60.0)
+        shallow = flaw_signal(Sensor(), still(), before, 0.01)
+        assert shallow.filtered < shallow.threshold
+    assert flaw_signal(Sensor(), still(feed=0.0), 0.5, GROOVE) is None
+    assert flaw_signal(Sensor(), still(seconds=0.05), 0.5, GROOVE) is None

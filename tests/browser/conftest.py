@@ -1,4 +1,4 @@
-"""The app's server as a process of its own, and Chromium on it: `make test-app`."""
+"""The app's server in its own process, and Chromium: `make test-app`."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from playwright.sync_api import sync_playwright
 
 CHROMIUM = os.environ.get("PROBE_ENV_CHROMIUM", "/usr/bin/chromium")
 LONG = 120_000
-"""[ms] that a test waits for what takes seconds: only what hangs takes so long."""
+"""Time limit for something that takes seconds [ms]."""
 SHORT_TUBE = """[tube]
 helix_length = 7.0
 [contact]
@@ -60,7 +60,7 @@ def browser():
 
 @pytest.fixture
 def tube(tmp_path):
-    """A tube of 7 m, in which an insertion is over soon."""
+    """A tube of 7 m, in which an insertion is short."""
     path = tmp_path / "short.toml"
     path.write_text(SHORT_TUBE)
     return path
@@ -68,7 +68,7 @@ def tube(tmp_path):
 
 @pytest.fixture(scope="session")
 def app(tmp_path_factory):
-    """An app on a short tube, for tests that leave it as they found it."""
+    """An app with a short tube, shared by tests that do not change its state."""
     folder = tmp_path_factory.mktemp("app")
     (folder / "short.toml").write_text(SHORT_TUBE)
     with served(folder / "runs", folder / "short.toml") as running:
@@ -77,7 +77,7 @@ def app(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, app):
-    """A page of that app; what it asked of others, and what went wrong in it, is counted as a failure."""
+    """A page of that app; requests to other hosts and errors in the browser are failures."""
     with opened(browser, app) as page:
         yield page
 

@@ -1,4 +1,4 @@
-"""The page in a real browser: what is dragged, typed, run and compared, and what is refused."""
+"""The page in a real browser: drag, type, run, compare, and errors."""
 
 import io
 import json
@@ -31,7 +31,7 @@ def screen(page, number):
 
 
 def expected(page):
-    """Seconds that the page expects."""
+    """Predicted duration [s]."""
     return int(re.search(r"Expected: (\d+) s", page.get_by_text("Expected:").inner_text())[1])
 
 
@@ -41,7 +41,7 @@ def points(page):
 
 
 def seconds(status):
-    """That an insertion has lasted by now."""
+    """Simulated time of the insertion [s]."""
     match = re.search(r"after (\d+) s", status.inner_text())
     return int(match[1]) if match else 0
 
@@ -52,16 +52,25 @@ def fill(page, label, text):
     box.press("Enter")
 
 
-def run(page, policies=()):
+def run(page):
     screen(page, 3)
     page.get_by_role("button", name="Run", exact=True).click()
-    page.locator("[data-state=waiting], [data-state=running]").wait_for()  # not the end of the one before it
+    page.locator("[data-state=waiting], [data-state=running]").wait_for()  # not the end of the previous one
     page.locator("[data-state=finished]").wait_for()
 
 
-def test_a_point_that_is_dragged_changes_what_is_expected_while_it_moves(page):
+def position(page, code, argument=None):
+    """Position of something in the window, once the layout has settled."""
+    last = None
+    while (now := page.evaluate(code, argument)) != last:
+        last = now
+        page.wait_for_timeout(300)
+    return now
+
+
+def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
     before, at = expected(page), points(page)
-    x, y = page.evaluate(PLACE, [FEED, 0])
+    x, y = position(page, PLACE, [FEED, 0])
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x, y + 30, steps=3)
@@ -78,12 +87,12 @@ def test_a_point_that_is_dragged_changes_what_is_expected_while_it_moves(page):
     assert expected(page) >= during
 
 
-def test_a_tap_adds_a_point_on_the_line_of_the_other_chart(page):
+def test_a_tap_adds_a_point_to_both_charts(page):
     before = points(page)
-    x, y = page.evaluate(PLACE, [FEED, 0])
+    x, y = position(page, PLACE, [FEED, 0])
     page.mouse.click(x + 60, y + 40)
-    page.wait_for_function("(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n",
-                           arg=len(before[FEED]) + 1)  # fmt: skip
+    added = "(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n"
+    page.wait_for_function(added, arg=len(before[FEED]) + 1)
     page.wait_for_function(
         "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
     )
@@ -91,8 +100,8 @@ def test_a_tap_adds_a_point_on_the_line_of_the_other_chart(page):
     assert after["inserted_length_m"] == sorted(after["inserted_length_m"])
 
 
-def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp_path):
-    """Bit for bit in the folder, and digit for digit on the page."""
+def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path):
+    """Bit for bit in the folder; the comparison shows its report."""
     screen(page, 3)
     page.get_by_text("5 ×", exact=True).click()
     page.get_by_role("button", name="Run", exact=True).click()
@@ -104,9 +113,9 @@ def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp
     page.get_by_role("button", name="step", exact=True).click()
     status.filter(has_text="paused").filter(has_text=f"after {before + 1} s").wait_for()
     page.get_by_role("button", name="slow motion").click()
-    page.get_by_text("What comes next").wait_for()
-    page.get_by_text("as fast as it goes").click()
-    page.get_by_role("button", name="go on", exact=True).click()
+    page.get_by_text("Radial rms of the sensor in this time").wait_for()
+    page.get_by_text("no limit").click()
+    page.get_by_role("button", name="continue", exact=True).first.click()
     page.locator("[data-state=finished]").wait_for()
     folder = max(path for path in app.output.glob("*-my-schedule"))
     command = json.loads((folder / "provenance.json").read_text())["command"].split()[1:]
@@ -117,16 +126,15 @@ def test_a_run_pauses_steps_goes_on_and_is_what_the_command_gives(page, app, tmp
             *(pd.read_parquet(place / name) for place in (folder, tmp_path / "again")), check_exact=True
         )
     screen(page, 4)
-    page.get_by_text("Ranking").wait_for()
+    report = page.frame_locator("iframe")
+    report.get_by_role("heading", name="Feed policies compared").wait_for()
     table = pd.read_parquet(folder / "episodes.parquet").set_index("policy")
-    row = page.locator("tr", has=page.locator("th", has_text="my-schedule")).first.inner_text()
+    row = report.locator("tr", has=page.locator("th", has_text="my-schedule")).first.inner_text()
     for kpi, (_, factor, _) in kpis_of(table.columns).items():
         assert short(table.loc["my-schedule", kpi] * factor) in row
-    page.get_by_role("button", name="write its report").last.click()
-    with page.context.expect_page() as report:
+    with page.context.expect_page() as opened_report:
         page.get_by_role("link", name="open the report").click()
-    assert report.value.get_by_role("heading", name="Feed policies compared").is_visible()
-    assert (folder / "report.html").exists()
+    assert opened_report.value.get_by_role("heading", name="Feed policies compared").is_visible()
 
 
 FLAW = """() => {
@@ -138,16 +146,18 @@ FLAW = """() => {
 }"""
 
 
-def test_a_flaw_that_is_dragged_is_seen_elsewhere_in_x_and_y(page):
+def test_a_dragged_flaw_moves_in_x_and_y(page):
     run(page)
     page.get_by_text("A flaw of 20 %").wait_for()
     page.get_by_text("A flaw of 20 %").evaluate("(words) => words.scrollIntoView(false)")  # the chart stands above it
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
-    before, x_y = page.evaluate(signals), page.evaluate(FLAW)
+    x_y, before = position(page, FLAW), page.evaluate(signals)
     page.mouse.move(*x_y)
     page.mouse.down()
+    page.wait_for_timeout(100)  # a busy browser takes events at the same time for a tap
     page.mouse.move(x_y[0] + 40, x_y[1] + 10, steps=4)
+    page.wait_for_timeout(100)
     page.mouse.up()
     page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49")
     changed = "(old) => Bokeh.documents[0].get_model_by_name('signals').data.x.some((value, k) => value != old[k])"
@@ -159,37 +169,25 @@ def test_a_flaw_that_is_dragged_is_seen_elsewhere_in_x_and_y(page):
     page.locator(".noUi-handle >> visible=true").last.focus()  # of the depth
     page.keyboard.press("ArrowRight")
     page.get_by_text("A flaw of 21 %").wait_for()
-    screen(page, 4)
-    page.get_by_text("Least depth found with 90 %").wait_for()
 
 
-BROKEN = [
-    ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
+INVALID = [
+    ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 50 m"),
     ("helix diameter [m]", "abc", "tube.helix_diameter"),
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
     ("inner diameter [m]", "nan", "tube.inner_diameter: nan m is outside the accepted range 0.005 to 0.1 m"),
-    ("helix length [m]", "-5", "tube.helix_length: -5.0 m is outside the accepted range 0.1 to 1000 m"),
-    ("line density [kg/m]", "1e9", "probe.line_density: 1000000000.0 kg/m is outside the accepted range 0.01 to 10"),
-    ("float pitch [m]", "0", "probe.float_pitch: 0.0 m is outside the accepted range 0.01 to 1 m"),
-    ("guide length [m]", "2.55", "probe.guide_length = 2.55 m must be a whole multiple of probe.float_pitch"),
-    ("flexural rigidity [N m2]", "five", "probe.flexural_rigidity: Input should be a valid number"),
-    ("friction", "2", "contact.friction: value = 2.0 is outside the accepted range 0 to 1"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
-    ("friction", "0.2 ± 0", "contact.friction.std: Input should be greater than 0"),
-    ("stiffness [N/m]", "1", "contact.stiffness: value = 1.0 N/m is outside the accepted range 100 to 1e+08 N/m"),
-    ("air supply rates", "0.03 to 0.01", "air_supply_rates = (0.03, 0.01) must ascend"),
-    ("feed speeds", "0 to 0.4", "feed_speeds = (0.0, 0.4) must ascend within the accepted range 1e-06 to 2"),
-    ("ramp [m/s2]", "0", "ramp: 0.0 m/s2 is outside the accepted range 0.001 to 1000 m/s2"),
-    ("open a tube", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
-    ("save as", "mine.txt", "mine.txt: a plant's file must be named NAME.toml"),
+    ("feed speeds [m/s]", "0 to 0.4", "feed_speeds = (0.0, 0.4) must ascend within the accepted range 1e-06 to 2"),
+    ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
+    ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
     ("calibration", "nothing.json", "nothing.json"),
 ]
 
 
-def test_broken_input_is_refused_at_its_field_in_the_words_of_the_command(page):
+def test_invalid_input_is_refused_at_its_field(page):
     screen(page, 1)
     page.get_by_text("Your own tube").wait_for()
-    for label, text, message in BROKEN:
+    for label, text, message in INVALID:
         given = page.get_by_label(label, exact=True).first
         before = given.input_value()
         given.fill(text)
@@ -197,28 +195,28 @@ def test_broken_input_is_refused_at_its_field_in_the_words_of_the_command(page):
         page.get_by_role("alert").filter(has_text=message).wait_for()
         given.fill(before)
         given.press("Enter")
-        if label not in ("open a tube", "save as", "calibration"):
+        if label not in ("open a tube file", "save as", "calibration"):
             page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
 
 
-def test_a_schedule_file_that_is_none_is_refused(page, tmp_path):
+def test_an_invalid_schedule_file_is_refused(page, tmp_path):
     (tmp_path / "bad.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,9,60\n")
     for text, message in (
         (str(tmp_path / "bad.csv"), "line 2, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
         (str(tmp_path / "none.csv"), "no such file"),
-        ("shift", "a schedule over time cannot be dragged"),
+        ("shift", "a schedule over time cannot be edited here"),
     ):
-        fill(page, "open a schedule file", text)
+        fill(page, "open a schedule", text)
         page.get_by_role("alert").filter(has_text=message).wait_for()
 
 
-def test_a_killed_server_keeps_what_was_finished_and_goes_on_with_the_rest(browser, tube, tmp_path):
+def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browser, tube, tmp_path):
     with served(tmp_path / "runs", tube) as app:
         with opened(browser, app) as page:
             run(page)
             page.get_by_text("1 ×", exact=True).first.click()
             page.get_by_role("button", name="Run", exact=True).click()
-            page.locator("[data-state=running]").filter(has_text="m in after").wait_for()
+            page.locator("[data-state=running]").filter(has_text="m after").wait_for()
         app.kill()
         app.start()
         with opened(browser, app) as page:
@@ -226,16 +224,16 @@ def test_a_killed_server_keeps_what_was_finished_and_goes_on_with_the_rest(brows
             runs = page.get_by_role("row")
             runs.filter(has_text="001-my-schedule").filter(has_text="1 of 1 complete").wait_for()
             runs.filter(has_text="002-my-schedule").filter(has_text="interrupted: 0 of 2").wait_for()
-            page.get_by_label("a run", exact=True).select_option("002-my-schedule")
-            page.get_by_role("button", name="go on with it").click()
+            page.get_by_label("run", exact=True).locator("visible=true").select_option("002-my-schedule")
+            page.get_by_role("button", name="resume").click()
             page.locator("[data-state=finished]").wait_for()
             runs.filter(has_text="002-my-schedule").filter(has_text="1 of 1 complete").wait_for()
 
 
-def test_two_browsers_see_the_same_runs_each_at_a_desk_of_its_own(browser, app):
+def test_two_browsers_share_runs_but_not_schedules(browser, app):
     with opened(browser, app) as one, opened(browser, app) as other:
         before = points(other)
-        fill(one, "open a schedule file", "best-schedule")
+        fill(one, "open a schedule", "best-schedule")
         one.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
         assert points(other) == before
         run(one)
@@ -244,7 +242,7 @@ def test_two_browsers_see_the_same_runs_each_at_a_desk_of_its_own(browser, app):
         other.get_by_role("row").filter(has_text=newest).filter(has_text="complete").wait_for()
 
 
-def test_by_hand_with_the_keyboard(page, app):
+def test_manual_drive_with_the_keyboard(page, app):
     page.keyboard.press("5")
     page.get_by_role("button", name="Start", exact=True).click()
     page.get_by_text("by hand: score").wait_for()
@@ -253,9 +251,9 @@ def test_by_hand_with_the_keyboard(page, app):
     page.keyboard.press("ArrowRight")
     assert page.evaluate(feed) > before
     page.keyboard.press(" ")
-    page.get_by_role("button", name="go on", exact=True).last.wait_for()
+    page.get_by_role("button", name="continue", exact=True).last.wait_for()
     page.keyboard.press(" ")
-    page.get_by_text("It is over.").wait_for()
+    page.get_by_text("Finished and stored").wait_for()
     folder = max(path for path in app.output.glob("*-by-hand"))
     table = pd.read_parquet(folder / "episodes.parquet")
     assert set(table["policy"]) == {"by hand", "tension-scheduled"}
@@ -269,7 +267,7 @@ TITLES = ("tube", "schedule", "insertion", "compare", "manual")
 
 @pytest.mark.parametrize("width", [1280, 820, 420])
 def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
-    """Of the study's tubes; the pictures of the pages are these, with PROBE_ENV_PICTURES=docs/inspection/app."""
+    """Pictures of the docs, in the study's tubes: PROBE_ENV_PICTURES=docs/inspection/app."""
     folder = Path(PICTURES or tmp_path)
     folder.mkdir(parents=True, exist_ok=True)
     with served(tmp_path / "output") as app, opened(browser, app, width) as page:
@@ -279,34 +277,34 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
             if title == "insertion":
                 page.get_by_text("20 ×", exact=True).first.click()  # so that the pause comes before the end
                 page.get_by_role("button", name="Run", exact=True).click()
-                page.get_by_text(re.compile(r"[34]\d\.\d m in after")).first.wait_for()
+                page.get_by_text(re.compile(r"[34]\d\.\d m after")).first.wait_for()
                 page.get_by_role("button", name="pause", exact=True).click()
                 page.get_by_role("button", name="slow motion").click()
-                page.get_by_text("What comes next").wait_for()
-                page.wait_for_timeout(1500)  # of slow motion, for the picture's sake
+                page.get_by_text("Radial rms of the sensor in this time").wait_for()
+                page.wait_for_timeout(1500)  # of slow motion
             if title == "compare":
-                page.get_by_text("Ranking").wait_for()
+                page.frame_locator("iframe").get_by_text("Feed policies compared").wait_for()
             if title == "manual":
                 page.get_by_text("8 ×", exact=True).click()
                 page.get_by_role("button", name="Start", exact=True).click()
-                page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m in")).wait_for()
-            page.wait_for_timeout(500)  # what was hidden is laid out
+                page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m")).wait_for()
+            page.wait_for_timeout(500)  # layout
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
             taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))
             few = taken.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
             few.save(folder / f"{title}-{width}.png", optimize=True)  # a third of the bytes; rare colours stay
             if title == "insertion":
-                page.get_by_text("as fast as it goes").click()
-                page.get_by_role("button", name="go on", exact=True).first.click()
+                page.get_by_text("no limit").click()
+                page.get_by_role("button", name="continue", exact=True).first.click()
                 page.locator("[data-state=finished]").wait_for()
 
 
 @pytest.mark.parametrize("address", ["report/?folder=/etc", "report/?folder=."])
-def test_only_reports_are_given_away(page, app, address, tmp_path):
+def test_only_reports_are_served(page, app, address, tmp_path):
     assert page.request.get(app.address + address).status == 404
 
 
-def test_another_name_of_this_machine_is_refused(page, app):
-    """As a site would have it that points its own name here."""
+def test_another_host_name_is_refused(page, app):
+    """DNS rebinding: another site can point its own name to this machine."""
     answer = page.request.get(app.address, headers={"Host": f"evil.example:{app.address.split(':')[-1].strip('/')}"})
     assert answer.status == 403

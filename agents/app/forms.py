@@ -1,0 +1,273 @@
+"""The form of a tube file: its fields with ranges, units and texts, and the file while it is edited."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, Literal, get_args, get_origin
+
+import tomli_w
+from pydantic import ValidationError
+
+from agents.policies.places import plant_at
+from agents.records.provenance import write_atomically
+from agents.records.shipped import file_or_shipped, ships
+from agents.terminal.refusals import refusal
+from probe_env import Plant
+from probe_env.envs.plants import Between
+from probe_env.envs.plants.plant import OF_AIR, OF_FEED
+from probe_env.envs.plants.posterior import with_posterior
+from probe_env.envs.task import SHOWN, TaskConfig
+from probe_env.files import FileError, read_toml
+from probe_env.settings import Model, Range, explain, range_of
+
+Kind = Literal["number", "integer", "figure", "pair", "list", "choice"]
+NOT_IN_FORM: Final = frozenset(
+    {*OF_FEED, *OF_AIR, *SHOWN, "scene", "sensor", "passes", "inspects", "growing", "vibration_measure"}
+)
+"""Task fields of other tables, and those that change the task as a whole."""
+SIGNS: Final = ("±", "+-")
+BOOLEANS: Final = {"no": False, "yes": True}
+POSTERIOR: Final = "posterior"
+HINTS: Final[dict[Kind, str]] = {
+    "figure": "a number, LOW to HIGH, or MEAN ± STANDARD DEVIATION",
+    "pair": "LOW to HIGH",
+    "list": "a number, or several separated by commas",
+}
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of a tube file."""
+
+    table: str
+    name: str
+    description: str
+    kind: Kind
+    default: str  # text of the value that is used when it is left out
+    range: Range | None  # accepted range
+    choices: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> str:
+        """Table and name, "table.name"."""
+        return f"{self.table}.{self.name}"
+
+    @property
+    def title(self) -> str:
+        """Name and unit."""
+        return self.name.replace("_", " ") + (f" [{self.range.unit}]" if self.range and self.range.unit else "")
+
+    @property
+    def hint(self) -> str:
+        """Help text."""
+        accepted = f"accepted: {self.range.low:g} to {self.range.high:g} {self.range.unit}" if self.range else ""
+        return "; ".join(filter(None, (self.description, accepted.strip(), HINTS.get(self.kind)))) or self.title
+
+
+@lru_cache
+def tube_fields() -> dict[str, tuple[Field, ...]]:
+    """All fields of a tube file by table."""
+    tables = {name: kind.annotation for name, kind in Plant.model_fields.items()}
+    models = {name: kind for name, kind in tables.items() if isinstance(kind, type) and issubclass(kind, Model)}
+    names = {name: list(model.model_fields) for name, model in models.items()}
+    names["task"] = [name for name in TaskConfig.model_fields if name not in NOT_IN_FORM]
+    models["task"] = TaskConfig
+    return {table: tuple(_field(table, name, models[table]) for name in names[table]) for table in models}
+
+
+def text_of(value: Any) -> str:
+    """Text of a value in a file; empty for None."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Model):
+        value = value.model_dump()
+    if isinstance(value, Mapping):
+        return f"{value['low']} to {value['high']}" if "low" in value else f"{value.get('mean')} ± {value.get('std')}"
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def value_of(field: Field, text: str) -> Any:
+    """The value that a text stands for; what is not a number stays text, which the model refuses."""
+    text = text.strip()
+    if field.kind == "choice":
+        return BOOLEANS.get(text, text) if field.choices == tuple(BOOLEANS) else text
+    sign = next((sign for sign in SIGNS if sign in text), None)
+    if field.kind == "figure" and sign:
+        mean, _, std = text.partition(sign)
+        return {"mean": _number(mean), "std": _number(std)}
+    if re.search(r"\bto\b", text) or (field.kind == "pair" and "," in text):
+        ends = [_number(part) for part in re.split(r"\bto\b|,", text)]
+        return {"low": ends[0], "high": ends[-1]} if field.kind == "figure" and len(ends) == 2 else ends
+    if field.kind == "list" and "," in text:
+        return [_number(part) for part in text.split(",") if part.strip()]
+    return int(text) if field.kind == "integer" and re.fullmatch(r"[+-]?\d+", text) else _number(text)
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip()
+
+
+def _field(table: str, name: str, model: type[Model]) -> Field:
+    info = model.model_fields[name]
+    kind, choices = _kind(info.annotation)
+    default = info.default
+    if default is None and table in ("feed", "air"):
+        default = getattr(TaskConfig(), name, None)  # the task's
+    description = " ".join((info.description or "").replace("`", "").split())
+    return Field(table, name, description, kind, _default_text(default), range_of(model, name), choices)
+
+
+def _default_text(default: Any) -> str:
+    if isinstance(default, tuple):
+        return " to ".join(f"{value:.4g}" for value in default)
+    return f"{default:.6g}" if isinstance(default, float) else text_of(default)
+
+
+def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
+    """How a field of a type is written, and its choices."""
+    if annotation is bool:
+        return "choice", tuple(BOOLEANS)
+    if get_origin(annotation) is Literal:
+        return "choice", get_args(annotation)
+    parts = list(_parts(annotation))
+    tuples = [get_args(part) for part in parts if get_origin(part) is tuple]
+    if Between in parts:
+        return "figure", ()
+    if tuples:
+        return ("list" if Ellipsis in tuples[0] else "pair"), ()
+    return ("integer" if annotation is int else "number"), ()
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """A type and the types in it."""
+    yield annotation
+    for part in get_args(annotation):
+        yield from _parts(part)
+
+
+class TubeForm:
+    """A tube file while it is edited.
+
+    Attributes:
+        path: file; None: the study's tubes.
+        tables: contents of the file with the changes.
+        plant: the last valid contents.
+    """
+
+    def __init__(self) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Return to the study's tubes."""
+        self.path: Path | None = None
+        self.tables: dict[str, Any] = {}
+        self.plant = Plant()
+        self._opened: dict[str, Any] = {}
+
+    @property
+    def changed(self) -> bool:
+        """Whether it differs from the file."""
+        return self.tables != self._opened
+
+    @property
+    def is_study(self) -> bool:
+        """Whether it is the study's tubes, for which there are shipped lists."""
+        return self.path is None and not self.tables
+
+    def open(self, given: Path) -> None:
+        """Read a file by its path, or a shipped one by its name.
+
+        Raises:
+            FileNotFoundError: neither.
+            ValueError: not valid; nothing has changed.
+        """
+        path = file_or_shipped("tubes", given)
+        plant = plant_at(path)
+        assert plant is not None
+        self.path, self.plant, self.tables = path, plant, read_toml(path)
+        self._opened = _copy(self.tables)
+
+    def text(self, field: Field) -> str:
+        """Text of a field; empty: it is left out."""
+        table = self.tables.get(field.table, {})
+        return text_of(table.get(field.name)) if isinstance(table, Mapping) else ""
+
+    @property
+    def posterior(self) -> str:
+        """File of the calibration; empty: none."""
+        file = self.tables.get(POSTERIOR, "")
+        return file if isinstance(file, str) else ""
+
+    def change(self, field: Field, text: str) -> None:
+        """Set a field; an empty text leaves it out.
+
+        Raises:
+            ValueError: not valid, with the message of the command; nothing has changed.
+        """
+        tables = _copy(self.tables)
+        table = dict(tables.pop(field.table, {}))
+        table.pop(field.name, None)
+        if text.strip():
+            table[field.name] = value_of(field, text)
+        self._validate(tables | ({field.table: table} if table else {}))
+
+    def change_posterior(self, text: str) -> None:
+        """Set the file of the calibration; raises as ``change``."""
+        tables = {name: value for name, value in _copy(self.tables).items() if name != POSTERIOR}
+        self._validate(({POSTERIOR: text.strip()} if text.strip() else {}) | tables)
+
+    def save(self, path: Path) -> None:
+        """Write the file.
+
+        Raises:
+            ValueError: its name does not end with .toml, or it is a shipped file.
+        """
+        if path.suffix != ".toml":
+            raise FileError(path, "the name of a tube file must end with .toml")
+        if ships("tubes", path):
+            raise FileError(path, "this file ships with the project: choose another name")
+        self._write(path)
+        self.open(path)
+
+    def stored(self, folder: Path) -> Path | None:
+        """File for a run: the opened one, or a copy with the changes in a folder; None: the study's tubes."""
+        if self.is_study or not self.changed:
+            return self.path
+        digest = hashlib.sha256(self.plant.model_dump_json().encode()).hexdigest()[:6]
+        path = folder / f"{self.path.stem if self.path else 'tube'}-{digest}.toml"
+        self._write(path)
+        return path
+
+    @property
+    def _folder(self) -> Path:
+        return self.path.parent if self.path else Path()
+
+    def _write(self, path: Path) -> None:
+        tables = _copy(self.tables)
+        if self.posterior:
+            tables[POSTERIOR] = os.path.relpath((self._folder / self.posterior).resolve(), path.resolve().parent)
+        write_atomically(path, tomli_w.dumps(tables))
+
+    def _validate(self, tables: dict[str, Any]) -> None:
+        try:
+            self.plant = Plant.model_validate(with_posterior(tables, self._folder))
+        except ValidationError as error:
+            raise ValueError(explain(error)) from error
+        except FileNotFoundError as error:
+            raise ValueError(refusal(error)) from error
+        self.tables = tables
+
+
+def _copy(tables: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in tables.items()}

@@ -1,0 +1,198 @@
+"""Schedules over inserted length: points to edit, the prediction of the vibration map, and lines to compare with."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from agents.plant.logs import read_log
+from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
+from agents.policies.fixed import FixedPolicy, Replayed
+from agents.policies.maps.lookup import FIRST
+from agents.policies.places import Place
+from agents.records.shipped import file_or_shipped, shipped_names
+from probe_env.arrays import FloatArray
+from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost
+from probe_env.envs.task import TaskConfig, metre_reward
+from probe_env.files import FileError
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, Interpolation, Schedule
+
+HOUR: Final = 3600.0
+LENGTH: Final = "inserted_length_m"
+NAMES: Final = (LENGTH, FEED, AIR)
+"""Columns of the points, in the units of schedule files."""
+MISSING: Final = -1.0
+"""Value of a new point in the column of the other chart; it is interpolated."""
+MIN_GAP: Final = 0.01
+"""Between two points [m]."""
+LINE_STEP: Final = 0.25
+"""Of the lines of policies [m]."""
+MAP_UNIT: Final = 1e-4
+"""Unit of the vibration map [m]."""
+BAND: Final = 1.2816
+"""Standard deviations on each side of the 80 % band of a normal distribution."""
+BY_LENGTH: Final = ("constant", "slow-down", *STORED, BY_DIAMETER, "privileged")
+"""Policies that depend on the inserted length and the tube alone."""
+Points = dict[str, list[float]]
+
+
+def points_of(schedule: Schedule) -> Points:
+    """The points of a schedule over inserted length.
+
+    Raises:
+        ValueError: it is over time.
+    """
+    if schedule.over != "inserted_length":
+        raise ValueError("a schedule over time cannot be edited here: show it as an overlay, or run it as it is")
+    air = [float(f"{value * HOUR:.6g}") for value in schedule.air_supply_rate]
+    return {LENGTH: list(schedule.position), FEED: list(schedule.feed_speed), AIR: air}
+
+
+def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
+    """Points in order, within the ranges of feed and air; ``MISSING`` values are interpolated."""
+    columns = np.array([[_finite(value) for value in points[name]] for name in NAMES], dtype=float)
+    columns = columns[:, np.argsort(columns[0], kind="stable")]
+    length = np.maximum(columns[0], 0.0)
+    for k in range(1, len(length)):
+        length[k] = max(length[k], length[k - 1] + MIN_GAP)
+    ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
+    tidy = [[round(float(value), 3) for value in length]]
+    for values, (low, high), digits in zip(columns[1:], ranges, (4, 2), strict=True):
+        known = values != MISSING
+        filled = np.interp(length, length[known], values[known]) if known.any() else np.full(len(length), low)
+        tidy.append([round(float(value), digits) for value in np.clip(np.where(known, values, filled), low, high)])
+    return dict(zip(NAMES, tidy, strict=True))
+
+
+def schedule_of(points: Mapping[str, Sequence[object]], interpolation: Interpolation = "linear") -> Schedule:
+    """The schedule of points, read as its file is.
+
+    Raises:
+        FileError: not valid.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "schedule.csv"
+        path.write_text(csv_text(points, interpolation), encoding="utf-8")
+        try:
+            return Schedule.read(path)
+        except FileError as error:
+            raise FileError("schedule", error.problem) from None
+
+
+def csv_text(points: Mapping[str, Sequence[object]], interpolation: Interpolation = "linear") -> str:
+    """Contents of the schedule file."""
+    rows = zip(*(points[name] for name in NAMES), strict=True)
+    lines = [f"{CSV_COMMENT} {interpolation}", ",".join(NAMES), *(",".join(map(str, row)) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def with_point(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
+    """Points with another one in the middle of the widest gap."""
+    ends = [0.0, *points[LENGTH], config.scene.tube.helix_length]
+    widest = int(np.diff(ends).argmax())
+    middle = 0.5 * (ends[widest] + ends[widest + 1])
+    return tidied({LENGTH: [*points[LENGTH], middle], **{n: [*points[n], MISSING] for n in NAMES[1:]}}, config)
+
+
+def _finite(value: object) -> float:
+    number = float(value) if isinstance(value, int | float) else MISSING
+    return number if np.isfinite(number) else MISSING
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Prediction of the vibration map for a schedule in several tubes."""
+
+    length: FloatArray  # (m,) middles of the metres [m]
+    low: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
+    middle: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
+    high: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
+    within: float  # share of the length within the limit
+    seconds: float  # duration of the insertion [s]
+    air: float  # volume of air [m3]
+    reward: float  # mean of an insertion, without jerk and lost drive, which are not in the map
+
+
+def predict(schedule: Schedule, place: Place) -> Prediction:
+    """Prediction for a schedule in the tubes of a place; the simulation can differ.
+
+    Raises:
+        ValueError: the schedule is over time, or the task's vibration measure is not the displacement.
+    """
+    if schedule.over != "inserted_length":
+        raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
+    config = place.config
+    tubes = np.array([[getattr(context, name) for name in CONTEXT] for context in place.contexts])
+    length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
+    lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
+    feed, air = config.given(*schedule.at(lengths)).T
+    mean, deviation = place.vibration.tells(lengths, feed, air, contexts, config.scene)
+    cost = expected_cost(mean, deviation, feed, air, config)
+    by_tube = mean.reshape(len(tubes), -1)
+    middle = by_tube.mean(axis=0)
+    spread = BAND * np.sqrt(by_tube.var(axis=0) + (deviation.reshape(by_tube.shape) ** 2).mean(axis=0))
+    one = slice(0, len(length))
+    return Prediction(
+        length=length,
+        low=MAP_UNIT * 10.0 ** (middle - spread),
+        middle=MAP_UNIT * 10.0**middle,
+        high=MAP_UNIT * 10.0 ** (middle + spread),
+        within=float(ndtr((np.log10(config.limit / MAP_UNIT) - mean) / deviation).mean()),
+        seconds=float((1.0 / feed[one]).sum()),
+        air=float((air[one] / feed[one]).sum()),
+        reward=float(len(length) * metre_reward(config, cost.mean())),
+    )
+
+
+class Line(NamedTuple):
+    """Feed [m/s] and air [m3/s] over inserted length [m], (n,) each."""
+
+    length: FloatArray
+    feed: FloatArray
+    air: FloatArray
+
+
+def overlay_names() -> tuple[str, ...]:
+    """Names of policies and schedules that can be shown as an overlay."""
+    return (*BY_LENGTH, *shipped_names("schedules"))
+
+
+def policy_line(spec: str, place: Place) -> Line:
+    """Feed and air of a policy or a schedule file in the first tube of a place.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: no such policy, or it depends on what it measures.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the line shows what the device can feed
+        policy = make_policy(spec, place.config.all_shown, place.vibration)
+    if isinstance(policy, Replayed):  # over time
+        schedule = policy.schedule
+        length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)
+        return Line(length, np.array(schedule.feed_speed), np.array(schedule.air_supply_rate))
+    if not isinstance(policy, FixedPolicy) or (spec not in BY_LENGTH and not hasattr(policy, "schedule")):
+        raise ValueError(f"policy = {spec!r} depends on what it measures: run it to see its feed")
+    length = np.arange(FIRST, place.config.scene.tube.helix_length + 0.5 * LINE_STEP, LINE_STEP)
+    tube = {name: np.full(len(length), value) for name, value in place.contexts[0].model_dump().items()}
+    observation = tube | {"time": np.zeros(len(length)), "inserted_length": length}
+    feed, air = place.config.given(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
+    return Line(length, feed, air)
+
+
+def log_line(path: Path) -> Line:
+    """Feed and air of a rig log, by its path or the name of a shipped one.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not a log.
+    """
+    log = read_log(file_or_shipped("logs", path))
+    return Line(log.inserted_length, log.feed_speed, log.air_supply_rate)

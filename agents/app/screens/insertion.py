@@ -1,0 +1,268 @@
+"""Screen of insertions: what to run, the running insertion, and the list of runs."""
+
+from __future__ import annotations
+
+import math
+import time
+from html import escape
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from bokeh import models
+
+from agents.app.run_store import read_request, stored_runs
+from agents.app.runs import ACTIVE, Command, Frame, Run
+from agents.app.screens import widgets as ui
+from agents.app.screens.charts import MM, RMS, FlawChart, LengthCharts, SlowMotion, UnrolledProbe
+from agents.app.state import Session
+from agents.evaluation.plan import Unit
+from agents.policies.catalogue import NAMES
+from agents.records.shipped import shipped_agents, shipped_names
+from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.fidelity import PRESETS
+
+CHART_PERIOD: Final = 0.4
+"""Least time between two drawings of the charts around the tube [s]: drawing slows the simulation down."""
+OBSERVATIONS: Final = {
+    "inserted_length": ("inserted length", 1.0, "m"),
+    "remaining_length": ("remaining length", 1.0, "m"),
+    "feed_speed": ("feed speed", 1.0, "m/s"),
+    "air_supply_rate": ("air supply", 3600.0, "m³/h"),
+    "radial_acceleration": ("radial acceleration, rms", 1.0, "m/s²"),
+    "axial_acceleration": ("axial acceleration, rms", 1.0, "m/s²"),
+    "rf_noise": ("eddy-current noise, as radial rms", 1e3, "mm"),
+    "root_tension": ("root tension", 1.0, "N"),
+    "helix_diameter": ("helix diameter", 1.0, "m"),
+}
+"""Label, factor and unit."""
+INTRO: Final = (
+    "<h2>Insertion</h2><p class='quiet'>Choose what to run; further runs wait in a queue. Results are stored as by"
+    " <code>probe-env evaluate</code>.</p>"
+)
+
+
+class RunScreen(ui.Screen):
+    """Base of screens that control a run, at a pace in control periods (of 1 s) per second."""
+
+    paces: ClassVar[dict[str, float]]
+
+    def __init__(self, session: Session, pace: int = 0) -> None:
+        super().__init__(session)
+        self.pace = ui.choice(self.paces, pace, lambda: self.send(self.pace_command()))
+        self.pause = ui.button("pause", self.toggle, 90)
+
+    def send(self, command: Command) -> None:
+        """Send a command to the run."""
+        if self.session.run is not None:
+            self.session.app.queue.send(self.session.run, command)
+
+    def pace_command(self) -> Command:
+        """The chosen pace."""
+        return Command("pace", (list(self.paces.values())[self.pace.active or 0],))
+
+    def toggle(self) -> None:
+        """Pause or continue."""
+        self.send(Command("go" if self.session.run is not None and self.session.run.paused else "pause"))
+
+
+class InsertionScreen(RunScreen):
+    """Runs of a session."""
+
+    paces: ClassVar = {"no limit": 0.0, "20 ×": 20.0, "5 ×": 5.0, "1 ×": 1.0}
+
+    def __init__(self, session: Session) -> None:
+        super().__init__(session)
+        self.probe, self.slow_motion, self.flaw = UnrolledProbe(), SlowMotion(), FlawChart()
+        self.charts = LengthCharts((RMS, "feed_speed", "air_supply_rate"))
+        signal = ui.chart("time before now [s]", "sensor [mm]", 150)
+        self.signal = signal.line([], [], line_width=1.2, color=ui.GREEN).data_source
+        self.status, self.observation = ui.Text(name="run-status"), ui.Text()
+        self._motions, self._drawn_at = 0, -math.inf
+        left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
+        self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
+        self.pictures.visible = False
+        self.layout = ui.column(
+            ui.Text(INTRO),
+            ui.row(*self._request_controls()),
+            self.problem,
+            ui.row(*self._run_controls()),
+            self.status,
+            self.pictures,
+            *self._run_list(),
+        )
+
+    def refresh(self) -> None:
+        """Show the state of the run and the list of runs."""
+        run = self.session.run
+        nothing = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
+        self.status.text = nothing if run is None else _status(run)
+        self._list_runs()
+        if run is None:
+            return
+        self._list_episodes(run)
+        if run.frame is not None:
+            self.pictures.visible = True
+            self._show(run, run.frame)
+        if run.motion is not None and run.motions != self._motions:
+            self._motions = run.motions
+            self.slow_motion.show(run.motion)
+
+    def _show(self, run: Run, frame: Frame) -> None:
+        shape, now = frame.shape, time.monotonic()
+        if shape is not None:
+            self.probe.show(shape, self.whole.active)
+        if now - self._drawn_at < CHART_PERIOD and run.state == "running" and not frame.paused:
+            return
+        self._drawn_at = now
+        unit = _watched(run)
+        if shape is not None:
+            self.probe.show_forces(shape)
+            self.signal.data = {"x": shape.signal_time, "y": shape.signal_radial * MM}
+            self.flaw.show(run.info.sensor, shape)
+            self.observation.text = _observation(shape.observation, run, unit)
+        same_tube = {other[0]: run.trace(other) for other in run.traces if unit is not None and other[1:] == unit[1:]}
+        self.charts.show(same_tube, run.info.limit, unit[0] if unit else "")
+
+    def _request_controls(self) -> list[Any]:
+        names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
+        options = {"options": names, "value": ["best-schedule"], "name": "policies"}
+        self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
+        self.with_schedule = models.Switch(label="my schedule", active=True)
+        self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
+        self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
+        start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
+        return [self.with_schedule, self.policies, self.limit, self.fidelity, start]
+
+    def _run_controls(self) -> list[Any]:
+        step = ui.button("step", lambda: self.send(Command("step")), 70)
+        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
+        stop = ui.button("stop", lambda: self.send(Command("stop")), 70)
+        self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
+        self.whole = models.Switch(label="whole probe")
+        self.whole.on_change("active", lambda attr, old, new: self.refresh())
+        return [self.pause, step, look, stop, self.pace, self.watch, self.whole]
+
+    def _run_list(self) -> list[Any]:
+        self.table, self.notice = ui.Text(), ui.Text()
+        self._listed: Any = None
+        self.chosen = ui.control(models.Select, "run", None, 300, options=[])
+        watch = ui.button("watch", self._watch_chosen, 80)
+        resume = ui.button("resume", self.guarded(self._resume), 90)
+        return [ui.Text("<h2>Runs</h2>"), self.table, ui.row(self.chosen, watch, resume), self.notice]
+
+    def _start(self) -> None:
+        policies, limit = list(self.policies.value), int(self.limit.value or 1)
+        run = self.session.start(policies, limit, self.fidelity.value, bool(self.with_schedule.active))
+        self.session.app.queue.send(run, self.pace_command())
+        self._show_run(run)
+
+    def _show_run(self, run: Run) -> None:
+        self.session.run = run
+        self._motions, self.slow_motion.layout.visible = run.motions, False
+        self._drawn_at = -math.inf
+        self.refresh()
+
+    def _list_episodes(self, run: Run) -> None:
+        """List the episodes in progress."""
+        units = run.frame.units if run.frame and run.state == "running" else ()
+        options = [(str(k), _unit_name(unit)) for k, unit in enumerate(units) if unit is not None]
+        if self.watch.options != options:
+            self.watch.options = options
+        if run.frame and options:
+            self.watch.value = str(run.frame.watched)
+        self.pause.label = "continue" if run.paused else "pause"
+
+    def _watch(self) -> None:
+        run = self.session.run
+        if run and run.frame and self.watch.value and int(self.watch.value) != run.frame.watched:
+            self.send(Command("watch", (float(self.watch.value),)))
+
+    def _list_runs(self) -> None:
+        runs = self.session.app.queue.runs
+        states = [(run.state, run.done) for run in runs]
+        if states == self._listed:
+            return
+        self._listed = states
+        stored = stored_runs(self.session.app.output)
+        lines = {run.folder.name: ("stored" if run.complete else "interrupted", run.outcome) for run in stored}
+        for run in runs:
+            name = run.request.output.name
+            done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else ""
+            outcome = lines.get(name, ("", ""))[1] if run.state == "finished" else run.problem or done
+            lines[name] = (run.state, outcome)
+        names = sorted(lines, reverse=True)
+        rows = ((escape(name), *map(escape, lines[name])) for name in names)
+        table = ui.table_html(("run", "state", "result"), rows, "wide")
+        self.table.text = table if lines else "<p class='quiet'>None yet.</p>"
+        if self.chosen.options != names:
+            self.chosen.options = names
+            self.chosen.value = names[0] if names else ""
+
+    @property
+    def _folder(self) -> Path:
+        if not self.chosen.value:
+            raise ValueError("run = none: nothing has been run yet")
+        return self.session.app.output / str(self.chosen.value)
+
+    def _chosen_run(self) -> Run | None:
+        runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
+        return runs[-1] if runs else None
+
+    def _watch_chosen(self) -> None:
+        run = self._chosen_run()
+        self.notice.text = "" if run else "<p>This run is from an earlier start of the app: see <b>Compare</b>.</p>"
+        if run:
+            self._show_run(run)
+
+    def _resume(self) -> None:
+        run = self._chosen_run()
+        if run is not None and run.state in ACTIVE:
+            raise ValueError(f"{self.chosen.value} is already {run.state}")
+        self._show_run(self.session.app.queue.add(read_request(self._folder)))
+
+
+def _watched(run: Run) -> Unit | None:
+    """The watched episode, or the first one."""
+    frame = run.frame
+    unit = frame.units[frame.watched] if frame and frame.watched < len(frame.units) else None
+    return unit or next(iter(run.traces), None)
+
+
+def _unit_name(unit: Unit) -> str:
+    return f"{unit[0]}, tube {unit[1]}"
+
+
+def _last(run: Run, unit: Unit | None) -> dict[str, float]:
+    """The last period of an episode; empty before the first."""
+    return {} if unit is None else {key: float(values[-1]) for key, values in run.trace(unit).items() if len(values)}
+
+
+def _status(run: Run) -> str:
+    unit, now = _watched(run), ""
+    last = _last(run, unit)
+    if unit and last:
+        now = (
+            f" <b>{escape(_unit_name(unit))}</b>: {last['inserted_length']:.1f} m after {last['time']:.0f} s,"
+            f" radial rms {MM * last[RMS]:.3f} mm, reward {last['reward']:.2f}"
+        )
+    done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else "starting"
+    state = f"{escape(', '.join(run.request.names))}: {run.state}{', paused' if run.paused else ''}, {done}.{now}"
+    notes = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in run.info.notes)
+    return f"<p class='big' data-state='{run.state}'>{state}</p>{notes}{ui.alert(run.problem)}"
+
+
+def _observation(observation: dict[str, float], run: Run, unit: Unit | None) -> str:
+    """What the policy observes and requests, as HTML."""
+    last = _last(run, unit)
+    if unit is None or not last:
+        return ""
+    rows = (
+        (label, f"{observation[key] * factor:.4g}", symbol)
+        for key, (label, factor, symbol) in OBSERVATIONS.items()
+        if key in observation
+    )
+    feed, air = last["target_feed_speed"], 3600.0 * last["target_air_supply_rate"]
+    return (
+        f"<h2>Observation of {escape(unit[0])}</h2><p>It requests <b>{feed:.3f} m/s</b> and <b>{air:.0f} m³/h</b>.</p>"
+        + ui.table_html((), rows)
+    )

@@ -1,0 +1,115 @@
+"""Screen of the manual drive: feed and air by hand, next to a policy in the same tube."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any, ClassVar, Final
+
+from bokeh.models import Select, Slider
+
+from agents.app.runs import ACTIVE, MANUAL, Command
+from agents.app.schedules import HOUR
+from agents.app.screens import widgets as ui
+from agents.app.screens.charts import RMS, LengthCharts, UnrolledProbe
+from agents.app.screens.insertion import RunScreen
+from agents.app.state import Session
+from agents.policies.catalogue import NAMES
+from agents.records.shipped import shipped_agents
+
+INTRO: Final = (
+    "<h2>Manual drive</h2><p class='quiet'>Feed fast where there is no vibration and slowly where there is, with no"
+    " more air than necessary; the policy drives in the same tube. Arrow keys move the sliders, the space bar"
+    " pauses.</p>"
+)
+STATES: Final = {
+    "finished": "<p class='big'><b>Finished</b> and stored: see <b>Compare</b>.</p>",
+    "stopped": "<p>Stopped.</p>",
+    "waiting": "<p>Waiting for the run before it.</p>",
+}
+CHART_EVERY: Final = 3
+"""Refreshes of a running drive for one drawing of the charts."""
+
+
+class ManualScreen(RunScreen):
+    """Manual drive of a session."""
+
+    paces: ClassVar = {"1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0, "8 ×": 8.0}
+
+    def __init__(self, session: Session) -> None:
+        super().__init__(session, pace=2)
+        self._refreshes = 0
+        rivals = [*NAMES, *shipped_agents()]
+        self.rival = ui.control(Select, "against", options=rivals, value="tension-scheduled")
+        start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
+        stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
+        feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
+        air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
+        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._set, 340, **feed)
+        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", self._set, 340, **air)
+        counter = {"start": 0, "end": 1_000_000, "step": 1, "value": 0, "visible": False}
+        self.space_bar = ui.control(Slider, "", self.toggle, **counter)
+        self.score = ui.Text()
+        self.probe, self.charts = UnrolledProbe(with_forces=False), LengthCharts((RMS, "reward"), 230)
+        self.pictures = ui.columns((self.probe.layout, 380, 1), (self.charts.layout, 380, 1))
+        self.pictures.visible = False
+        self.layout = ui.column(
+            ui.Text(INTRO),
+            ui.row(self.rival, self.pace, start, self.pause, stop),
+            ui.row(self.feed, self.air, self.space_bar),
+            self.problem,
+            self.score,
+            self.pictures,
+        )
+        self.tube_changed()
+        self.refresh()
+
+    def tube_changed(self) -> None:
+        """Set the sliders to the ranges of another tube."""
+        self.guarded(self._set_ranges)()
+
+    def _set_ranges(self) -> None:
+        config = self.session.place(1).config
+        air = [HOUR * value for value in config.air_supply_rates]
+        for slider, (low, high) in ((self.feed, config.feed_speeds), (self.air, air)):
+            slider.update(start=round(low, 4), end=round(high, 4))
+            slider.value = min(max(slider.value, slider.start), slider.end)
+
+    def refresh(self) -> None:
+        """Show both insertions."""
+        run = self.session.run
+        if run is None or not run.request.manual:
+            self.score.text = "<p class='quiet'>Press <b>Start</b>.</p>"
+            return
+        traces = {unit[0]: run.trace(unit) for unit in run.traces}
+        lines = "".join(_score(name, traces.get(name)) for name in run.request.names)
+        self.score.text = lines + STATES.get(run.state, "") + ui.alert(run.problem)
+        self.pause.label = "continue" if run.paused else "pause"
+        if run.frame is not None and run.frame.shape is not None:
+            self.pictures.visible = True
+            self.probe.show(run.frame.shape)
+        self._refreshes += 1
+        if self._refreshes % CHART_EVERY == 0 or run.state != "running":
+            self.charts.show(traces, run.info.limit, MANUAL)
+
+    def _start(self) -> None:
+        run = self.session.run
+        if run is not None and run.request.manual and run.state in ACTIVE:
+            self.send(Command("stop"))
+        self.session.drive(self.rival.value, [self.pace_command(), self._setting()])
+        self.refresh()
+
+    def _set(self) -> None:
+        self.send(self._setting())
+
+    def _setting(self) -> Command:
+        return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))
+
+
+def _score(name: str, trace: dict[str, Any] | None) -> str:
+    if trace is None or not len(trace["time"]):
+        return f"<p class='big'>{escape(name)}: settling</p>"
+    last = {key: values[-1] for key, values in trace.items()}
+    return (
+        f"<p class='big'>{escape(name)}: score <b>{last['reward']:.1f}</b>, {last['inserted_length']:.1f} m,"
+        f" {last['time']:.0f} s, {1e3 * last[RMS]:.3f} mm, {last['tension_mean_n']:.1f} N</p>"
+    )

@@ -1,0 +1,201 @@
+"""Screen of tube and probe: the fields of the tube file, drawings to scale, and a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from bokeh import models
+from bokeh.models.dom import HTML
+
+from agents.app.forms import Field, tube_fields
+from agents.app.screens import widgets as ui
+from agents.app.screens.charts import empty_source
+from agents.app.state import Session
+from agents.records.shipped import shipped_names
+from probe_env import Plant
+
+TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
+STUDY: Final = "the study's tubes"
+UNITS: Final = {"contact_stiffness": " [N/m]", "damping_time": " [s]"}
+"""Of calibrated quantities."""
+INTRO: Final = (
+    "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs, predictions and drawings"
+    " are of this tube.</p>"
+)
+
+
+class TubeScreen(ui.Screen):
+    """Tube and probe of a session; calls ``changed`` when they have changed."""
+
+    def __init__(self, session: Session, changed: Callable[[], None]) -> None:
+        super().__init__(session)
+        self._changed, self._busy = changed, False
+        self.summary = ui.Text()
+        self.inputs: dict[str, Any] = {}
+        self.errors: dict[str, ui.Text] = {}
+        self._draw_helix, helix = _helix_drawing()
+        self._draw_section, section = _section_drawing()
+        self.calibrated = ui.column(ui.Text())
+        choice = {"options": [STUDY, *shipped_names("tubes")], "value": STUDY}
+        self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
+        self.open = ui.control(models.TextInput, "open a tube file", self.guarded(self._open), placeholder="mine.toml")
+        self.save = ui.control(models.TextInput, "save as", self.guarded(self._save), placeholder="mine.toml")
+        calibrated, example = self.guarded(self._calibrate), "calibration.json"
+        self.calibration = ui.control(models.TextInput, "calibration", calibrated, placeholder=example)
+        tables = ui.column(*(self._table(table, fields) for table, fields in tube_fields().items()))
+        self.layout = ui.column(
+            ui.Text(INTRO),
+            ui.row(self.shipped, self.open, self.calibration, self.save),
+            self.problem,
+            self.summary,
+            ui.columns((tables, 430, 3), (ui.column(helix, section, self.calibrated), 300, 2)),
+        )
+        self.fill()
+
+    def fill(self) -> None:
+        """Show the contents of the tube file in the fields and drawings."""
+        self._busy = True
+        for field in (field for fields in tube_fields().values() for field in fields):
+            text = self.session.tube.text(field)
+            self.inputs[field.path].value = text or (field.default if field.kind == "choice" else "")
+            self.errors[field.path].text = ""
+        self.calibration.value = self.session.tube.posterior
+        self._busy = False
+        self._draw()
+
+    def _table(self, table: str, fields: tuple[Field, ...]) -> Any:
+        cells = ui.columns(*((self._cell(field), 190, 1) for field in fields))
+        title = ui.Text(f"<h2>{TITLES.get(table, table.capitalize())}</h2>")
+        if table != "task":
+            return ui.column(title, cells)
+        cells.visible = False
+        label = "show limits, weights and sensors of the task"
+        more = ui.button(label, lambda: setattr(cells, "visible", not cells.visible), 330)
+        return ui.column(title, more, cells)
+
+    def _cell(self, field: Field) -> Any:
+        tip = models.Tooltip(content=HTML(html=escape(field.hint)), position="bottom")
+        options = {"description": tip, "sizing_mode": "stretch_width", "name": field.path}
+        if field.kind == "choice":
+            kind, options["options"] = models.Select, list(field.choices)
+        else:
+            kind, options["placeholder"] = models.TextInput, field.default or "none"
+        widget = ui.control(kind, field.title, lambda: self._edited(field), **options)
+        self.inputs[field.path], self.errors[field.path] = widget, ui.Text()
+        return ui.column(widget, self.errors[field.path])
+
+    def _edited(self, field: Field) -> None:
+        text, tube = self.inputs[field.path].value, self.session.tube
+        if self._busy:
+            return
+        try:
+            if field.kind != "choice" or text != field.default or tube.text(field):  # a default is left out
+                tube.change(field, text)
+            self.errors[field.path].text = ""
+        except ValueError as error:
+            self.errors[field.path].text = ui.alert(error)
+            return
+        self._draw()
+        self._changed()
+
+    def _select(self) -> None:
+        if self.shipped.value == STUDY:
+            self.session.tube.close()
+        else:
+            self.session.tube.open(Path(self.shipped.value))
+        self._opened()
+
+    def _open(self) -> None:
+        if self.open.value.strip():
+            self.session.tube.open(Path(self.open.value.strip()))
+            self.save.value = str(self.session.tube.path)
+            self._opened()
+
+    def _calibrate(self) -> None:
+        if not self._busy:
+            self.session.tube.change_posterior(self.calibration.value)
+            self._opened()
+
+    def _save(self) -> None:
+        path, tube = self.save.value.strip(), self.session.tube
+        if path and (tube.changed or Path(path) != tube.path):
+            tube.save(Path(path))
+            self._opened()
+            self.summary.text += f"<p>written: <code>{escape(path)}</code></p>"
+
+    def _opened(self) -> None:
+        self.fill()
+        self._changed()
+
+    def _draw(self) -> None:
+        tube = self.session.tube
+        if tube.is_study:
+            self.summary.text = "<p>The study's tubes: the shipped test list, on which nothing was tuned.</p>"
+        else:
+            source = f"from <code>{escape(str(tube.path))}</code>" if tube.path else "not saved yet"
+            changes = ", with unsaved changes" if tube.changed and tube.path else ""
+            self.summary.text = f"<p>Your own tube, {source}{changes}. Uncertain values are drawn for every tube.</p>"
+        self._draw_helix(tube.plant)
+        self._draw_section(tube.plant)
+        self.calibrated.children = _calibration_charts(tube.plant)
+
+
+def _helix_drawing() -> tuple[Callable[[Plant], None], Any]:
+    """The helix from above as a spiral, with the inserted probe; returns how to draw it, and the chart."""
+    plot = ui.chart("east [m]", "north [m]", 300, "reset", match_aspect=True, title="Helix")
+    tube, probe, sensor = (empty_source(("x", "y")) for _ in range(3))
+    plot.line("x", "y", source=tube, color="#c9c9c9", line_width=3)
+    plot.line("x", "y", source=probe, color=ui.BLUE, line_width=1)
+    plot.scatter("x", "y", source=sensor, size=11, color=ui.GREEN, line_color="white")
+
+    def draw(plant: Plant) -> None:
+        scene = plant.scene
+        length, radius = scene.tube.helix_length, 0.5 * scene.tube.helix_diameter
+        probe_ends = np.linspace(0.0, scene.inserted_length, 1200)
+        for source, s in ((tube, np.linspace(0.0, length, 1500)), (probe, probe_ends), (sensor, scene.carrier_length)):
+            along = np.atleast_1d(s)
+            drawn = radius * (1.0 - 0.35 * along / length)  # inwards, so that the turns do not cover each other
+            source.data = {"x": drawn * np.cos(along / radius), "y": drawn * np.sin(along / radius)}
+        turns = length / (2.0 * np.pi * radius)
+        plot.title.text = f"{length:g} m of helix, {turns:.1f} turns of {2.0 * radius:g} m (spiral for clarity)"
+
+    return draw, plot
+
+
+def _section_drawing() -> tuple[Callable[[Plant], None], Any]:
+    """Bore, floats and cable to scale, the floats on the inner wall."""
+    plot = ui.chart("across [mm]", "from the inner wall [mm]", 250, "reset", match_aspect=True, title="Section")
+    source = empty_source(("y", "radius", "fill", "name"))
+    style = {"source": source, "fill_color": "fill", "line_color": ui.INK, "line_width": 1.5, "legend_field": "name"}
+    plot.circle(0.0, "y", radius="radius", **style)
+    plot.legend.label_text_font_size = "11px"
+    plot.add_layout(plot.legend[0], "right")
+
+    def draw(plant: Plant) -> None:
+        probe, bore = plant.probe, plant.tube.inner_diameter
+        carrier, guide = probe.carrier_float_diameter, probe.guide_float_diameter
+        names = ("bore", "carrier float", "guide float", "cable")
+        diameters = 1e3 * np.array([bore, carrier, guide, probe.cable_diameter])
+        source.data = {
+            "y": 0.5e3 * np.array([bore, carrier, guide, carrier]),
+            "radius": 0.5 * diameters,
+            "fill": ["#f4f4f4", ui.SKY, ui.ORANGE if guide != carrier else ui.SKY, ui.GREY],
+            "name": [f"{name} {diameter:g} mm" for name, diameter in zip(names, diameters, strict=True)],
+        }
+
+    return draw, plot
+
+
+def _calibration_charts(plant: Plant) -> list[Any]:
+    """Histograms of the calibrated quantities."""
+    plots = []
+    for name, draws in plant.posterior.draws.items() if plant.posterior else ():
+        counts, edges = np.histogram(draws, bins=24)
+        plot = ui.chart(name.replace("_", " ") + UNITS.get(name, ""), "draws", 150, "reset")
+        plot.quad(left=edges[:-1], right=edges[1:], bottom=0, top=counts, color=ui.VERMILLION, alpha=0.7)
+        plots.append(plot)
+    return [ui.Text("<h2>Calibration</h2>" if plots else "").pane, *plots]

@@ -1,0 +1,184 @@
+"""Appearance of the pages: theme, text, controls, layout, charts, and the base of the screens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from html import escape
+from typing import Any, Final
+
+from bokeh.models import Button, Column, Pane, PrintfTickFormatter, RadioButtonGroup, Row, Span
+from bokeh.models.dom import HTML
+from bokeh.plotting import figure
+from bokeh.themes import Theme
+
+from agents.app.state import Session
+from agents.terminal.refusals import refusal
+
+REPORT_URL: Final = "/report/"
+PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#222222", "#8a8a8a")
+"""Colours by Okabe and Ito, which people with any colour vision can tell apart."""
+BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK, GREY = PALETTE
+DASHES: Final = ("solid", "dashed", "dotdash", "dotted", "dashdot", "solid", "dashed", "dotted")
+PAGE_CSS: Final = """
+html { color-scheme: light; }
+body { margin: 0; padding: 10px 16px 40px; font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; }
+"""
+TEXT_CSS: Final = """
+:host { display: block; max-width: 100%; overflow-x: auto; margin: 0 5px; font-size: 15px; line-height: 1.45; }
+h1 { font-size: 21px; margin: 0; } h2 { font-size: 17px; margin: 12px 0 2px; } p { margin: 3px 0; }
+.problem { color: #a33a00; font-weight: 600; } .problem::before { content: "\\26A0\\00A0"; }
+.quiet { color: #555; } .big { font-size: 19px; } small { color: #555; display: block; }
+table { border-collapse: collapse; font-size: 14px; border: none; }
+th, td { text-align: right; padding: 3px 7px; border: none; border-bottom: 1px solid #ddd; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; } thead th { white-space: normal; vertical-align: bottom; }
+table.wide td { text-align: left; } table.wide td:last-child { white-space: normal; }
+code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
+"""
+CONTROL_CSS: Final = """
+:host { max-width: 100%; font-size: 14px; } .bk-btn-group { flex-wrap: wrap; }
+.bk-input, .bk-btn { font-size: 15px; min-height: 34px; }
+.bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072B2; outline-offset: 1px; }
+"""
+AXIS: Final = {
+    "axis_label_text_font_size": "13px",
+    "axis_label_text_font_style": "normal",
+    "major_label_text_font_size": "12px",
+    "minor_tick_line_color": None,
+}
+THEME: Final = Theme(
+    json={
+        "attrs": {
+            "Axis": AXIS,
+            "Grid": {"grid_line_color": "#ececec"},
+            "Legend": {"label_text_font_size": "12px", "padding": 2, "border_line_color": None},
+            "Plot": {"outline_line_color": "#cccccc", "min_border_left": 62, "toolbar_location": None},
+            "Widget": {"stylesheets": [CONTROL_CSS]},
+        }
+    }
+)
+
+
+class Text:
+    """HTML text that is changed without a new layout of the page; text from files and users must be escaped."""
+
+    def __init__(self, html: str = "", **options: Any) -> None:
+        self._html = HTML(html=html)
+        self.pane = Pane(elements=[self._html], stylesheets=[TEXT_CSS], **options)
+
+    @property
+    def text(self) -> str:
+        """The HTML."""
+        return str(self._html.html)
+
+    @text.setter
+    def text(self, html: str) -> None:
+        self._html.html = html
+
+
+class Screen:
+    """Base of the screens of a session: a ``layout``, and a line for errors."""
+
+    layout: Any
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.problem = Text()
+
+    def refresh(self) -> None:
+        """Show the changes in the queue of runs."""
+
+    def tube_changed(self) -> None:
+        """Show the tube that was opened or changed."""
+
+    def guarded(self, work: Callable[[], None]) -> Callable[[], None]:
+        """A callback that shows the errors of user input."""
+
+        def call() -> None:
+            try:
+                self.problem.text = ""
+                work()
+            except (ValueError, OSError) as error:
+                self.problem.text = alert(error)
+
+        return call
+
+
+def alert(problem: Exception | str) -> str:
+    """An error as HTML; empty for an empty text."""
+    text = refusal(problem) if isinstance(problem, Exception) else problem
+    return f'<p class="problem" role="alert">{escape(text)}</p>' if text else ""
+
+
+def table_html(header: Iterable[str], rows: Iterable[Iterable[str]], style: str = "") -> str:
+    """An HTML table; cells are HTML."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table class='{style}'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def control(kind: Any, title: str, changed: Callable[[], None] | None = None, width: int = 190, **options: Any) -> Any:
+    """A widget that calls ``changed`` when its value changes."""
+    widget = kind(title=title, width=width, **options)
+    if changed is not None:
+        widget.on_change("value", lambda attr, old, new: changed())
+    return widget
+
+
+def button(label: str, clicked: Callable[[], None], width: int = 100, **options: Any) -> Button:
+    """A button."""
+    widget = Button(label=label, width=width, **options)
+    widget.on_click(clicked)
+    return widget
+
+
+def choice(labels: Iterable[str], active: int, changed: Callable[[], None]) -> RadioButtonGroup:
+    """A row of buttons, one of which is active."""
+    group = RadioButtonGroup(labels=list(labels), active=active)
+    group.on_change("active", lambda attr, old, new: changed())
+    return group
+
+
+def row(*children: Any, **styles: str) -> Row:
+    """Children next to each other, or below where there is no room."""
+    wrapped = {"flex-wrap": "wrap", "align-items": "flex-end", "gap": "2px 8px"} | styles
+    return Row(children=_models(children), sizing_mode="stretch_width", styles=wrapped)
+
+
+def columns(*children: tuple[Any, int, int]) -> Row:
+    """Columns (child, minimum width in pixels, share of the width), one below the other on a narrow page."""
+    for child, least, share in children:
+        child.styles = {**child.styles, "flex": f"{share} 1 {least}px", "min-width": "0"}
+    return row(*(child for child, *_ in children), **{"align-items": "flex-start"})
+
+
+def column(*children: Any, **options: Any) -> Column:
+    """Children one below the other."""
+    return Column(children=_models(children), sizing_mode="stretch_width", **options)
+
+
+def _models(children: Iterable[Any]) -> list[Any]:
+    return [child.pane if isinstance(child, Text) else child for child in children]
+
+
+def chart(x: str, y: str, height: int = 230, tools: str = "xpan,xwheel_zoom,box_zoom,reset", **options: Any) -> Any:
+    """An empty chart; ``x`` and ``y`` are axis labels with units."""
+    size = {"height": height, "min_width": options.pop("min_width", 300), "sizing_mode": "stretch_width"}
+    plot: Any = figure(tools=tools, x_axis_label=x, y_axis_label=y, active_scroll=None, **size, **options)
+    # labels of constant width: when an axis gets wider, the browser lays out the whole page again
+    plot.yaxis[0].update(formatter=PrintfTickFormatter(format="%6.3g"), major_label_text_font="monospace")
+    if options.get("y_axis_type") != "log":
+        plot.yaxis[0].ticker.desired_num_ticks = max(height // 50, 2)
+    return plot
+
+
+def legend_above(plot: Any) -> None:
+    """Move the legend of a chart above it."""
+    plot.legend[0].orientation = "horizontal"
+    plot.add_layout(plot.legend[0], "above")
+
+
+def limit_line(plot: Any) -> Callable[[float | None], None]:
+    """A dashed line at the limit of the radial rms [m]; returns how to move it, and None hides it."""
+    line = Span(location=0.0, dimension="width", line_dash="dashed", line_width=1.5, visible=False)
+    plot.add_layout(line)
+    return lambda limit: line.update(location=1e3 * (limit or 0.0), visible=limit is not None)

@@ -1,0 +1,109 @@
+"""State of the app: what all pages share, and one browser session (tube, schedule, runs)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from agents.app.forms import TubeForm
+from agents.app.run_store import new_folder
+from agents.app.runs import Command, Run, RunQueue, RunRequest
+from agents.app.schedules import Points, csv_text, points_of, schedule_of
+from agents.policies.places import Place, map_of, place_of
+from agents.records.provenance import write_atomically
+from agents.records.shipped import policy_file
+from agents.terminal.names import checked_name, name_of
+from probe_env.envs.surrogate.vibration_map import stored_map
+from probe_env.files import FileError
+from probe_env.schedule import Interpolation, Schedule
+
+EXPECTED_TUBES: Final = 6
+"""Number of tubes in the prediction of the vibration map."""
+
+
+@dataclass(frozen=True)
+class AppState:
+    """Shared by all pages: the queue of runs, and the folder of runs, schedules and tubes."""
+
+    queue: RunQueue
+    output: Path
+
+
+@dataclass
+class Session:
+    """One page."""
+
+    app: AppState  # shared state
+    tube: TubeForm = field(default_factory=TubeForm)  # tube and probe
+    name: str = "my-schedule"  # schedule
+    points: Points = field(default_factory=lambda: points_of(Schedule.read(policy_file("example"))))  # schedule
+    interpolation: Interpolation = "linear"  # schedule
+    run: Run | None = None  # run to show; None: none yet
+
+    def place(self, limit: int = EXPECTED_TUBES) -> Place:
+        """Task, tubes and vibration map of the present tube.
+
+        Raises:
+            ValueError: the map next to the tube file is damaged or of another tube.
+        """
+        if self.tube.is_study:
+            return place_of(None, "test", limit)
+        vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
+        return place_of(self.tube.plant, "test", limit, vibration)
+
+    def open_schedule(self, path: Path) -> None:
+        """Take the points of a schedule file.
+
+        Raises:
+            FileNotFoundError: no such file.
+            FileError: not a schedule over inserted length; nothing has changed.
+        """
+        schedule = Schedule.read(path)
+        try:
+            self.points, self.interpolation = points_of(schedule), schedule.interpolation
+        except ValueError as error:
+            raise FileError(path, str(error)) from error
+        self.name = name_of(path)
+
+    def save_schedule(self, name: str) -> Path:
+        """Write the schedule to ``schedules/`` in the app's folder.
+
+        Raises:
+            ValueError: not a valid name or schedule.
+        """
+        self.name = checked_name(name.removesuffix(".csv"), "schedule")
+        return self._write_schedule(self.app.output / "schedules")
+
+    def start(self, policies: Sequence[str], limit: int, fidelity: str, with_schedule: bool = True) -> Run:
+        """Add a run of policies, and of the session's schedule under its own name.
+
+        Raises:
+            ValueError: the points are not a valid schedule, or there is nothing to run.
+        """
+        if with_schedule:
+            schedule_of(self.points, self.interpolation)
+        elif not policies:
+            raise ValueError("policies = none: at least one is needed")
+        tube = self.tube.stored(self.app.output / "tubes")
+        folder = new_folder(self.app.output, self.name if with_schedule else policies[0])
+        specs = [name for name in policies if name != self.name or not with_schedule]
+        if with_schedule:
+            specs.insert(0, f"{self.name}={self._write_schedule(folder)}")
+        request = RunRequest(policies=tuple(specs), output=folder, tube=tube, limit=limit, fidelity=fidelity)
+        self.run = self.app.queue.add(request)
+        return self.run
+
+    def drive(self, rival: str, commands: Sequence[Command]) -> Run:
+        """Add a manual drive next to a policy, at ``fast``."""
+        tube = self.tube.stored(self.app.output / "tubes")
+        request = RunRequest(policies=(rival,), output=new_folder(self.app.output, "by-hand"), tube=tube, manual=True)
+        self.run = self.app.queue.add(request, commands)
+        return self.run
+
+    def _write_schedule(self, folder: Path) -> Path:
+        schedule_of(self.points, self.interpolation)
+        path = folder / f"{self.name.replace('/', '-')}.csv"
+        write_atomically(path, csv_text(self.points, self.interpolation))
+        return path

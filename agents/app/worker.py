@@ -1,0 +1,217 @@
+"""The worker process: ``probe-env evaluate`` that can be watched, slowed down, paused and stopped.
+
+It ends when the pipe to the server closes; everything that was finished is then in its folder.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import time
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Final
+
+import numpy as np
+
+from agents.app.run_store import write_request
+from agents.app.runs import (
+    INFO_COLUMNS,
+    Command,
+    Frame,
+    ManualPolicy,
+    ProbeShape,
+    RunEnded,
+    RunRequest,
+    RunStarted,
+)
+from agents.evaluation.plan import BATCH, Plan, Playing, Unit, lines_of, run_plan, stored_episodes
+from agents.evaluation.run import claim_folder, write_report
+from agents.terminal.refusals import refusal
+from probe_env import Plant
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.pictures.strip import Watch
+from probe_env.envs.task.observations import in_si_units
+from probe_env.errors import SimulationError
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
+
+FRAMES_PER_SECOND: Final = 10.0
+SLOW_MOTION: Final = (0.5, 10.0)
+"""Simulated time [s] and length behind the tip [m] of a slow motion."""
+
+
+class StoppedError(Exception):
+    """Raised when the user stops a run."""
+
+
+def serve(descriptor: int) -> None:
+    """Run the requests that come through the pipe until it closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pipe = Connection(descriptor)
+    with suppress(EOFError, OSError):
+        _load_kernels()
+        gc.freeze()  # a collection of all loaded modules takes 0.2 s
+        while True:
+            message = pipe.recv()
+            if isinstance(message, RunRequest):  # commands after the end of a run are ignored
+                _Player(pipe, message).play()
+    os._exit(0)
+
+
+def _load_kernels() -> None:
+    """Simulate once, so that the first run starts at once."""
+    episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
+    episodes.reset([0], {0: np.random.default_rng(0)})
+
+
+def row_of(playing: Playing, k: int) -> tuple[float, ...]:
+    """The last period of probe ``k``, the columns ``runs.COLUMNS``."""
+    assert playing.last is not None
+    names = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate")
+    return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.tally[k].reward)
+
+
+def shape_of(playing: Playing, k: int) -> ProbeShape:
+    """Probe ``k`` at the end of its last period."""
+    episodes = playing.episodes
+    simulator = episodes.batch.simulators[k]
+    chain, root, scene = simulator.chain, simulator.root, simulator.scene
+    nodes = np.flatnonzero(chain.contact_stiffness[: root + 1] > 0.0)[::-1]
+    radial = episodes.gauges.meter.last_second(k)
+    observation = in_si_units(episodes.config, playing.observed(k))
+    return ProbeShape(
+        position=(root - nodes) * chain.element_length,
+        axial=simulator.state.d[nodes, 0],
+        radial=simulator.state.d[nodes, 1],
+        tension=simulator.state.axial_force[np.minimum(nodes, root - 1)],
+        lever=chain.lever[nodes],
+        outer_gap=chain.outer_gap[nodes],
+        sensor=int(np.abs(nodes - simulator.sensor).argmin()),
+        bore=scene.tube.inner_diameter,
+        helix_length=scene.tube.helix_length,
+        signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
+        signal_radial=radial,
+        spectrum=episodes.gauges.meter.of_filter(k),
+        feed_speed=simulator.feed_speed,
+        observation={name: float(values[0]) for name, values in observation.items()},
+    )
+
+
+class _Player:
+    """Plays one request and obeys the commands sent meanwhile."""
+
+    def __init__(self, pipe: Connection, request: RunRequest) -> None:
+        self.pipe, self.request = pipe, request
+        self.pace, self.paused, self.watched, self.done = 0.0, False, 0, 0
+        self.rows: dict[Unit, list[tuple[float, ...]]] = {}
+        self.shown_at = self.due = 0.0
+        self.manual: ManualPolicy | None = None
+
+    def play(self) -> None:
+        """Play the missing episodes and report how the run ended."""
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                plan = self.request.plan()
+            names, output = list(plan.policies), self.request.output
+            claim_folder(plan, output, names[1] if self.request.manual and len(names) > 1 else None, self.request.own)
+            write_request(self.request)
+            stored = stored_episodes(plan, output)
+            self.done = sum(key in stored for key, *_ in plan.planned())
+            limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
+            notes = tuple(str(warning.message) for warning in caught)
+            self.pipe.send(RunStarted(len(plan.units()), notes, limit, plan.config.sensor))
+            run_plan(plan, output, progress=False, source=self._source, command=self.request.command)
+            write_report(output)
+            self.pipe.send(RunEnded("finished"))
+        except StoppedError:
+            self.pipe.send(RunEnded("stopped"))
+        except (EOFError, ConnectionError):
+            raise
+        except (ValueError, OSError, SimulationError, RuntimeError, ImportError) as error:
+            self.pipe.send(RunEnded("failed", refusal(error)))
+
+    def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
+        """The lines of the episodes; obeys commands and sends frames in between."""
+        self.manual = next((p for p in plan.policies.values() if isinstance(p, ManualPolicy)), None)
+        playing = Playing(plan, missing, BATCH, None)
+        self.due = time.monotonic()
+        while not playing.over:
+            self._receive(playing)
+            if not playing.decided:
+                playing.decide()
+            ended = list(playing.advance())
+            for k in np.flatnonzero(playing.active).tolist():
+                self.rows.setdefault(playing.unit(k), []).append(row_of(playing, k))
+            self.done += len(ended)
+            yield from lines_of(plan, ended)
+            if playing.over or time.monotonic() - self.shown_at >= 1.0 / FRAMES_PER_SECOND:
+                self._show(playing)
+
+    def _receive(self, playing: Playing) -> None:
+        """Obey commands; wait while paused, or as long as the pace asks for."""
+        while True:
+            self.due = max(self.due, time.monotonic() - 1.0)  # does not catch up after a wait
+            left = None if self.paused else max(self.due - time.monotonic(), 0.0) if self.pace else 0.0
+            if not self.pipe.poll(left):
+                break
+            command = self.pipe.recv()
+            if isinstance(command, Command) and self._obey(command, playing):
+                break
+        if self.pace:
+            self.due += 1.0 / self.pace
+
+    def _obey(self, command: Command, playing: Playing) -> bool:
+        """Obey a command; returns whether to simulate a period at once."""
+        match command.name:
+            case "go":
+                self.paused, self.due = False, time.monotonic()
+            case "pause":
+                self.paused = True
+                self._show(playing)
+            case "step":
+                self.paused, self.shown_at = True, 0.0
+                return True
+            case "stop":
+                raise StoppedError
+            case "pace":
+                (self.pace,), self.due = command.values, time.monotonic()
+            case "watch":
+                self.watched = int(command.values[0])
+                self._show(playing)
+            case "look":
+                self._look(playing)
+            case "hand" if self.manual is not None:
+                self.manual.feed_speed, self.manual.air_supply_rate = command.values
+        return False
+
+    def _show(self, playing: Playing) -> None:
+        """Send a frame."""
+        running = playing.episodes.running
+        if self.watched >= len(running) or not running[self.watched]:
+            self.watched = int(running.argmax()) if running.any() else min(self.watched, len(running) - 1)
+        units = tuple(unit if running[k] else None for k, unit in enumerate(playing.units))
+        rows = tuple((unit, np.array(rows)) for unit, rows in self.rows.items())
+        shape = None if playing.units[self.watched] is None else shape_of(playing, self.watched)
+        self.pipe.send(Frame(units, self.watched, rows, shape, self.done, self.paused))
+        self.rows, self.shown_at = {}, time.monotonic()
+
+    def _look(self, playing: Playing) -> None:
+        """Send slow motion of the watched probe, simulated on a copy: the run itself does not change."""
+        if not playing.decided:
+            playing.decide()
+        k, episodes = self.watched, playing.episodes
+        if not episodes.running[k]:
+            return
+        simulator, window, duration, length = episodes.batch.simulators[k], episodes.window, *SLOW_MOTION
+        axial = window.axial[:, k] if window and window.axial is not None else np.zeros(0)
+        radial = window.radial[:, k] if window and window.radial is not None else np.zeros(0)
+        watch = Watch(simulator, length, axial, radial)
+        feed, air = episodes.config.targets(playing.actions, may_stand=True)[k] * episodes.passes.way[k]
+        with suppress(SimulationError):  # what was seen until it diverged is shown
+            watch.follow(simulator, float(feed), float(air), duration)
+        self.pipe.send(watch.motion())
