@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from probe_env.inspection.matched import snr_of_groove
+from probe_env.inspection.meter import snr_of_groove
 
 from agents.evaluation.plan import Plan, Unit
 from agents.evaluation.run import plan_of
