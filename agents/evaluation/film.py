@@ -213,7 +213,7 @@ def write_film(output: Path, frames: Sequence[Any], frames_per_second: int) -> N
     elif output.suffix == ".png":
         film = iio.imwrite("<bytes>", frames[-1], extension=".png")
     else:
-        options = {"fps": frames_per_second, "codec": "libx264", "macro_block_size": 8}
+        options: dict[str, Any] = {"fps": frames_per_second, "codec": "libx264", "macro_block_size": 8}
         film = iio.imwrite("<bytes>", list(frames), extension=output.suffix, **options)
     write_atomically(output, film)
 

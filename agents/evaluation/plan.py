@@ -20,7 +20,8 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import UNFINISHED, Setting, Unit, episodes_of, gathered, write_tables
+from agents.evaluation.folder import UNFINISHED, Setting, episodes_of, gathered, write_tables
+from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import CARRIED, HEARD
 from agents.policies.policy import Policy as Policy
 from agents.processes.workers import HERE, Workers
@@ -170,11 +171,6 @@ def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
     elif done:
         raise FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
     return done
-
-
-def check_stored(plan: Plan, output: Path) -> None:
-    """Raise as ``stored_episodes`` does."""
-    stored_episodes(plan, output)
 
 
 def _shared(setting: Setting) -> dict[str, Any]:

@@ -139,10 +139,14 @@ def mean_interval(values: np.ndarray) -> Interval:
     return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
 
 
+def student_factor(count: int) -> float:
+    """Half the 95 % interval of a mean of ``count`` normal values, by Student, over its standard error."""
+    return float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
+
+
 def student_interval(values: pd.Series) -> Interval:
     """Mean of normal values with Student's interval; NaN with fewer than two values."""
-    factor = float(student.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
-    mean, half = float(values.mean()), float(factor * values.std() / np.sqrt(len(values)))
+    mean, half = float(values.mean()), float(student_factor(len(values)) * values.std() / np.sqrt(len(values)))
     return Interval(mean, mean - half, mean + half)
 
 

@@ -54,8 +54,8 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
         (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
         (
-            ["evaluate", "constant", "--passes", "both", "--check-fidelity", "acting"],
-            "finer = 'reference' does not simulate the way back; give one of standard, unlapsed, fast, study",
+            ["evaluate", "constant", "--passes", "both", "--fidelity", "reference"],
+            "fidelity = 'reference' does not simulate the way back; give one of standard, unlapsed, fast, study",
         ),
         (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),

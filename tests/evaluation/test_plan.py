@@ -9,10 +9,11 @@ import pytest
 from kills import killed_at
 from plans import CONFIG, make_plan
 
+from agents.evaluation import evaluate
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import CARRIED
 from agents.evaluation.plan import Plan, Playing, per_metre, run_plan
-from agents.evaluation.run import evaluate, evaluate_plan, plan_of
+from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.places import place_of
