@@ -21,8 +21,8 @@ from agents.policies.shield import PREFIX, Shielded, unshielded
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.rollouts.plan import Policy
 from agents.terminal.names import checked_name, name_of
-from probe_env.envs.surrogate.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.schedule import Schedule
 
 if TYPE_CHECKING:

@@ -1,5 +1,5 @@
-"""Moved to ``probe_env.npz``."""
+"""Moved to ``probe_env.files``."""
 
-from probe_env.npz import read_arrays
+from probe_env.files import read_arrays
 
 __all__ = ["read_arrays"]

@@ -30,9 +30,9 @@ from agents.rollouts.playing import Ended, Playing
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.envs.episodes.starts import Probes
-from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Controller, Foresighted
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import with_nodes
 
 BATCH = 16

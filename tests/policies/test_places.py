@@ -19,8 +19,8 @@ from agents.robustness.axes import AXES, disturbed
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_beside
-from probe_env.envs.surrogate.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension, steady_root_tension
 from probe_env.schedule import Schedule

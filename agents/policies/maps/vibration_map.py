@@ -1,3 +1,3 @@
-"""Moved to ``probe_env.envs.surrogate.vibration_map``."""
+"""Moved to ``probe_env.envs.vibration_map``."""
 
-from probe_env.envs.surrogate.vibration_map import *  # noqa: F403
+from probe_env.envs.vibration_map import *  # noqa: F403

@@ -9,8 +9,8 @@ import numpy as np
 from agents.policies.maps.lookup import expected_costs, knots
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap
 from probe_env.envs.task import TaskConfig, metre_reward
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 
 
 def worth_of_rest(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:

@@ -9,9 +9,9 @@ import numpy as np
 from agents.policies.fixed import FixedPolicy
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap, expected_cost
 from probe_env.envs.task import metre_reward
 from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost
 from probe_env.physics.closed_forms import sliding_tension
 
 START = 5.0

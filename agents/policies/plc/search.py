@@ -23,7 +23,7 @@ from agents.records.provenance import commit, provenance, write_atomically, writ
 from agents.rollouts.plan import Plan, run_plan
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.surrogate.vibration_map import VibrationMap
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import resolve_fidelity
 
 RANGES: Final[dict[str, tuple[float, float]]] = {

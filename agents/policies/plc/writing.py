@@ -12,8 +12,8 @@ from agents.policies.plc.law import Constants, PlantData
 from agents.policies.plc.trimmed import Trim
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 
 DESCRIPTIONS = {
     "average": ("s", "time constant of the averages of friction and noise"),

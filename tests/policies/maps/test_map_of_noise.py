@@ -10,7 +10,8 @@ from agents.policies.places import plant_at
 from agents.records.reading import FileError
 from agents.rollouts.plan import per_metre
 from probe_env import Context, Scene
-from probe_env.envs.surrogate.vibration_map import (
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import (
     CONTEXT,
     SHIPPED_RANGES,
     VibrationMap,
@@ -18,7 +19,6 @@ from probe_env.envs.surrogate.vibration_map import (
     rms_limit,
     stored_map,
 )
-from probe_env.envs.task import TaskConfig
 
 CONFIG = TaskConfig(vibration_measure="snr")
 

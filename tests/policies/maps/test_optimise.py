@@ -14,8 +14,8 @@ from agents.policies.maps.search import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run
 from agents.records.columns import CARRIED, CORE, CORE_FAILURES
 from agents.records.provenance import commit
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.schedule import Schedule
 

@@ -16,8 +16,8 @@ from agents.policies.planning.rest import worth_of_rest
 from agents.rollouts.plan import Plan, run_plan
 from probe_env import Context, Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import resolve_fidelity
 
 CONFIG = TaskConfig()

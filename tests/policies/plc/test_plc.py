@@ -29,9 +29,9 @@ from agents.policies.plc.writing import write_law
 from agents.processes.workers import HERE
 from agents.records.provenance import commit
 from probe_env import Context, spread_contexts
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
+from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.schedule import Schedule

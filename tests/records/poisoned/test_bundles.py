@@ -17,9 +17,9 @@ from poisons import ANYWHERE, FAST, JSON, ROOT
 from agents.policies.bundle import Description, Network, _hash, build_policy, write_bundle
 from agents.policies.law import Law
 from agents.policies.view import View
-from probe_env.envs.surrogate.vibration_map import STORED as MAP
-from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import STORED as MAP
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
 
 
@@ -152,7 +152,7 @@ BUNDLES = ARCHIVES | {
 
 @pytest.mark.parametrize("damage", BUNDLES)
 def test_bundles(damage, bundle, tmp_path, refused, monkeypatch):
-    monkeypatch.setattr("probe_env.npz.MOST_UNPACKED", 1 << 24)  # a bomb of 32 MiB will do
+    monkeypatch.setattr("probe_env.files.MOST_UNPACKED", 1 << 24)  # a bomb of 32 MiB will do
     path = Path(shutil.copy(bundle, tmp_path / "agent.npz"))
     BUNDLES[damage](path)
     refused(["evaluate", path, *FAST], f"{path}: ")
@@ -192,7 +192,7 @@ def test_the_undamaged_law_is_read(tmp_path):
 
 @pytest.mark.parametrize("damage", [*ARCHIVES, "NaN", "other layers", "one layer", "text"])
 def test_maps(damage, tmp_path, monkeypatch):
-    monkeypatch.setattr("probe_env.npz.MOST_UNPACKED", 1 << 24)
+    monkeypatch.setattr("probe_env.files.MOST_UNPACKED", 1 << 24)
     path = Path(shutil.copy(MAP, tmp_path / "map.npz"))
     arrays = arrays_of(path)
     others = {
@@ -216,7 +216,7 @@ def test_a_refused_file_takes_no_memory(tmp_path, bundle):
     path = Path(shutil.copy(bundle, tmp_path / "agent.npz"))
     ARCHIVES["huge header"](path)
     code = (
-        "import resource, sys; from probe_env.npz import read_arrays; from pathlib import Path;"
+        "import resource, sys; from probe_env.files import read_arrays; from pathlib import Path;"
         "resource.setrlimit(resource.RLIMIT_AS, (6 << 30,) * 2);"
         "read_arrays(Path(sys.argv[1]), lambda name: 'U' if name in ('hash', 'description') else 'f')"
     )
