@@ -55,7 +55,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
         (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
         (
             ["evaluate", "constant", "--passes", "both", "--check-fidelity", "acting"],
-            "finer = 'reference' does not simulate the way back; give one of standard, unlapsed, fast, study",
+            "finer = 'reference' does not simulate the way back; give one of standard, fast, study",
         ),
         (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
         (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),

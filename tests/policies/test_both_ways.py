@@ -5,11 +5,11 @@ import pytest
 from agents.policies.both_ways import fidelity_of
 
 
-def test_unlapsed_is_fast_without_its_time_lapse():
-    usual, without = fidelity_of("fast"), fidelity_of("unlapsed")
-    assert (usual.time_lapse, without.time_lapse) == (4.0, 1.0)
-    assert without.model_copy(update={"time_lapse": 4.0}) == usual
-    assert fidelity_of("reference-v0").method == "imex"
-    refused = "'reference' does not simulate the way back; give one of standard, unlapsed, fast, study, reference-v0"
+def test_presets_of_round_trips_and_refusals():
+    assert (fidelity_of("fast").method, fidelity_of("fast").time_lapse) == ("imex", 4.0)
+    assert fidelity_of("standard").nodes_per_pitch == 8
+    refused = "'reference' does not simulate the way back; give one of standard, fast, study$"
     with pytest.raises(ValueError, match=refused):
         fidelity_of("reference")
+    with pytest.raises(ValueError, match="'surrogate' does not simulate the way back"):
+        fidelity_of("surrogate")
