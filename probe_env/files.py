@@ -1,6 +1,7 @@
 """Files that somebody else may have made: regular ones only, of bounded size, text where text is due.
 
-Every error is one line, ``FILE: place: what is wrong``, whatever stands in the file or in its name.
+Every error is one line, ``FILE: place: what is wrong``, whatever stands in the file or in its name. Of NumPy's archives
+nothing is unpacked that is not expected.
 """
 
 from __future__ import annotations
@@ -9,8 +10,14 @@ import os
 import re
 import stat
 import tomllib
+import zipfile
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, Final
+
+import numpy as np
+import numpy.typing as npt
 
 MEBI: Final = 1 << 20
 FLAGS: Final = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
@@ -135,3 +142,43 @@ def read_toml(path: str | Path, most: int = MEBI) -> dict[str, Any]:
         raise FileError(path, f"not a TOML file: {error}") from error
     except RecursionError:
         raise FileError(path, "not a TOML file of this kind: nested too deeply") from None
+
+
+MOST_BYTES: Final = 512 * MEBI
+KINDS: Final = {"f": "numbers", "U": "text"}
+Array = npt.NDArray[Any]
+_BROKEN = (zipfile.BadZipFile, zlib.error, ValueError, KeyError, OSError, EOFError, RuntimeError, MemoryError)
+
+
+def read_arrays(path: Path, expected: Callable[[str], str]) -> dict[str, Array]:
+    """The arrays of a .npz file by name.
+
+    Args:
+        path: of the file.
+        expected: kind ("f": float32 or float64, "U": text) of the array of a name; "" if there must be none.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not such an archive, too large, or an array that is unexpected, of another kind or not finite.
+    """
+    try:
+        with open_regular(path, MOST_BYTES) as file:
+            with zipfile.ZipFile(file) as archive:
+                members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if total > MOST_BYTES or len({member.filename for member in members}) < len(members):
+                raise ValueError(f"{total} bytes when unpacked, or an array twice")
+            with np.load(file, allow_pickle=False) as arrays:
+                content = {name: arrays[name] for name in arrays.files}
+    except (FileError, FileNotFoundError):
+        raise
+    except _BROKEN as error:
+        raise FileError(path, "not a whole archive of plain arrays (.npz); nothing in it was run") from error
+    for name, values in content.items():
+        kind = expected(name)
+        if not isinstance(values, np.ndarray) or values.dtype.kind != kind or values.dtype.itemsize == 2:
+            problem = f"of another kind than {KINDS[kind]}" if kind else "no such array is expected"
+            raise FileError(path, f"array {name!r}: {problem}")
+        if kind == "f" and not np.isfinite(values).all():
+            raise FileError(path, f"array {name!r}: holds values that are not finite (NaN or infinite)")
+    return content

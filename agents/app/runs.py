@@ -14,7 +14,6 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from probe_env.inspection.meter import snr_of_groove
 
 from agents.evaluation.plan import Plan, Unit
 from agents.evaluation.run import plan_of
@@ -28,6 +27,7 @@ from probe_env.envs.pictures.strip import Motion
 from probe_env.envs.task import TaskConfig
 from probe_env.inspection.channels import Flaw, Passage, along, channels, filtered, smoothed
 from probe_env.inspection.detection import snr_at, threshold
+from probe_env.inspection.meter import snr_of_groove
 from probe_env.inspection.sensor import Sensor
 
 MANUAL: Final = "by hand"

@@ -19,8 +19,8 @@ from agents.policies.maps.lookup import FIRST
 from agents.policies.places import Place
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env.arrays import FloatArray
-from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost
 from probe_env.envs.task import TaskConfig, metre_reward
+from probe_env.envs.vibration_map import CONTEXT, expected_cost
 from probe_env.files import FileError
 from probe_env.schedule import AIR, CSV_COMMENT, FEED, Interpolation, Schedule
 

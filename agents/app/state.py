@@ -15,7 +15,7 @@ from agents.policies.places import Place, map_of, place_of
 from agents.records.provenance import write_atomically
 from agents.records.shipped import policy_file
 from agents.terminal.names import checked_name, name_of
-from probe_env.envs.surrogate.vibration_map import stored_map
+from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.schedule import Interpolation, Schedule
 

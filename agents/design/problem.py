@@ -20,8 +20,8 @@ from agents.processes.workers import HERE, Workers
 from agents.records.provenance import commit
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
-from probe_env.envs.surrogate.vibration_map import feeds
 from probe_env.envs.trials import check_candidate, check_measure, stretch_of
+from probe_env.envs.vibration_map import feeds
 from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import Schedule
 

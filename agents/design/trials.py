@@ -20,9 +20,9 @@ from agents.records.models import Stored, read_json
 from agents.records.provenance import commit, write_json
 from agents.records.searches import JOURNAL
 from probe_env import Context, Design, Fidelity
-from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Candidate, judge, try_insertions, try_sections
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import with_nodes
 from probe_env.schedule import Schedule
 

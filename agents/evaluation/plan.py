@@ -34,9 +34,9 @@ from probe_env.design import RANGES
 from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.surrogate import make_episodes
-from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Players
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import with_nodes
 
 BATCH: Final = 16

@@ -16,8 +16,8 @@ from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
 from agents.records.provenance import write_atomically
 from agents.terminal.tables import print_table
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 
 TEMPLATE: Final = Path(__file__).parent / "data" / "feed-law.st.j2"
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))

@@ -26,8 +26,8 @@ from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import FloatArray
-from probe_env.envs.surrogate.vibration_map import expected_cost, feeds
 from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
+from probe_env.envs.vibration_map import expected_cost, feeds
 from probe_env.schedule import Schedule
 
 MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_acceleration_rms"}

@@ -22,7 +22,7 @@ from agents.records.atomic import write_atomically
 from agents.records.reading import FileError
 from probe_env import Scene
 from probe_env.arrays import FloatArray
-from probe_env.npz import read_arrays
+from probe_env.files import read_arrays
 from probe_env.physics.closed_forms import drag_per_metre, sliding_tension
 from probe_env.physics.model.chain import air_speed
 

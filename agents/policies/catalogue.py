@@ -17,8 +17,8 @@ from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
 from agents.terminal.names import checked_name, name_of
-from probe_env.envs.surrogate.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.schedule import Schedule
 
 if TYPE_CHECKING:

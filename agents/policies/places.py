@@ -11,8 +11,8 @@ from agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.plants import map_beside
-from probe_env.envs.surrogate.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
 
 WHOLE_SHIFT: Final = 2.0

@@ -21,7 +21,6 @@ from agents.policies.on_map import FRICTION_STEP, FRICTIONS, MapPolicy
 from probe_env import Context, Scene
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap
 from probe_env.envs.task import (
     MEASURES,
     Outcome,
@@ -38,6 +37,7 @@ from probe_env.envs.task import (
 )
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.passes import BothWays
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD

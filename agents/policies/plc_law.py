@@ -23,7 +23,7 @@ from agents.policies.maps.lookup import least_air
 from agents.policies.policy import Domain
 from probe_env import Scene
 from probe_env.arrays import FloatArray
-from probe_env.envs.surrogate.vibration_map import stored_map
+from probe_env.envs.vibration_map import stored_map
 from probe_env.files import MEBI, FileError, read_text
 from probe_env.physics.closed_forms import drag_per_metre
 from probe_env.physics.model.chain import air_speed

@@ -15,9 +15,9 @@ from pydantic_core import PydanticCustomError
 from probe_env import Context
 from probe_env.envs.contexts import Ranges
 from probe_env.envs.episodes.starts import Contexts, checked_contexts
-from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Controller
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 from probe_env.scene import Probe
 
 UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))

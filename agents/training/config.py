@@ -22,8 +22,8 @@ from agents.vec_env import ENVIRONMENTS, EnvId
 from probe_env.envs.contexts import Context, Split
 from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
 from probe_env.envs.plants import Plant, plant_of
-from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity, is_surrogate, resolve_fidelity
 from probe_env.settings import Model, explain, quantity, tuples, whole_steps
 

@@ -13,10 +13,9 @@ from agents.policies.places import place_at, place_of
 from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context
-from probe_env.envs.surrogate import SurrogateEpisodes
-from probe_env.envs.surrogate.episodes import Noise, Scatter
-from probe_env.envs.surrogate.vibration_map import stored_map
+from probe_env.envs.surrogate import Noise, Scatter, SurrogateEpisodes
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 

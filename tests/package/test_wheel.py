@@ -129,7 +129,7 @@ def test_the_wheel_holds_what_users_name(wheel):
     }
     data = {
         "probe_env/data/contexts.csv",
-        "agents/policies/data/vibration-map.npz",
+        "probe_env/data/vibration-map.npz",
         "agents/shipped/schedules/example.csv",
         "agents/shipped/logs/example-rig.csv",
         "agents/shipped/tubes/example.toml",

@@ -25,8 +25,8 @@ from agents.policies.planner import (
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.surrogate.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.envs.task import Inspects, TaskConfig
+from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
 
 CONFIG = TaskConfig()

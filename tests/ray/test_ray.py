@@ -41,7 +41,7 @@ def test_gymnasium_is_the_one_that_rllib_pins():
     assert gym.__version__ == "1.2.2"
     assert probe_env.__all__
     for name in ("Insertion", "Snapshot", "Design"):
-        check_env(gym.make(f"probe_env/{name}-v0").unwrapped, skip_render_check=True)
+        check_env(gym.make(f"probe_env/{name}-v1").unwrapped, skip_render_check=True)
 
 
 def test_an_evaluation_on_the_cluster_equals_the_local_one(cluster, tmp_path):

@@ -13,8 +13,8 @@ from agents.studies.builtin import Request
 from agents.studies.shipped import best_schedules as optimise
 from agents.studies.shipped.best_schedules import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.schedule import Schedule
 

@@ -27,8 +27,8 @@ from agents.studies.shipped.plc_constants import (
     search_trim,
 )
 from probe_env import Context, spread_contexts
-from probe_env.envs.surrogate.vibration_map import stored_map
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig().all_shown

@@ -12,7 +12,7 @@ from agents.studies.builtin import Request
 from agents.studies.shipped import vibration_map as maker
 from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
 from probe_env import Plant, Scene
-from probe_env.envs.surrogate.vibration_map import VibrationMap, stored_map
+from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.schedule import Schedule
 
 TUBES = 14

@@ -10,7 +10,8 @@ import numpy as np
 
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
-from probe_env.envs.surrogate.vibration_map import (
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import (
     CONTEXT,
     VibrationMap,
     check_measure,
@@ -19,7 +20,6 @@ from probe_env.envs.surrogate.vibration_map import (
     feeds,
     stored_map,
 )
-from probe_env.envs.task import TaskConfig
 from probe_env.schedule import Schedule
 
 SPACING: Final = 2.5  # [m] between knots

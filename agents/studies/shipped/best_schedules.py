@@ -21,7 +21,8 @@ from agents.studies.builtin import Request
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.surrogate.vibration_map import (
+from probe_env.envs.task import TaskConfig, metre_reward, value_at
+from probe_env.envs.vibration_map import (
     CONTEXT,
     VibrationMap,
     check_measure,
@@ -29,7 +30,6 @@ from probe_env.envs.surrogate.vibration_map import (
     feeds,
     stored_map,
 )
-from probe_env.envs.task import TaskConfig, metre_reward, value_at
 from probe_env.fidelity import PRESETS
 from probe_env.schedule import Schedule
 

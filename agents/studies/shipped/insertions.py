@@ -25,7 +25,7 @@ from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.task.observations import ACCELEROMETER_FLOOR, RF_FLOOR
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
-from probe_env.npz import read_arrays
+from probe_env.files import read_arrays
 
 SIZE: Final = 32
 """Insertions side by side, in one bore."""

@@ -28,9 +28,9 @@ from agents.terminal.tables import print_table
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap, expected_cost, stored_map
 from probe_env.envs.task import metre_reward
 from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 

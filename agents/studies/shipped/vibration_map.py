@@ -25,8 +25,8 @@ from probe_env import Context, Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.plants import map_beside
-from probe_env.envs.surrogate.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.envs.task import TaskConfig, value_at
+from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.fidelity import PRESETS
 
 SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}

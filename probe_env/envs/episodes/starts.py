@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
+from typing import Any, Final, Literal, TypedDict, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -14,12 +14,10 @@ from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import GivenPlant, map_beside, plant_of
 from probe_env.envs.task import TaskConfig, scene_of
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene, whole_pitches
 from probe_env.settings import explain, tuples
-
-if TYPE_CHECKING:
-    from probe_env.envs.surrogate.vibration_map import VibrationMap
 
 NamedContexts = Literal["random"] | Split
 Contexts = NamedContexts | Sequence[Context | Mapping[str, float]] | Mapping[str, Any]

@@ -11,7 +11,8 @@ from agents.records.reading import FileError
 from agents.studies.builtin import Request
 from agents.studies.shipped.best_schedules import run_search
 from probe_env import Context, Scene
-from probe_env.envs.surrogate.vibration_map import (
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import (
     CONTEXT,
     SHIPPED_RANGES,
     VibrationMap,
@@ -19,7 +20,6 @@ from probe_env.envs.surrogate.vibration_map import (
     rms_limit,
     stored_map,
 )
-from probe_env.envs.task import TaskConfig
 
 CONFIG = TaskConfig(vibration_measure="snr")
 

@@ -15,7 +15,8 @@ from agents.policies.view import HALF_RANGE, MIDDLE, View
 from agents.studies.shipped.vibration_map import Wandering, fit_map
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
-from probe_env.envs.surrogate.vibration_map import (
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import (
     CONTEXT,
     STORED,
     VibrationMap,
@@ -23,7 +24,6 @@ from probe_env.envs.surrogate.vibration_map import (
     features_of,
     stored_map,
 )
-from probe_env.envs.task import TaskConfig
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension
 from probe_env.physics.model.chain import air_speed
 

@@ -16,9 +16,9 @@ from agents.policies.bundle import Description, Network, _hash, build_policy, lo
 from agents.policies.law import Law
 from agents.policies.view import View
 from agents.records.arrays import read_weights
-from probe_env.envs.surrogate.vibration_map import STORED as MAP
-from probe_env.envs.surrogate.vibration_map import VibrationMap
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import STORED as MAP
+from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
 
 WEIGHT = "mlp_extractor.policy_net.0.weight"

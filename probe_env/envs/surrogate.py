@@ -19,7 +19,6 @@ from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.surrogate.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.envs.task import (
     FAILURES,
     Ending,
@@ -35,6 +34,7 @@ from probe_env.envs.task import (
     slack,
     slack_in_a_row,
 )
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
 from probe_env.physics.model.drive import moved_on

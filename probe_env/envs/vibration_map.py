@@ -2,7 +2,7 @@
 
 The probe responds within a second or two to a change of feed or air, so the vibration at a length depends on the feed
 and air there. The map therefore predicts what any schedule would cost in any tube: searches for schedules take seconds,
-a controller that knows the tube can look up its best feed, and agents can train in it (see ``episodes``).
+a controller that knows the tube can look up its best feed, and agents can train in it (see ``surrogate``).
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from pydantic import ValidationError
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS, STIFFNESS
 from probe_env.envs.task import TaskConfig, capped_square, metre_cost
-from probe_env.files import FileError
-from probe_env.npz import read_arrays
+from probe_env.files import FileError, read_arrays
 from probe_env.physics.closed_forms import drag_per_metre
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Scene
@@ -38,7 +37,7 @@ SHAPES: Final = {"ranges": (2, len(CONTEXT)), "scaling": (2, len(CONTEXT) + 3)}
 """Of what a plant's own map has besides."""
 PROFILED: Final = {"displacement": "radial_rms_m", "snr": "noise_rms_m"}
 """Vibration measures that a map can tell of, and their columns of a profile [m]."""
-STORED: Final = Path(__file__).parents[2] / "data" / "vibration-map.npz"
+STORED: Final = Path(__file__).parents[1] / "data" / "vibration-map.npz"
 
 
 def feeds(config: TaskConfig) -> tuple[float, float]:
