@@ -132,6 +132,7 @@ def test_small_vibrations_grow_faster_when_the_root_is_between_floats():
     assert (between.min(axis=0) - rates[0] > bound).all()
 
 
+@pytest.mark.slow
 @pytest.mark.processor
 def test_a_root_between_floats_rings_more(seeds):
     """At 30 m: as much more as the stored ensemble says but for chance, and more than chance alone could make.
