@@ -3,7 +3,7 @@
 Beyond about 30 m of carrier two runs that differ in the last digit soon have nothing in common but their statistics,
 so another processor is another draw. A bound is the quantile of Student's t that the logarithm of a ratio of means
 goes beyond with ``CHANCE``; t and not normal, for the deviations themselves were measured on ``MEASURED`` members.
-Members are skewed a little, means of eight hardly: ``test_scatter`` draws them from stored members and counts.
+Members are skewed a little, means of eight hardly.
 
 A shift of a truth by the bound is noticed half of the time, one by twice the bound with all but ``CHANCE``.
 """

@@ -15,6 +15,7 @@ import pytest
 from probe_env import Scene, SimulatorBatch
 from probe_env.physics.methods import METHODS
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 CANARY = """
 import numba, numpy
@@ -53,23 +54,29 @@ GUARD = 4096
 
 
 def guarded(kernel, calls):
-    """A kernel whose arrays lie between guards."""
+    """A kernel whose arrays, also those in tuples, lie between guards."""
 
     def call(*arguments):
-        given, buffers = list(arguments), {}
-        for k, array in enumerate(arguments):
-            if not isinstance(array, np.ndarray):
-                continue
-            sentinel = np.nan if array.dtype.kind == "f" else -(10**6)
-            buffers[k] = np.full(array.size + 2 * GUARD, sentinel, dtype=array.dtype)
-            given[k] = buffers[k][GUARD : GUARD + array.size].reshape(array.shape)
-            given[k][...] = array
-        result = kernel(*given)
-        for k, buffer in buffers.items():
+        buffers = []
+
+        def fence(argument):
+            if type(argument) is tuple:
+                return tuple(map(fence, argument))
+            if not isinstance(argument, np.ndarray):
+                return argument
+            sentinel = np.nan if argument.dtype.kind == "f" else -(10**6)
+            buffer = np.full(argument.size + 2 * GUARD, sentinel, dtype=argument.dtype)
+            inside = buffer[GUARD : GUARD + argument.size].reshape(argument.shape)
+            inside[...] = argument
+            buffers.append((argument, inside, buffer))
+            return inside
+
+        result = kernel(*map(fence, arguments))
+        for k, (array, inside, buffer) in enumerate(buffers):
             edges = np.concatenate([buffer[:GUARD], buffer[-GUARD:]])
             untouched = np.isnan(edges) if edges.dtype.kind == "f" else edges == -(10**6)
-            assert untouched.all(), f"argument {k} of {kernel.py_func.__name__}"
-            arguments[k][...] = given[k]
+            assert untouched.all(), f"array {k} of {kernel.py_func.__name__}"
+            array[...] = inside
         calls.append(len(buffers))
         return result
 
@@ -88,7 +95,7 @@ def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
         for k in range(count)
     ]  # fmt: skip
     results, plain, calls = [], METHODS[method], []
-    kernels = [name for name in ("advance", "along") if hasattr(plain.lanes, name)]
+    kernels = [name for name in ("advance", "single") if hasattr(plain.lanes, name)]
     fences = {name: guarded(getattr(plain.lanes, name), calls) for name in kernels}
     fenced = replace(plain, lanes=replace(plain.lanes, **fences))
     for kind in (fenced, plain):  # the guarded first: it names what it finds

@@ -35,8 +35,7 @@ def test_divergence_is_an_error_that_says_where_and_what_would_hold(method, time
     assert copy.node == error.node
 
 
-@pytest.mark.parametrize("method", ["newmark", "wilson"])
-@pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6])
+@pytest.mark.parametrize(("method", "stiffness"), [("newmark", 1e5), ("wilson", 1e4), ("newmark", 1e6)])
 def test_the_stable_step_holds(method, stiffness):
     scene = SHORT.model_copy(update={"contact": {"stiffness": stiffness}})
     with warnings.catch_warnings():
@@ -90,50 +89,48 @@ def test_an_option_that_is_not_there_is_named_with_those_that_are():
         ({"duration": 0.1, "points": (99.0,)}, "99.0 m"),
         ({"duration": 0.1, "snapshots": (0.2,)}, "snapshots: 0.2"),
         ({"duration": 0.1, "snapshots": (0.05, 0.02)}, "must ascend"),
+        ({"duration": 0.1, "snapshots": (0.05,), "growing": True}, "growing"),
     ],
 )
 def test_bad_run_arguments_are_refused_before_any_work(arguments, message):
-    simulator = Simulator(SHORT)
+    options = {name: arguments[name] for name in arguments.keys() & {"growing"}}
+    simulator = Simulator(SHORT, **options)
     with pytest.raises(ValueError, match=message):
-        simulator.run(**arguments)
+        simulator.run(**{name: value for name, value in arguments.items() if name not in options})
     assert simulator.steps_done == 0
 
 
-def scenes():
-    """Valid scenes far from table 2, 1 to 3 m long."""
-    tube = st.fixed_dictionaries({"helix_diameter": st.floats(0.4, 20.0)})
-    probe = st.fixed_dictionaries(
-        {
-            "line_density": st.floats(0.02, 1.0),
-            "tensile_rigidity": st.floats(1e3, 1e6),
-            "flexural_rigidity": st.floats(1e-3, 1.0),
-            "damping_time": st.floats(0.0, 1e-2),
-            "carrier_float_diameter": st.floats(10e-3, 22e-3),
-            "guide_length": st.integers(0, 5).map(lambda k: k / 10),
-        }
-    )
-    contact = st.fixed_dictionaries(
-        {
-            "stiffness": st.floats(2.0, 8.0).map(lambda e: min(10.0**e, 1e8)),
-            "friction": st.floats(0.0, 1.0),
-            "walls": st.sampled_from(["both", "inner"]),
-        }
-    )
-    return st.fixed_dictionaries(
-        {
-            "tube": tube,
-            "probe": probe,
-            "contact": contact,
-            "feed_speed": st.floats(0.0, 2.0),
-            "air_supply_rate": st.floats(0.0, 0.2),
-            "carrier_length": st.integers(10, 30).map(lambda k: k / 10),
-        }
-    ).map(Scene.model_validate)
+SCENES = st.fixed_dictionaries(
+    {
+        "tube": st.fixed_dictionaries({"helix_diameter": st.floats(0.4, 20.0)}),
+        "probe": st.fixed_dictionaries(
+            {
+                "line_density": st.floats(0.02, 1.0),
+                "tensile_rigidity": st.floats(1e3, 1e6),
+                "flexural_rigidity": st.floats(1e-3, 1.0),
+                "damping_time": st.floats(0.0, 1e-2),
+                "carrier_float_diameter": st.floats(10e-3, 22e-3),
+                "guide_length": st.integers(0, 5).map(lambda k: k / 10),
+            }
+        ),
+        "contact": st.fixed_dictionaries(
+            {
+                "stiffness": st.floats(2.0, 8.0).map(lambda e: min(10.0**e, 1e8)),
+                "friction": st.floats(0.0, 1.0),
+                "walls": st.sampled_from(["both", "inner"]),
+            }
+        ),
+        "feed_speed": st.floats(0.0, 2.0),
+        "air_supply_rate": st.floats(0.0, 0.2),
+        "carrier_length": st.integers(10, 30).map(lambda k: k / 10),
+    }
+).map(Scene.model_validate)
+"""Valid scenes far from table 2, 1 to 3 m long."""
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
-    scene=scenes(),
+    scene=SCENES,
     method=st.sampled_from(["newmark", "wilson", "imex", "imex32", "explicit", "implicit"]),
     time_step=st.sampled_from([1e-5, 1e-4, 1e-3]),
 )

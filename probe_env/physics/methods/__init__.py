@@ -1,8 +1,4 @@
-"""Methods that advance a chain in time: arrays enter, the state moves on in them, a status leaves.
-
-``METHODS`` is the only list of them: a method is a file or folder of kernels that ends with its ``Method``, and an
-entry here. Imports the model.
-"""
+"""Methods that advance a chain in time; ``METHODS`` lists them all."""
 
 from __future__ import annotations
 

@@ -10,9 +10,8 @@ import numpy as np
 from numba import njit
 
 from probe_env.physics.methods.factors import explicit_factors
-from probe_env.physics.methods.imex.after_step import after_step
-from probe_env.physics.methods.imex.elimination import product
-from probe_env.physics.methods.imex.forces import (
+from probe_env.physics.methods.imex import (
+    after_step,
     cable_forces,
     cable_walls,
     float_at,
@@ -23,6 +22,7 @@ from probe_env.physics.methods.imex.forces import (
     loaded_wall,
     magnitude,
     pressed_forces,
+    product,
 )
 from probe_env.physics.methods.lane_group import (
     AXIAL,
@@ -55,24 +55,10 @@ from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def explicit_advance(
-    parameters,
-    pressed,
-    factors,
-    state,
-    inputs,
-    tops,
-    bottoms,
-    dt,
-    per_pitch,
-    first,
-    every,
-    points,
-    roots,
-    samples,
-    tension,
-    failed,
+    parameters, pressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed
 ):
     """Steps of all lanes by central differences; the arguments are those of ``imex_advance``."""
+    first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
     delta = load(parameters, DAMPING)
     kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
@@ -83,11 +69,7 @@ def explicit_advance(
     row, due = 0, first
     for step in range(len(tops)):
         k = step * INPUTS
-        speed, slope, air = (
-            load(inputs, k + SPEED),
-            load(inputs, k + SLOPE),
-            load(inputs, k + AIR),
-        )
+        speed, slope, air = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
         held = load(parameters, ROOT)
         to_float, peak = 0, zero
         bx, by, bt = zero, zero, zero  # d + delta v of the node on the tip side

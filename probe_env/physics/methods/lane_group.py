@@ -108,7 +108,7 @@ class LaneKernel:
         self.advance(
             parameters, pressed, factors.reshape(-1, width), state.reshape(-1, width),
             entered.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
-            first_sample, sample_every, entered.points, roots, packed_samples, packed_tension, entered.failed,
+            (first_sample, sample_every, entered.points, packed_samples, packed_tension), roots, entered.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         for k, lane in enumerate(lanes):

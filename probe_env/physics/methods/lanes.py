@@ -33,6 +33,7 @@ class LanesType(types.Type):
     def __init__(self, element: types.Float) -> None:
         self.element = element
         self.count = REGISTER * 8 // element.bitwidth
+        self.alignment = element.bitwidth // 8
         self.vector = ir.VectorType(_IR[element], self.count)
         super().__init__(name=f"Lanes({element} x {self.count})")
 
@@ -49,17 +50,13 @@ def _address(context: Any, builder: Any, array_type: Any, array: Any, row: Any) 
     return builder.gep(pointer, [row])
 
 
-def _alignment(lanes: LanesType) -> int:
-    return int(lanes.element.bitwidth) // 8
-
-
 @intrinsic
 def load(typing_context: Any, array: Any, row: Any) -> Any:
     """``load(array, row)``: a row of a contiguous (rows, lanes) array."""
     lanes = LanesType(array.dtype)
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(_address(context, builder, signature.args[0], *arguments), align=_alignment(lanes))
+        return builder.load(_address(context, builder, signature.args[0], *arguments), align=lanes.alignment)
 
     return lanes(array, types.intp), code
 
@@ -72,7 +69,7 @@ def store(typing_context: Any, array: Any, row: Any, value: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array_value, position, vector = arguments
         address = _address(context, builder, signature.args[0], array_value, position)
-        builder.store(vector, address, align=_alignment(lanes))
+        builder.store(vector, address, align=lanes.alignment)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), code

@@ -1,4 +1,1 @@
-"""The lumped-mass model: a scene enters, the arrays that kernels take leave: chain, drive, state.
-
-``kernel_call`` checks what they are called with. Imports scenes and arrays.
-"""
+"""The lumped-mass model: arrays of a chain, its state and its drive, made from a scene."""

@@ -1,4 +1,1 @@
-"""Probes that are simulated: a scene and targets enter, samples of their motion leave; one probe, or many side by side.
-
-Imports the methods and the model, scenes, settings, errors and the machine's cores.
-"""
+"""Simulators of one probe or of many, and the signals and statistics that they return."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
@@ -61,62 +59,3 @@ def check_types(what: str, given: Mapping[str, Any], expected: Mapping[str, type
             least = " of 0 or more" if wanted is int else ""
             description = f"= {value!r}" if isinstance(value, int | float | str | None) else f"({type(value).__name__})"
             raise ValueError(f"{what}: {name} {description} is not {wanted.__name__}{least}")
-
-
-class Saved(ABC):
-    """Snapshots and pickles of an object whose attributes change with time, but for those declared as fixed."""
-
-    BUILT: tuple[str, ...]
-    """Attributes that a state depends on, plain values."""
-    FIXED: frozenset[str]
-    """Attributes that nothing changes after the constructor; all others are in a snapshot."""
-    REBUILT: str
-    """The one that cannot be copied: ``_build`` gives it."""
-
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
-        return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
-
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Back to a snapshot of this object (or of one built alike); goes on bit for bit as it did.
-
-        Alike is all but ``perturbation`` and ``seed``, which only ``reset`` looks at.
-
-        Raises:
-            ValueError: not a snapshot, of another version, or of one built otherwise; names the field, what was found
-                and what is accepted. Nothing has been changed then.
-        """
-        self.__dict__.update(copy.deepcopy(self.checked(snapshot)))
-
-    def checked(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
-        """What ``restore`` would take from a snapshot; its errors name it ``what``."""
-        snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
-        check_same(what, snapshot["built"], self._built())
-        changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
-        self._check_changing(what, changing)
-        return changing
-
-    def _built(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.BUILT}
-
-    def _changing(self) -> dict[str, Any]:
-        """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
-        return {name: value for name, value in self.__dict__.items() if name not in self.FIXED}
-
-    @abstractmethod
-    def _check_changing(self, what: str, changing: Mapping[str, Any]) -> None:
-        """Raise ValueError where what changes is not of its kind."""
-
-    @abstractmethod
-    def _build(self) -> Any:
-        """What ``REBUILT`` names."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Everything but what is rebuilt."""
-        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != self.REBUILT}
-
-    def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        given = dict(check_format(f"pickled {type(self).__name__}", saved))
-        del given["format"]
-        self.__dict__.update(given)
-        setattr(self, self.REBUILT, self._build())

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import copy
+import csv
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from importlib.resources import files
+from statistics import median
 from typing import Any, Final, Unpack
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.methods import method_named, solver_named, ticm
+from probe_env.physics.methods import ON_NODES, method_named, solver_named, ticm
 from probe_env.physics.methods.method import Advance
 from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.kernel_call import Sampling, check_state
 from probe_env.physics.model.state import State, at_rest
-from probe_env.physics.simulation.costs import pitch_step_seconds
-from probe_env.physics.simulation.options import DEFAULTS, Options, check_options
-from probe_env.physics.simulation.recording import Recording, node_of, snapshot_steps
-from probe_env.physics.simulation.run import Run, shown
-from probe_env.physics.simulation.saved import Saved, check_names, check_types
-from probe_env.physics.simulation.targets import check_targets
+from probe_env.physics.simulation.options import DEFAULTS, Options, check_options, check_targets
+from probe_env.physics.simulation.run import Recording, Run, node_of, shown, snapshot_steps
+from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps, within
 
@@ -31,7 +32,27 @@ STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
 
 
-class Simulator(Saved):
+@lru_cache
+def pitch_step_seconds(method: str, nodes_per_pitch: int) -> float:
+    """Processor time of a step of one pitch [s], lanes full, on the machine that measured it.
+
+    A superelement has the same mesh whatever the number of places where it is seen.
+
+    Raises:
+        ValueError: no cost of the method was measured.
+    """
+    text = files("probe_env").joinpath("data/measured_errors.csv").read_text()
+    of_node, per_pitch = [], []
+    for row in csv.DictReader(text.splitlines()):
+        if row["method"] == method and float(row["time_lapse"]) == 1.0:
+            per_pitch.append(float(row["cost_s"]) * float(row["time_step_s"]))
+            of_node.append(per_pitch[-1] / int(row["nodes_per_pitch"]))
+    if not per_pitch:
+        raise ValueError(f"method = {method!r}: its cost is not known until `probe-env chart` has measured it")
+    return median(of_node) * nodes_per_pitch if method in ON_NODES else median(per_pitch)
+
+
+class Simulator:
     """Advances one probe, of constant length or growing as it is fed in.
 
     ``iterations`` and ``unconverged_steps`` count, since the start, the iterations of ``implicit`` and its steps
@@ -64,11 +85,12 @@ class Simulator(Saved):
         TypeError: there is no such option.
     """
 
-    BUILT = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
-    FIXED = frozenset(BUILT) | {
+    BUILT: Final = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
+    """Those that a state depends on, with the scene."""
+    FIXED: Final = frozenset(BUILT) | {
         "scene", "perturbation", "seed", "start", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
     }  # fmt: skip
-    REBUILT = "_advance"
+    """Attributes that nothing changes after the constructor; all others are in a snapshot."""
 
     def __init__(
         self,
@@ -190,8 +212,45 @@ class Simulator(Saved):
         """Let the length go with the feed as it is, without time-lapse, where the probe is a growing one."""
         self.drive.growth = 1.0 if self.growing else 0.0
 
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Back to a snapshot of this simulator, or of one built alike; goes on bit for bit as it did.
+
+        Alike is all but ``perturbation`` and ``seed``, which only ``reset`` looks at.
+
+        Raises:
+            ValueError: not a snapshot, of another version, or of one built otherwise; names the field, what was found
+                and what is accepted. Nothing has been changed then.
+        """
+        self.__dict__.update(copy.deepcopy(self.checked(snapshot)))
+
+    def checked(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
+        """What ``restore`` would take from a snapshot; its errors name it ``what``."""
+        snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
+        check_same(what, snapshot["built"], self._built())
+        changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
+        self._check_changing(what, changing)
+        return changing
+
     def _built(self) -> dict[str, Any]:
-        return super()._built() | {"scene": self.scene.model_dump()}
+        return {name: getattr(self, name) for name in self.BUILT} | {"scene": self.scene.model_dump()}
+
+    def _changing(self) -> dict[str, Any]:
+        """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
+        return {name: value for name, value in self.__dict__.items() if name not in self.FIXED}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the compiled advance function, which is rebuilt."""
+        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "_advance"}
+
+    def __setstate__(self, saved: Mapping[str, Any]) -> None:
+        state = dict(check_format(f"pickled {type(self).__name__}", saved))
+        del state["format"]
+        self.__dict__.update(state)
+        self._advance = self._build()
 
     def _check_changing(self, what: str, changing: Mapping[str, Any]) -> None:
         counts = ("steps_done", "root", "iterations", "unconverged_steps")

@@ -7,12 +7,13 @@ import pytest
 from oracles.chains import bent, matrices, plain_chain
 
 from probe_env import Scene, Simulator
+from probe_env.physics.methods import implicit
 from probe_env.physics.methods.factors import implicit_weights
-from probe_env.physics.methods.implicit import contact, iteration, rows, solution
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import at_rest
 
 SHORT = Scene(carrier_length=10.0)
+SLOW = pytest.mark.slow
 
 
 def integrate(chain, time_step, steps, state=None, feed=0.0, every=1):
@@ -20,12 +21,12 @@ def integrate(chain, time_step, steps, state=None, feed=0.0, every=1):
     nodes = chain.node_count
     state = at_rest(nodes) if state is None else state
     weights = (time_step, *implicit_weights(chain.damping_time, time_step))
-    limits, places = rows.couple_limits(chain, 4), contact.contact_places(chain)
-    work, counts = solution.workspace(nodes), np.zeros(2, dtype=np.int64)
+    limits, places = implicit.couple_limits(chain, 4), implicit.contact_places(chain)
+    work, counts = implicit.workspace(nodes), np.zeros(2, dtype=np.int64)
     d, v = [], []
     for _ in range(steps // every):
         inputs = Drive(feed, 0.0).inputs_of_steps(every, time_step, chain.element_length, 0)
-        status, *_ = iteration.advance(
+        status, *_ = implicit.advance(
             chain, weights, limits, places, inputs, nodes - 1, state, work,
             every + 1, 1, np.array([0]), np.zeros((0, 1, 4)), np.zeros(nodes), counts,
         )  # fmt: skip
@@ -44,7 +45,7 @@ def one_float(**changes):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("time_step", [2e-4, 1e-4, 5e-5, 2.5e-5, 1.25e-5])
+@pytest.mark.parametrize("time_step", [2e-4, 1e-4, pytest.param(1.25e-5, marks=SLOW)])
 def test_the_iteration_converges_before_chaos(time_step):
     """In fewer than two iterations a step; to which trajectory, and at which order, see test_fast_methods."""
     simulator = Simulator(SHORT, "implicit", time_step)
@@ -69,13 +70,13 @@ def test_a_passive_probe_gains_no_energy(time_step, damping_time):
     state = at_rest(41)
     state.v[:-1] = rng.normal(size=(40, 3)) * (1.0, 1.0, 20.0)
     M, K = matrices(chain)
-    places = contact.contact_places(chain)
+    places = implicit.contact_places(chain)
 
     def energy(d, v):
         y, x = d[:-1, 1], d[:-1].ravel()
         deep = np.maximum(places[:-1, 0] - y, 0.0) + np.maximum(y - places[:-1, 1], 0.0)
-        hard = np.maximum(deep - contact.HARD_DEPTH, 0.0)
-        wall = 0.5 * places[:-1, 3] * deep**2 + 0.5 * (contact.HARD_STIFFNESS - places[:-1, 3]) * hard**2
+        hard = np.maximum(deep - implicit.HARD_DEPTH, 0.0)
+        wall = 0.5 * places[:-1, 3] * deep**2 + 0.5 * (implicit.HARD_STIFFNESS - places[:-1, 3]) * hard**2
         return 0.5 * v[:-1].ravel() @ M @ v[:-1].ravel() + 0.5 * x @ K @ x + wall.sum()
 
     start = energy(state.d, state.v)
@@ -146,7 +147,7 @@ def hard_case(rng):
     return scene, 10.0 ** rng.uniform(-5.0, -2.0), int(rng.choice([1, 2, 4, 8]))
 
 
-@pytest.mark.parametrize("tens", range(20))
+@pytest.mark.parametrize("tens", [0, 1, 2, *(pytest.param(k, marks=SLOW) for k in range(3, 20))])
 def test_two_hundred_hard_scenes_end_finite_and_within_the_tube(tens):
     steps, unconverged = 0, 0
     for case in range(10 * tens, 10 * tens + 10):

@@ -8,12 +8,13 @@ import threading
 import numpy as np
 import pytest
 
-from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
+from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation import batch as batch_module
-from probe_env.physics.simulation.costs import pitch_step_seconds
+from probe_env.physics.simulation.simulator import pitch_step_seconds
 
-OPTIONS = {"growing": True, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
+WINDOW = 0.1  # [s]
+OPTIONS = {"growing": True, "time_lapse": 3.0, "ramp": 0.5, "air_lag": 1.0, "perturbation": 1e-7}
 
 
 def scene(length, friction, helix, guide=2.5, stiffness=1e5, floats=19e-3):
@@ -37,8 +38,8 @@ SCENES = [
 ]
 
 
-def signals(batch, windows=2):
-    parts = [batch.advance(0.3, 0.02, 0.2, keep_samples=True) for _ in range(windows)]
+def signals(batch):
+    parts = [batch.advance(0.3, 0.02, WINDOW, keep_samples=True) for _ in range(2)]
     return [np.concatenate([getattr(part, name) for part in parts]) for name in ("axial", "radial", "tension")]
 
 
@@ -48,7 +49,7 @@ def single(request):
     results = []
     for seed, member in enumerate(SCENES):
         simulator = Simulator(member, request.param, 2e-4, seed=seed, **OPTIONS)
-        runs = [simulator.advance(0.3, 0.02, 0.2, points=("sensor", "root")) for _ in range(2)]
+        runs = [simulator.advance(0.3, 0.02, WINDOW, points=("sensor", "root")) for _ in range(2)]
         results.append(
             [
                 np.concatenate([run.axial[1:, 0] for run in runs]),
@@ -59,11 +60,10 @@ def single(request):
     return request.param, results
 
 
-ORDERS = [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4), (2, 2, 2, 2, 2), (4,), (3, 0), (1, 4, 1, 4, 1, 4, 0, 5, 2, 1)]
+ORDERS = [((5, 3, 1, 0, 2, 4), 1), ((2, 2, 2, 2, 2), 2), ((3, 0), 1), ((1, 4, 1, 4, 1, 4, 0, 5, 2, 1), 2)]
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(("order", "threads"), ORDERS)
 def test_every_batch_equals_the_single_runs(order, threads, single):
     method, expected = single
     batch = SimulatorBatch([SCENES[k] for k in order], method, seeds=order, threads=threads, **OPTIONS)
@@ -99,23 +99,15 @@ def test_methods_without_lanes_run_in_a_batch_too(method):
         assert (window.tension[:, k] == run.tension[1:, 1]).all()
 
 
-def test_a_probe_that_diverges_is_reported_and_the_others_go_on():
-    with pytest.warns(StabilityWarning):
-        batch = SimulatorBatch([SCENES[0], SCENES[2], SCENES[0]], "newmark", 5e-4, growing=True, perturbation=1e-3)
-    window = batch.advance(2.0, 0.2, 0.5)
-    assert window.diverged.any()
-    assert all(np.isfinite(values).all() for values in window.statistics.values())
-
-
 def test_an_inactive_probe_waits_and_the_others_do_not_notice(single):
     method, expected = single
     batch = SimulatorBatch(SCENES, method, seeds=range(6), **OPTIONS)
     active = np.array([True, False, True, True, False, True])
-    first = batch.advance(0.3, 0.02, 0.2, active=active, keep_samples=True)
+    first = batch.advance(0.3, 0.02, WINDOW, active=active, keep_samples=True)
     assert (first.statistics["radial_rms_m"] > 0.0).tolist() == active.tolist()
-    assert (first.radial[:, 0] == expected[0][1][:200]).all()
-    late = batch.advance(0.3, 0.02, 0.2, active=~active, keep_samples=True)
-    assert (late.radial[:, 1] == expected[1][1][:200]).all()
+    assert (first.radial[:, 0] == expected[0][1][:100]).all()
+    late = batch.advance(0.3, 0.02, WINDOW, active=~active, keep_samples=True)
+    assert (late.radial[:, 1] == expected[1][1][:100]).all()
     assert (late.radial[:, 0] == 0.0).all()
 
 
@@ -155,7 +147,7 @@ def test_a_diverged_probe_is_reported_and_the_others_go_on(single):
     broken = SCENES[0].model_copy(update={"contact": {"stiffness": stiffness}})
     with pytest.warns(UserWarning, match="beyond the known stable limit"):
         batch = SimulatorBatch([SCENES[3], broken, SCENES[0]], method, seeds=(3, 9, 0), **OPTIONS)
-    parts = [batch.advance(0.3, 0.02, 0.2, keep_samples=True) for _ in range(2)]
+    parts = [batch.advance(0.3, 0.02, WINDOW, keep_samples=True) for _ in range(2)]
     assert parts[-1].diverged.tolist() == [False, True, False]
     for column, k in ((0, 3), (2, 0)):
         assert (np.concatenate([part.radial[:, column] for part in parts]) == expected[k][1]).all()

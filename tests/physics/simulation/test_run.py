@@ -5,7 +5,7 @@ import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.physics.methods import METHODS
-from probe_env.physics.simulation.costs import pitch_step_seconds
+from probe_env.physics.simulation.simulator import pitch_step_seconds
 
 SCENE = Scene(carrier_length=1.0)
 RUN = Simulator(SCENE, "imex", 2e-4).run(0.05, points=("sensor", 0.2))

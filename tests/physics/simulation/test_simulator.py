@@ -90,14 +90,6 @@ def test_perturbed_runs_differ_and_repeat():
     assert (runs[0].radial != runs[2].radial).any()
 
 
-def test_progress_is_reported_to_the_end():
-    seen = []
-    Simulator(SCENE).run(0.5, progress=seen.append)
-    assert seen == sorted(seen)
-    assert len(seen) > 1
-    assert seen[-1] == pytest.approx(0.5)
-
-
 @pytest.mark.processor
 def test_one_wall_lets_the_tip_out_and_two_do_not(seeds):
     """Erratum 3: with the inner wall alone the free tip leaves the tube.

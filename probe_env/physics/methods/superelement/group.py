@@ -1,4 +1,4 @@
-"""Probes side by side in the lanes of the superelement's kernel: packed, advanced, unpacked; see lane_group.py."""
+"""Runs superelement probes: packs their state into the lanes of a kernel, advances them, unpacks; see lane_group.py."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
+from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.lane_group import (
     CARRIER_DRAG,
+    CARRIER_GAP,
+    CARRIER_LEVER,
     GUIDE_DRAG,
+    GUIDE_GAP,
+    GUIDE_LEVER,
     MASS_RATIO,
     ROOT,
     SENSOR,
@@ -23,18 +28,151 @@ from probe_env.physics.methods.lane_group import (
     Lane,
     LaneKernel,
     lane_parameters,
-)  # fmt: skip
-from probe_env.physics.methods.superelement.along_root import LINKS, OWN
-from probe_env.physics.methods.superelement.packing import floats_of, in_blocks, pack, room, root_tables, unpack
-from probe_env.physics.methods.superelement.roots import (
+)
+from probe_env.physics.methods.superelement.kernel import (
     MODES,
+    PT,
+    PX,
+    VT,
+    VX,
     RootTables,
+    T,
+    V,
+    X,
     displacements,
     place_roots,
-)  # fmt: skip
-from probe_env.physics.methods.superelement.tables import CONSTANTS, FACTORS, Tables, tables
+)
+from probe_env.physics.methods.superelement.pitch import ENDS, MIRROR
+from probe_env.physics.methods.superelement.single_probe import BEHIND, DRAG, FLOATS, GAP, LEVER, LINKS, OWN
+from probe_env.physics.methods.superelement.tables import (
+    CONSTANTS,
+    FACTORS,
+    HALF_MASS,
+    K_EVEN,
+    K_ODD,
+    LEAST,
+    MOST,
+    Tables,
+    tables,
+)
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.drive import APPEND
+from probe_env.physics.model.state import State, at_rest
+
+MOMENTUM = 3
+MEMORY = MOMENTUM + 4 * MOST
+"""Momentum, then q and p of the even and of the odd modes; rows of floats alone are in use."""
+ROOMS = (LEAST, (3, 3), (MOST, MOST))
+"""Even and odd modes of which there is a kernel."""
+
+
+def room(table: Tables) -> tuple[int, int]:
+    """Least of ``ROOMS`` that holds a probe's even and odd modes."""
+    return next(room for room in ROOMS if table.even <= room[0] and table.odd <= room[1])
+
+
+def mode_fields(table: Tables, even: int) -> list[tuple[int, int]]:
+    """Where a probe's modes are: column of the memory and field of q; p follows."""
+    evens = [(MOMENTUM + 2 * j, MODES + 2 * j) for j in range(table.even)]
+    return evens + [(MOMENTUM + 2 * (table.even + j), MODES + 2 * (even + j)) for j in range(table.odd)]
+
+
+def pack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
+    """A probe's state to rows (floats, fields)."""
+    count = (root - 1) // per_pitch + 1
+    floats = slice(0, root, per_pitch)
+    rows[:count, X : T + 1] = state.d[floats]
+    rows[:count, VX : VT + 1] = state.v[floats]
+    rows[:count, V] = state.axial_force[floats]
+    memory = state.memory[floats]
+    rows[:count, PX : PT + 1] = memory[:, :3]
+    for column, at in mode_fields(table, even):
+        rows[:count, at : at + 2] = memory[:, column : column + 2]
+
+
+def unpack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
+    """``pack`` backwards; the axial force is that of the piece at all its places."""
+    count = (root - 1) // per_pitch + 1
+    floats = slice(0, root, per_pitch)
+    state.d[floats], state.v[floats] = rows[:count, X : T + 1], rows[:count, VX : VT + 1]
+    state.axial_force[:root] = np.repeat(rows[:count, V], per_pitch)[:root]
+    memory = state.memory[floats]
+    memory[:, :3] = rows[:count, PX : PT + 1]
+    for column, at in mode_fields(table, even):
+        memory[:, column : column + 2] = rows[:count, at : at + 2]
+
+
+def root_tables(own: Sequence[Tables], width: int, even: int, odd: int, rows: int) -> RootTables:
+    """Tables side by side, those with fewer modes or rows of factors than the group filled up."""
+    modes, places = even + odd, len(own[0].root_factors)
+    size = ENDS + 2 * modes
+    stacked = RootTables(
+        np.zeros((width, places + 1, CONSTANTS)), np.zeros((width, rows, FACTORS)),
+        np.zeros((width, places, rows, FACTORS)), np.zeros((width, places, size, size)),
+        np.zeros((width, places, places, 3, ENDS + modes)), np.zeros(size), np.zeros(size),
+    )  # fmt: skip
+    for k, table in enumerate(own):
+        stacked.pieces[k] = table.pieces
+        row = np.minimum(np.arange(rows), len(table.factors) - 1)
+        stacked.factors[k], stacked.root_factors[k] = table.factors[row], table.root_factors[:, row]
+        mode = np.r_[: table.even, even : even + table.odd]
+        kept = np.r_[:ENDS, ENDS + mode, ENDS + modes + mode]
+        stacked.growth[k][:, kept[:, None], kept] = table.growth
+        stacked.shape[k][..., np.r_[:ENDS, ENDS + mode]] = table.shape
+    return stacked
+
+
+def floats_of(parameters: FloatArray, table: Tables, count: int) -> FloatArray:
+    """(count, FLOATS) of floats from the tip: the guide's up to the sensor, the carrier's beyond."""
+    guide = np.arange(count) - 0.5 < parameters[SENSOR]
+    rows = np.zeros((count, FLOATS))
+    kinds = ((GUIDE_LEVER, CARRIER_LEVER), (GUIDE_GAP, CARRIER_GAP), (GUIDE_DRAG, CARRIER_DRAG))
+    for at, (near, far) in zip((LEVER, GAP, DRAG), kinds, strict=True):
+        rows[:, at] = np.where(guide, parameters[near], parameters[far])
+    rows[1:, BEHIND] = table.pieces[-1, HALF_MASS]
+    return rows
+
+
+def in_blocks(rows: FloatArray, width: int, precision: npt.DTypeLike) -> FloatArray:
+    """(blocks f, width) of (blocks width, f): neighbouring rows side by side."""
+    blocks = rows.reshape(-1, width, rows.shape[1]).transpose(0, 2, 1)
+    return np.ascontiguousarray(blocks.reshape(-1, width), dtype=precision)
+
+
+def released(chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
+    """At rest with displacements d (n + 1, 3) [m, rad]; q is what fits best between the floats, p is zero.
+
+    The kernel's momentum still lacks tau K d, the last share of the elastic force.
+    """
+    own = tables(chain, nodes_per_pitch, time_step)
+    tau = linear_weights(chain.damping_time, time_step)[1]
+    state = at_rest(len(d), MEMORY)
+    floats = range(0, root, nodes_per_pitch)
+    state.d[:root] = d[:root]
+    for first in floats:
+        count = min(nodes_per_pitch, root - first)
+        behind = d[first + count] if first + count < root else np.zeros(3)
+        ends = np.concatenate([d[first], behind])
+        shape = own.shape[count - 1, 1:count].reshape(-1, ENDS + own.even + own.odd)
+        rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
+        q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
+        state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
+        constants = own.pieces[-1] if first + count < root else own.pieces[count - 1]
+        left, right = _elastic(constants, ends)
+        state.memory[first, :MOMENTUM] += tau * left
+        if first + count < root:
+            state.memory[first + count, :MOMENTUM] += tau * right
+    return state
+
+
+def _elastic(constants: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Elastic force of a piece at its L and its R end."""
+    flip = -MIRROR  # R's share of an even unknown, and of an odd one but for the sign
+    even, odd = ends[:3] - flip * ends[3:], ends[:3] + flip * ends[3:]
+    from_even = constants[K_EVEN : K_EVEN + 9].reshape(3, 3) @ even
+    from_odd = constants[K_ODD + 3 : K_ODD + 6] * (constants[K_ODD : K_ODD + 3] @ odd)
+    return from_even + from_odd, flip * (from_odd - from_even)
+
 
 INSTEAD = "imex with 8 nodes a pitch simulates it"
 
@@ -44,10 +182,10 @@ class PieceKernel(LaneKernel):
     """What advances a group whose rows are floats with the piece of cable behind them.
 
     Attributes:
-        along: the kernel of a probe alone, bit for bit the same.
+        single: the kernel of one probe by itself, bit for bit the same.
     """
 
-    along: Callable[..., Any] = field(kw_only=True)
+    single: Callable[..., Any] = field(kw_only=True)
 
     def kind(self, factors: Any) -> Hashable:
         """The kernel that has room for a probe's modes: compiled otherwise, it rounds otherwise."""
@@ -100,9 +238,9 @@ class PieceKernel(LaneKernel):
         tension = np.zeros((0 if tension_sum is None else rows, width))
         begin = time.perf_counter()
         self.advance(
-            entered.parameters, constants, factors, at, last, (0,) * even, (0,) * odd, state.reshape(-1, width),
+            entered.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), state.reshape(-1, width),
             entered.inputs.reshape(-1, width), last_float[:-1].max(axis=1), last_float[:-1].min(axis=1), time_step,
-            stacked, first_sample, sample_every, entered.points, roots, samples, tension, entered.failed,
+            stacked, (first_sample, sample_every, entered.points, samples, tension), roots, entered.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
@@ -146,10 +284,10 @@ class PieceKernel(LaneKernel):
         samples, tension = np.zeros(lane.samples.shape), np.zeros(0 if tension_sum is None else len(rows))
         floats = in_blocks(floats_of(lane.parameters, table, len(rows)), width, precision)
         begin = time.perf_counter()
-        failed, lane.root = self.along(
-            parameters, constants, factors, links, floats, (0,) * even, (0,) * odd, state,
+        failed, lane.root = self.single(
+            parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), state,
             lane.inputs.astype(precision), lane.root, time_step, stacked, np.zeros((2 * fields, 1), dtype=precision),
-            first_sample, sample_every, lane.points, samples, tension,
+            (first_sample, sample_every, lane.points, samples, tension),
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         after = state.reshape(blocks, fields, width).transpose(0, 2, 1).reshape(-1, fields)

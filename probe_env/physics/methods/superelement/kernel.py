@@ -12,83 +12,393 @@ is diagonal, then the floats from the tip to the root: u_i = E_i r_i - F_i u_{i-
 
 Each symmetric matrix of a piece falls into an even and an odd block (see pitch.py). Lanes as in ``imex``, but a row of
 the state is a float with the piece on its root side. The root's piece is a part of a pitch and lies elsewhere in each
-lane: those rows have constants of their own (see roots.py).
+lane: those rows have constants of their own (see ``place_roots``).
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
+from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex.elimination import less_product
-from probe_env.physics.methods.imex.forces import float_at, loaded_floats, loaded_wall, magnitude
+from probe_env.physics.methods.imex import float_at, float_forces, less_product, loaded_floats, loaded_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION
 from probe_env.physics.methods.lanes import load, splat, store, where_less
-from probe_env.physics.methods.superelement.roots import (
-    MODES,
-    VT,
-    VX,
-    VY,
-    T,
-    V,
-    X,
-    Y,
-    after_step,
-)  # fmt: skip
-from probe_env.physics.methods.superelement.step import (
-    axial_force,
-    float_kick,
-    middle_of,
-    momentum_kick,
-    move_float,
-    piece_forces,
-    root_force,
-    symmetric,
-)
 from probe_env.physics.methods.superelement.tables import (
+    AXIAL,
+    AXIAL_EVEN,
+    AXIAL_ODD,
+    CARRIED,
     CONSTANTS,
+    COUPLE,
+    ELASTIC,
+    EVEN,
     FACTORS,
+    FORCE,
+    G_EVEN,
+    G_ODD,
     HALF_MASS,
+    K_EVEN,
+    K_ODD,
+    MODE,
+    ODD,
+    TO_MODES,
 )
-from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
+from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
+from probe_env.physics.model.state import DIVERGED_RADIAL
+
+# fields of a row: displacement, momentum but for the last share of K d, mean velocity, axial force; then q, p a mode
+X, Y, T, PX, PY, PT, VX, VY, VT, V = range(10)
+MODES = 10
+
+
+class RootTables(NamedTuple):
+    """Tables of every lane, see ``Tables``, with as many modes as the group has; scratch for one growth.
+
+    Attributes:
+        pieces: (lanes, n + 1, CONSTANTS).
+        factors: (lanes, k, 27).
+        root_factors: (lanes, n, k, 27).
+        growth: (lanes, n, 6 + 2 m, 6 + 2 m).
+        shape: (lanes, n, n, 3, 6 + m).
+        given, gained: (6 + 2 m,).
+    """
+
+    pieces: FloatArray
+    factors: FloatArray
+    root_factors: FloatArray
+    growth: FloatArray
+    shape: FloatArray
+    given: FloatArray
+    gained: FloatArray
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_roots(tables, constants, factors, at, last, roots):
+    """Give the rows with a root their constants and factors: a lane's own where its root is, else those of a pitch."""
+    places, lanes = tables.pieces.shape[1] - 1, tables.pieces.shape[0]
+    at[:] = 0
+    for k in range(lanes):
+        if roots[k] == 0:  # an idle lane
+            continue
+        i = (roots[k] - 1) // places
+        at[i] = 1 + k
+        for lane in range(lanes):
+            own = roots[lane] > 0 and (roots[lane] - 1) // places == i
+            kind = roots[lane] - i * places - 1 if own else places
+            row = min(i, last)
+            for c in range(CONSTANTS):
+                constants[(1 + k) * CONSTANTS + c, lane] = tables.pieces[lane, kind, c]
+            for f in range(FACTORS):
+                value = tables.root_factors[lane, kind, row, f] if own else tables.factors[lane, row, f]
+                factors[(last + 1 + k) * FACTORS + f, lane] = value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def grow(tables, state, fields, root, lane, tau):
+    """Hold a lane's cable one place further from the float: the state of its last piece goes over to the longer one.
+
+    A pitch that is complete lets the float at its end go, at rest; what is beyond it rests too.
+    """
+    places, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
+    i = (root - 1) // places
+    q, length = i * fields, root - i * places
+    given, gained, matrix = tables.given, tables.gained, tables.growth[lane, length - 1]
+    for c in range(3):
+        given[c], given[3 + c] = state[q + X + c, lane], state[q + VX + c, lane]
+    for j in range(modes):
+        given[6 + j], given[6 + modes + j] = state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane]
+    for r in range(len(gained)):
+        gained[r] = 0.0
+        for c in range(len(given)):
+            gained[r] += matrix[r, c] * given[c]
+    if length == places:
+        q += fields
+        for c in range(3):
+            state[q + X + c, lane], state[q + VX + c, lane], state[q + PX + c, lane] = 0.0, 0.0, 0.0
+        state[q + V, lane] = state[q - fields + V, lane]
+    for c in range(3):
+        state[q + PX + c, lane] += gained[3 + c] + tau * gained[c]
+    for j in range(modes):
+        state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane] = gained[6 + j], gained[6 + modes + j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def displacement(tables, state, fields, root, lane, node, component):
+    """X, y or theta at a place between two floats."""
+    places, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
+    i = node // places
+    q = i * fields
+    kind = min(root - i * places, places) - 1
+    row = tables.shape[lane, kind, node - i * places, component]
+    value = 0.0
+    for c in range(3):
+        value += row[c] * state[q + X + c, lane] + row[3 + c] * state[q + fields + X + c, lane]
+    for j in range(modes):
+        value += row[6 + j] * state[q + MODES + 2 * j, lane]
+    return value
+
+
+@njit(nogil=True, error_model="numpy")
+def node_displacement(tables, state, fields, root, lane, i, node, component):
+    """X, y or theta of a node, which float i or the piece behind it has."""
+    if node >= root:
+        return 0.0
+    if node == i * (tables.pieces.shape[1] - 1):
+        return float(state[i * fields + X + component, lane])
+    return displacement(tables, state, fields, root, lane, node, component)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def displacements(tables, state, fields, root, lane, d):
+    """Displacements of all places between floats of a lane, from the state of the pieces."""
+    places = tables.pieces.shape[1] - 1
+    for node in range(root):
+        if node % places:
+            for c in range(3):
+                d[node, c] = displacement(tables, state, fields, root, lane, node, c)
+
+
+@njit(nogil=True, error_model="numpy")
+def after_step(
+    parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, tau, tables,
+    points, roots, samples, tension, failed,
+):  # fmt: skip
+    """Sampling, failure and growth after a step; True if no lane is left. Arguments as in ``imex.after_step``.
+
+    ``tension`` (rows, lanes), unless empty, gains the axial force of the pieces.
+    """
+    places = tables.pieces.shape[1] - 1
+    running, moved = 0, False
+    for lane in range(len(failed)):
+        if failed[lane] != 0:
+            continue
+        if not (abs(state[Y, lane]) <= DIVERGED_RADIAL and parameters[PEAK, lane] <= DIVERGED_RADIAL):
+            failed[lane] = step + 1
+            continue
+        running += 1
+        root = roots[lane]
+        outermost = (root - 1) // places
+        if due == 0:
+            for p in range(len(points)):
+                node = points[p, lane] if points[p, lane] >= 0 else root
+                i = min(node // places, outermost)
+                for c in range(3):
+                    samples[row, p, c, lane] = node_displacement(tables, state, fields, root, lane, i, node, c)
+                samples[row, p, 3, lane] = state[i * fields + V, lane]
+            for i in range(min(len(tension), outermost + 1)):
+                tension[i, lane] += state[i * fields + V, lane]
+        if inputs[k + APPEND, lane] > 0.0:
+            grow(tables, state, fields, root, lane, tau[lane])
+            roots[lane] += 1
+            parameters[ROOT, lane] = (root // places) + 1
+            moved = True
+    if moved:
+        place_roots(tables, constants, factors, at, last, roots)
+    return running == 0
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def even_odd(lx, ly, lt, rx, ry, rt):
+    """Even and odd unknowns of two ends."""
+    return lx - rx, ly + ry, lt - rt, lx + rx, ly - ry, lt + rt
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def ends_of(ex, ey, et, ox, oy, ot):
+    """What an even and an odd force are at the L end and at the R end."""
+    return ex + ox, ey + oy, et + ot, ox - ex, ey - oy, ot - et
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def push_modes(constants, c, count, state, q, ax, ay, at, push):
+    """The couple's kick of the modes of one parity; its force on their ends, and what their elimination leaves there.
+
+    ``push`` is -dt V, (ax, ay, at) are the ends' unknowns; the forces are still to be multiplied by it.
+    """
+    zero = splat(push, 0.0)
+    hx = hy = ht = sx = sy = st = zero
+    for j in range(count):
+        m, r = c + j * MODE, q + 2 * j
+        position = load(state, r)
+        gx, gy, gt = load(constants, m + COUPLE), load(constants, m + COUPLE + 1), load(constants, m + COUPLE + 2)
+        hx, hy, ht = hx + gx * position, hy + gy * position, ht + gt * position
+        force = gx * ax + gy * ay + gt * at
+        for i in range(count):
+            force = force + load(constants, m + TO_MODES + i) * load(state, q + 2 * i)
+        momentum = load(state, r + 1) + push * force
+        store(state, r + 1, momentum)
+        left = momentum - load(constants, m + ELASTIC) * position
+        sx = sx - load(constants, m + CARRIED) * left
+        sy = sy - load(constants, m + CARRIED + 1) * left
+        st = st - load(constants, m + CARRIED + 2) * left
+    return hx, hy, ht, sx, sy, st
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def move_modes(constants, c, count, state, q, ux, uy, ut, dt, tau):
+    """New q and p of the modes of one parity from their ends' velocities; returns the axial force that they add."""
+    force = splat(ux, 0.0)
+    for j in range(count):
+        m, r = c + j * MODE, q + 2 * j
+        position, momentum = load(state, r), load(state, r + 1)
+        velocity = momentum - load(constants, m + ELASTIC) * position
+        velocity = velocity - load(constants, m + CARRIED) * ux
+        velocity = velocity - load(constants, m + CARRIED + 1) * uy
+        velocity = velocity - load(constants, m + CARRIED + 2) * ut
+        middle = position + tau * velocity
+        store(state, r, position + dt * velocity)
+        store(state, r + 1, momentum - load(constants, m + FORCE) * middle)
+        force = force + load(constants, m + AXIAL) * middle
+    return force
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def symmetric(constants, c, x, y, t):
+    """Symmetric (3, 3) matrix at ``c`` times (x, y, t)."""
+    xy, xt, yt = load(constants, c + 1), load(constants, c + 2), load(constants, c + 5)
+    return (
+        load(constants, c) * x + xy * y + xt * t,
+        xy * x + load(constants, c + 4) * y + yt * t,
+        xt * x + yt * y + load(constants, c + 8) * t,
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def dot(constants, c, x, y, t):
+    """Three constants times (x, y, t)."""
+    return load(constants, c) * x + load(constants, c + 1) * y + load(constants, c + 2) * t
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def float_kick(constants, c, state, q, own, wall, curvature, behind, speed, slope, air, y):
+    """Contact, friction, drag and inertia of a float with half the cable on either side: x, y, moment.
+
+    ``behind`` is half the mass of the piece behind it. Which of two products is fused with their sum hangs on the
+    order in which things are loaded here.
+    """
+    vx, vy = load(state, q + VX), load(state, q + VY)
+    forward = speed + vx
+    cx, cy, ct = float_forces(own, wall, forward, air, y, vx + speed, load(state, q + VT))
+    mass = behind + load(constants, c + HALF_MASS)
+    turn = mass * curvature * forward
+    cx = cx - 2.0 * turn * vy - mass * slope
+    return cx, cy + turn * forward, ct
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
+    """Couple, modes and K d of a piece between two floats, whose displacements are given.
+
+    Returns:
+        what it does to the float here: -dt V, the couple's force (to be multiplied by it), what the modes leave, K d;
+        and to the one ahead: K d, what the modes leave, the couple's kick.
+    """
+    (x, y, t), (nx, ny, nt), even, odd = here, ahead, len(evens), len(odds)
+    ax, ay, aa, bx, by, bt = even_odd(x, y, t, nx, ny, nt)
+    # couple and modes
+    axial = load(state, q + V)
+    push = splat(x, 0.0) - dt * where_less(axial, limit, axial, limit)
+    gx, gy, gt, jx, jy, jt = push_modes(constants, c + EVEN, even, state, q + MODES, ax, ay, aa, push)
+    mx, my, mt, ox, oy, ot = push_modes(constants, c + ODD, odd, state, q + MODES + 2 * even, bx, by, bt, push)
+    cex, cey, cet = symmetric(constants, c + G_EVEN, ax, ay, aa)
+    cox, coy, cot = symmetric(constants, c + G_ODD, bx, by, bt)
+    gx, gy, gt, mx, my, mt = gx + cex, gy + cey, gt + cet, mx + cox, my + coy, mt + cot
+    gx, gy, gt, mx, my, mt = ends_of(gx, gy, gt, mx, my, mt)
+    jx, jy, jt, ox, oy, ot = ends_of(jx, jy, jt, ox, oy, ot)
+    # K d of the float: its share of this piece
+    odd_strain = dot(constants, c + K_ODD, bx, by, bt)
+    cex, cey, cet = symmetric(constants, c + K_EVEN, ax, ay, aa)
+    ex, ey, et, dx, dy, dd = ends_of(
+        cex, cey, cet,
+        load(constants, c + K_ODD + 3) * odd_strain,
+        load(constants, c + K_ODD + 4) * odd_strain,
+        load(constants, c + K_ODD + 5) * odd_strain,
+    )  # fmt: skip
+    return (push, gx, gy, gt, jx, jy, jt, ex, ey, et), (dx, dy, dd, ox, oy, ot, push * mx, push * my, push * mt)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def momentum_kick(state, q, kick, own, behind, dt, before, now, weight):
+    """New momentum of a float from what acts on it and from the pieces on both sides; what is to be solved for."""
+    cx, cy, ct = kick
+    push, gx, gy, gt, jx, jy, jt, ex, ey, et = own
+    kx, ky, kt, sx, sy, st, hx, hy, ht = behind
+    ex, ey, et = ex + kx, ey + ky, et + kt
+    px = load(state, q + PX) - now * ex + dt * cx + push * gx + hx
+    py = load(state, q + PY) - now * ey + dt * cy + push * gy + hy
+    pt = load(state, q + PT) - now * et - dt * ct + push * gt + ht
+    store(state, q + PX, px + before * ex)
+    store(state, q + PY, py + before * ey)
+    store(state, q + PT, pt + before * et)
+    return px - weight * ex + (jx + sx), py - weight * ey + (jy + sy), pt - weight * et + (jt + st)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def middle_of(state, q, velocity, tau):
+    """D_before + tau v_m of a float."""
+    ux, uy, ut = velocity
+    x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
+    return x + tau * ux, y + tau * uy, t + tau * ut
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def axial_force(constants, c, evens, odds, state, q, velocity, velocity_ahead, middle, middle_ahead, dt, tau):
+    """Axial force of a piece from v_m and d_before + tau v_m of its two floats; its modes are moved.
+
+    Returns:
+        that of a pitch between floats; what a piece with the root has besides, together with ``root_force``.
+    """
+    (ux, uy, ut), (wx, wy, wt), (nx, ny, nt), (zx, zy, zt) = velocity, velocity_ahead, middle, middle_ahead
+    even, odd = len(evens), len(odds)
+    ax, ay, aa, bx, by, bt = even_odd(ux, uy, ut, wx, wy, wt)
+    axial = load(constants, c + AXIAL_EVEN) * (nx - zx)
+    axial = axial + load(constants, c + AXIAL_EVEN + 1) * (ny + zy)
+    axial = axial + load(constants, c + AXIAL_EVEN + 2) * (nt - zt)
+    axial = axial + move_modes(constants, c + EVEN, even, state, q + MODES, ax, ay, aa, dt, tau)
+    return axial, move_modes(constants, c + ODD, odd, state, q + MODES + 2 * even, bx, by, bt, dt, tau)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def root_force(constants, c, middle, middle_ahead):
+    """What the ends' odd unknowns add to the axial force of a piece with the root."""
+    (nx, ny, nt), (zx, zy, zt) = middle, middle_ahead
+    return dot(constants, c + AXIAL_ODD, nx + zx, ny - zy, nt + zt)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def move_float(state, q, velocity, dt):
+    """New displacement of a float from its mean velocity, which is kept: friction goes by it."""
+    ux, uy, ut = velocity
+    store(state, q + X, load(state, q + X) + dt * ux)
+    store(state, q + Y, load(state, q + Y) + dt * uy)
+    store(state, q + T, load(state, q + T) + dt * ut)
+    store(state, q + VX, ux)
+    store(state, q + VY, uy)
+    store(state, q + VT, ut)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def superelement_advance(
-    parameters,
-    constants,
-    factors,
-    at,
-    last,
-    evens,
-    odds,
-    state,
-    inputs,
-    tops,
-    bottoms,
-    dt,
-    root_tables,
-    first,
-    every,
-    points,
-    roots,
-    samples,
-    tension,
-    failed,
+    parameters, constants, factors, at, last, modes, state, inputs, tops, bottoms, dt, tables, sampling, roots, failed
 ):
-    """Steps of all lanes; see ``roots.after_step`` for sampling, failure and growth. Returns the steps done.
+    """Steps of all lanes; see ``imex_advance`` for sampling, ``after_step`` for growth. Returns the steps done.
 
     ``constants`` ((1 + lanes) CONSTANTS, lanes) are those of a pitch, then of the rows with a root; ``factors`` have
     ``last`` + 1 rows of the chain, then those with a root; ``at[i]`` says which block row i uses. A row is a float and
-    the modes of the piece behind it, as many even and odd ones as ``evens`` and ``odds`` are long: a tuple's length is
-    part of its type, so a kernel is compiled for each number and has no loops over them. ``tops`` and ``bottoms``
+    the modes of the piece behind it, as many even and odd ones as the two tuples ``modes`` are long: a tuple's length
+    is part of its type, so a kernel is compiled for each number and has no loops over them. ``tops`` and ``bottoms``
     (steps,) are the last floats of the longest and of the shortest probe.
     """
+    first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
     lag = np.empty(len(failed))
     for lane in range(len(failed)):
         lag[lane] = linear_weights(float(parameters[DAMPING, lane]), dt)[1]
+    evens, odds = modes
     even, odd = len(evens), len(odds)
     fields = MODES + 2 * (even + odd)
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
@@ -151,7 +461,7 @@ def superelement_advance(
             velocity, middle = moved, half_way
         due -= 1
         if after_step(
-            parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, lag, root_tables,
+            parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, lag, tables,
             points, roots, samples, tension, failed,
         ):  # fmt: skip
             return step + 1

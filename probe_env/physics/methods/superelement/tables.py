@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
-from weakref import WeakValueDictionary
 
 import numpy as np
 from scipy.optimize import brentq
@@ -68,10 +66,6 @@ class Tables:
     stiffness: float
 
 
-_IN_USE: Final[WeakValueDictionary[tuple[Any, ...], Tables]] = WeakValueDictionary()
-"""Tables of all simulators there are, each of which holds its own; ``_tables`` keeps some of those that went."""
-
-
 def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
     """Those of a probe's chain, whose nodes are the places; as many modes as its contact asks for, three at least.
 
@@ -82,11 +76,7 @@ def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
         raise ValueError(
             f"nodes_per_pitch = {nodes_per_pitch!r} does not divide {ELEMENTS}, the elements in a pitch of superelement"
         )
-    key = _linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS
-    own = _IN_USE.get(key)
-    if own is None:
-        own = _IN_USE[key] = _tables(*key)
-    return own
+    return _tables(_linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
 
 
 def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
@@ -142,7 +132,7 @@ def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: 
     return even, odd
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)  # more than a batch has different tubes
 def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step: float, elements: int) -> Tables:
     chain = _cable(linear)
     theta, tau = linear_weights(chain.damping_time, time_step)

@@ -149,30 +149,22 @@ def test_modes_are_chosen_by_the_contact():
 
 
 @pytest.mark.parametrize(
-    ("nodes", "stiffness", "message"),
+    ("nodes", "change", "message"),
     [
-        (3, 1e5, "nodes_per_pitch = 3 does not divide 16"),
-        (8, 1e5, "nodes_per_pitch = 8: .*give fewer nodes a pitch"),
-        (16, 1e5, "nodes_per_pitch = 16: .*give fewer nodes a pitch"),
-        (4, 1.1e6, "nodes_per_pitch = 4: .* fewer than the 5 even and 5 odd modes"),
-        (4, 1e7, "contact.stiffness asks for modes up to .* room for 5 and 5"),
+        (3, {}, "nodes_per_pitch = 3 does not divide 16"),
+        (8, {}, "nodes_per_pitch = 8: .*give fewer nodes a pitch"),
+        (4, {"contact": {"stiffness": 1.1e6}}, "nodes_per_pitch = 4: .* fewer than the 5 even and 5 odd modes"),
+        (4, {"contact": {"stiffness": 1e7}}, "contact.stiffness asks for modes up to .* room for 5 and 5"),
+        (4, {"contact": {"cable": True}}, r"contact\.cable = true: superelement has no nodes between floats; imex"),
+        (4, {"couple": "tangent"}, 'couple = "tangent": superelement knows "frame" only; imex'),
     ],
 )
-def test_what_it_cannot_do_it_says(nodes, stiffness, message):
+def test_unsupported_scenes_are_refused(nodes, change, message):
     with pytest.raises(ValueError, match=message):
-        Simulator(Scene(contact={"stiffness": stiffness}), "superelement", 5e-5, nodes)
+        Simulator(Scene.model_validate(change), "superelement", 5e-5, nodes)
 
 
-def test_tables_live_as_long_as_the_simulators_that_use_them():
-    """A batch of more tubes than are kept for later must not make them anew at every call."""
-    scenes = [Scene(carrier_length=1.0, contact={"stiffness": stiffness}) for stiffness in (9e4, 1e5, 1.1e5)]
-    batch = SimulatorBatch(scenes, "superelement32", STEP)
-    tables._tables.cache_clear()
-    batch.advance(None, None, 0.01)
-    assert tables._tables.cache_info().misses == 0
-    assert len(tables._IN_USE) >= len(scenes)
-
-
+@pytest.mark.slow  # compiles the kernel with room for more modes
 def test_lengths_modes_and_calls_change_no_bit():
     """Probes of all fractions of a pitch at the root, growing over it, two with more modes: in a batch as alone."""
     scenes = [Scene(carrier_length=length, probe={"guide_length": 0.5}) for length in (0.5, 1.3, 0.8, 2.0, 0.4)]

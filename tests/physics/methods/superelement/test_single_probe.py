@@ -6,14 +6,19 @@ import pytest
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.lane_group import Lane
-from probe_env.physics.simulation.groups import groups_of
+from probe_env.physics.simulation.batch import groups_of
 
 LENGTHS = (0.4, 0.8, 1.3, 7.0)
 """Carrier cable [m] behind 0.5 m of guide: fewer floats than lanes, and some blocks of them."""
 MODES = {1e5: (2, 1), 2.5e5: (3, 3), 7e5: (5, 5)}
 """Contact stiffness [N/m]: even and odd modes that a kernel has room for."""
-ROOMS = [("superelement", 1e5), ("superelement32", 1e5), ("superelement", 2.5e5), ("superelement32", 7e5)]
-"""Every room, and each precision with more than the usual one: a kernel takes 20 s to compile."""
+ROOMS = [
+    ("superelement", 1e5),
+    ("superelement32", 1e5),
+    pytest.param("superelement", 2.5e5, marks=pytest.mark.slow),
+    pytest.param("superelement32", 7e5, marks=pytest.mark.slow),
+]
+"""Every room, and each precision with more than the usual one: those kernels take 20 s to compile."""
 
 
 def lane_of(simulator, steps, rows, points):

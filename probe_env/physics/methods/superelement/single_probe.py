@@ -13,17 +13,24 @@ from __future__ import annotations
 from numba import njit
 
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex.forces import loaded_wall, magnitude
+from probe_env.physics.methods.imex import loaded_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION
 from probe_env.physics.methods.lanes import from_ahead, from_behind, load, splat, store, where_less
-from probe_env.physics.methods.superelement.along_root import OWN, bring, place_root, sample, take_back
-from probe_env.physics.methods.superelement.roots import MODES, VT, VX, VY, V, X, Y, grow
-from probe_env.physics.methods.superelement.step import (
+from probe_env.physics.methods.superelement.kernel import (
+    MODES,
+    VT,
+    VX,
+    VY,
+    V,
+    X,
+    Y,
     axial_force,
     float_kick,
+    grow,
     middle_of,
     momentum_kick,
     move_float,
+    node_displacement,
     piece_forces,
     root_force,
     symmetric,
@@ -31,6 +38,61 @@ from probe_env.physics.methods.superelement.step import (
 from probe_env.physics.methods.superelement.tables import CONSTANTS
 from probe_env.physics.model.drive import AIR, APPEND, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
+
+OWN = 9
+"""Of a float's factors E, in lanes; F and U, ``LINKS`` numbers, are in rows of their own."""
+LINKS = 18
+
+
+@njit(nogil=True, error_model="numpy")
+def place_root(tables, constants, factors, links, root):
+    """Give the root's block its constants and factors, the float before the root those of a shorter piece."""
+    places, lanes = tables.pieces.shape[1] - 1, constants.shape[1]
+    top, f, settled = (root - 1) // places, len(factors) - OWN, tables.factors.shape[1] - 1
+    for lane in range(lanes):
+        i = (top // lanes) * lanes + lane
+        row = min(i, settled)
+        kind = root - top * places - 1 if i == top else places
+        for c in range(CONSTANTS):
+            constants[CONSTANTS + c, lane] = tables.pieces[0, kind, c]
+        for k in range(OWN):
+            value = tables.root_factors[0, kind, row, k] if i == top else tables.factors[0, row, k]
+            factors[f + k, lane] = value
+    for k in range(LINKS):
+        links[len(links) - 1, k] = tables.root_factors[0, root - top * places - 1, min(top, settled), OWN + k]
+
+
+@njit(nogil=True, error_model="numpy")
+def bring(state, fields, i, near):
+    """Copy float i and the one on its root side to ``near``."""
+    lanes = state.shape[1]
+    for k in range(2):
+        for field in range(fields):
+            near[k * fields + field, 0] = state[(i + k) // lanes * fields + field, (i + k) % lanes]
+
+
+@njit(nogil=True, error_model="numpy")
+def take_back(state, fields, i, near):
+    """``bring`` backwards."""
+    lanes = state.shape[1]
+    for k in range(2):
+        for field in range(fields):
+            state[(i + k) // lanes * fields + field, (i + k) % lanes] = near[k * fields + field, 0]
+
+
+@njit(nogil=True, error_model="numpy")
+def sample(tables, state, fields, root, near, points, samples):
+    """Write x, y, theta and the axial force at some nodes; see ``kernel.after_step``."""
+    places = tables.pieces.shape[1] - 1
+    for p in range(len(points)):
+        node = points[p] if points[p] >= 0 else root
+        i = min(node // places, (root - 1) // places)
+        bring(state, fields, i, near)
+        first = i * places
+        for c in range(3):
+            samples[p, c] = node_displacement(tables, near, fields, root - first, 0, 0, node - first, c)
+        samples[p, 3] = near[V, 0]
+
 
 LEVER, GAP, DRAG, BEHIND = range(4)
 FLOATS = 4
@@ -70,25 +132,8 @@ def link(a, b, c, links, row, f, x, y, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def superelement_advance_along(
-    parameters,
-    constants,
-    factors,
-    links,
-    floats,
-    evens,
-    odds,
-    state,
-    inputs,
-    root,
-    dt,
-    tables,
-    near,
-    first,
-    every,
-    points,
-    samples,
-    tension,
+def superelement_advance_single(
+    parameters, constants, factors, links, floats, modes, state, inputs, root, dt, tables, near, sampling
 ):
     """Steps of one probe that is held at ``root``; see ``kernel.superelement_advance``.
 
@@ -98,26 +143,24 @@ def superelement_advance_along(
         factors: ((blocks + 1) OWN, lanes) E of the floats; one block serves all beyond; then that of the root's block.
         links: (k + 1, LINKS) F and U of the floats, the last but one serves all beyond, the last is the root's.
         floats: (blocks FLOATS, lanes).
-        evens: as long as there are even modes.
-        odds: as long as there are odd ones.
+        modes: two tuples, as long as there are even and odd modes.
         state: (blocks fields, lanes) with a block at rest beyond the last one.
         inputs: (steps, 4), see model/drive.py.
         root: node that is held.
         dt: [s].
         tables: of the probe alone.
         near: (2 fields, 1) scratch: two floats and their pieces.
-        first: steps until the first sample.
-        every: steps between samples.
-        points: (p,), -1 for the root.
-        samples: (k, p, 4).
-        tension: (rows,), unless empty, gains the axial force of the pieces.
+        sampling: steps until the first sample and between samples; points (p,), -1 for the root; samples (k, p, 4);
+            tension (rows,), unless empty, gains the axial force of the pieces.
 
     Returns:
         the step at which it diverged, from 1, or 0; the node that is held.
     """
+    first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
     rest = links[0, 0] - links[0, 0]
     lag = linear_weights(float(parameters[DAMPING, 0]), dt)[1]
+    evens, odds = modes
     lanes, fields = state.shape[1], MODES + 2 * (len(evens) + len(odds))
     beyond, places = len(factors) // OWN - 2, tables.pieces.shape[1] - 1
     theta, tau = linear_weights(load(parameters, DAMPING), dt)

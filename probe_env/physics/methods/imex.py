@@ -1,0 +1,444 @@
+"""The fast scheme, imex: linear part implicit with constant factors, contact, friction and drag explicit.
+
+One step, from displacements d and velocities v at its start:
+
+1. kick: v* = v + dt M^-1 f, f = contact, friction, drag, centrifugal and Coriolis force, the frame's
+   acceleration and the couple of (9), all at the present state. Friction acts against the motion of the step
+   before, (d - d_before) / dt: v itself holds a ringing of what is too fast for the step, and friction that
+   follows its sign feeds it (measured at u = 0.05 m/s, mu = 0.25, 130 m3/h, l = 30 m: a root tension of 1,800 N
+   instead of 12);
+2. theta rule for M d'' + K (d + delta d') = 0 from (d, v*), theta and tau from ``linear_weights``: with
+   w = d + tau v_m, v_m = (1 - theta) v* + theta v, it reads [1 + theta dt tau M^-1 K] w = d + tau v*; then
+   v_m = (w - d) / tau, d += dt v_m, v = (v_m - (1 - theta) v*) / theta. K w is the elastic and damping force.
+
+The matrix never changes, so it is eliminated once, from the tip to the root: the factors depend on the
+distance from the tip alone, converge after some dozen nodes, and serve probes of any length. First order in
+what is explicit, second in the rest. ``explicit`` shares the forces and what follows a step.
+
+Probes run side by side in the lanes of vector registers (see lanes.py): four in double precision (imex), eight
+in single (imex32); the arrays decide. A lane has its own parameters, factors, length and inputs; lanes share
+nothing but the step size, the nodes a pitch and the number of steps.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from probe_env.physics.methods.factors import imex_factors, linear_weights, single_factors
+from probe_env.physics.methods.lane_group import (
+    AXIAL,
+    CABLE,
+    CABLE_RADIUS,
+    CARRIER_DRAG,
+    CARRIER_GAP,
+    CARRIER_LEVER,
+    COS,
+    COUPLE,
+    CURVATURE,
+    DAMPING,
+    FACTORS,
+    FIELDS,
+    FRICTION,
+    GT,
+    GUIDE_DRAG,
+    GUIDE_GAP,
+    GUIDE_LEVER,
+    GX,
+    GY,
+    MASS_RATIO,
+    PEAK,
+    PRESSURE,
+    ROOT,
+    SENSOR,
+    SIN,
+    STIFFNESS,
+    TENSION,
+    TURN,
+    TURN_FORCE,
+    VT,
+    VX,
+    VY,
+    A,
+    B,
+    C,
+    LaneKernel,
+    T,
+    V,
+    X,
+    Y,
+)
+from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
+from probe_env.physics.methods.method import lane_method
+from probe_env.physics.methods.ticm import LEAVING
+from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
+from probe_env.physics.model.state import DIVERGED_RADIAL
+
+
+@njit(nogil=True, error_model="numpy")
+def after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+    """Sampling, failure and growth after a step; True if no lane is left.
+
+    ``points`` (p, lanes) are nodes, -1 the root; ``samples`` (rows, p, 4, lanes) get x, y, theta and V when
+    ``due`` is zero, and ``tension`` (n, lanes), unless empty, gains V. ``failed`` (lanes,) is the step at which
+    a lane diverged, counted from 1; 0 while it has not, -1 for an idle lane. ``roots`` (lanes,) grow.
+    """
+    running = 0
+    for lane in range(len(failed)):
+        if failed[lane] != 0:
+            continue
+        if not (abs(state[Y, lane]) <= DIVERGED_RADIAL and parameters[PEAK, lane] <= DIVERGED_RADIAL):
+            failed[lane] = step + 1
+            continue
+        running += 1
+        if due == 0:
+            for p in range(len(points)):
+                node = points[p, lane] if points[p, lane] >= 0 else roots[lane]
+                q = node * FIELDS
+                samples[row, p, 0, lane] = state[q + X, lane]
+                samples[row, p, 1, lane] = state[q + Y, lane]
+                samples[row, p, 2, lane] = state[q + T, lane]
+                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * FIELDS + V, lane]
+            for i in range(min(len(tension), roots[lane])):
+                tension[i, lane] += state[i * FIELDS + V, lane]
+        if inputs[k + APPEND, lane] != 0.0:
+            move_root(parameters, state, inputs, k, roots, lane)
+    return running == 0
+
+
+@njit(nogil=True, error_model="numpy")
+def move_root(parameters, state, inputs, k, roots, lane):
+    """``ticm.move_root`` of a lane."""
+    q = roots[lane] * FIELDS
+    length = 2.0 * parameters[SIN, lane] / parameters[CURVATURE, lane]  # of an element, (2)
+    if inputs[k + APPEND, lane] > 0.0:
+        x, y = state[q + X, lane], state[q + Y, lane] * math.exp(-length / LEAVING)
+        roots[lane] += 1
+        q += FIELDS
+        state[q + X, lane], state[q + Y, lane] = x, y
+        state[q + T, lane] = y / LEAVING - parameters[CURVATURE, lane] * x
+        for field in range(VX, FIELDS):
+            state[q + field, lane] = 0.0
+    elif inputs[k + APPEND, lane] < 0.0:
+        for field in range(FIELDS):
+            state[q + field, lane] = 0.0
+        roots[lane] -= 1
+        for field in range(VX, FIELDS):
+            state[q - FIELDS + field, lane] = 0.0
+    parameters[ROOT, lane] = roots[lane]
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def product(factors, f, x, y, t):
+    """(3, 3) matrix at ``f`` times (x, y, t)."""
+    return (
+        load(factors, f) * x + load(factors, f + 1) * y + load(factors, f + 2) * t,
+        load(factors, f + 3) * x + load(factors, f + 4) * y + load(factors, f + 5) * t,
+        load(factors, f + 6) * x + load(factors, f + 7) * y + load(factors, f + 8) * t,
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def less_product(a, b, c, factors, f, x, y, t):
+    """(a, b, c) less the (3, 3) matrix at ``f`` times (x, y, t)."""
+    return (
+        ((a - load(factors, f + 2) * t) - load(factors, f + 1) * y) - load(factors, f) * x,
+        ((b - load(factors, f + 5) * t) - load(factors, f + 4) * y) - load(factors, f + 3) * x,
+        ((c - load(factors, f + 8) * t) - load(factors, f + 7) * y) - load(factors, f + 6) * x,
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def solve_node(state, q, factors, f, wx, wy, wt):
+    """W of a node on the way back, from that of its neighbour on the root side."""
+    gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
+    return less_product(gx, gy, gt, factors, f, wx, wy, wt)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
+    """New displacement of a node from w, and its velocity, which is returned."""
+    ux, uy, ut = wx - load(state, q + X), wy - load(state, q + Y), wt - load(state, q + T)
+    store(state, q + GX, ux)  # the last step's motion, by which friction knows the slide
+    store(state, q + GT, ut)
+    store(state, q + X, load(state, q + X) + drift * ux)
+    store(state, q + Y, load(state, q + Y) + drift * uy)
+    store(state, q + T, load(state, q + T) + drift * ut)
+    return (
+        bounce * ux - reflection * load(state, q + VX),
+        bounce * uy - reflection * load(state, q + VY),
+        bounce * ut - reflection * load(state, q + VT),
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def magnitude(value):
+    """Absolute value."""
+    zero = splat(value, 0.0)
+    return where_less(value, zero, zero - value, value)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
+    """Coriolis and centrifugal acceleration of (13) and the couple of (9) per inertia.
+
+    The couple is a spring of stiffness V l, taken linearly implicit: explicit, a tension above 4 J / (l dt^2),
+    640 N at 2e-4 s, makes neighbouring nodes turn against each other without bound; a hard start gets there.
+    """
+    zero = splat(t, 0.0)
+    spring = couple * axial_force
+    stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
+    return -2.0 * kappa * forward * vy, kappa * forward * forward, zero - spring * t / stiff
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def loaded_pressed(parameters):
+    """What ``pressed_forces`` and ``cable_forces`` need: the couple's figures, and the cable's."""
+    limits = load(parameters, PRESSURE), load(parameters, TENSION)
+    couple = load(parameters, COUPLE), load(parameters, TURN), load(parameters, TURN_FORCE), limits
+    radius, stiffness = load(parameters, CABLE_RADIUS), load(parameters, CABLE)
+    return couple, (radius, stiffness, load(parameters, FRICTION) * stiffness, radius * load(parameters, MASS_RATIO))
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def pressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
+    """``inertia_forces`` of a cable that may be pressed.
+
+    The couple may count from the tube's tangent where the node is, V l (theta + x / r), and does work on x then. Where
+    the cable touches the walls, pressure and tension act in it up to ``chain.most_pressure`` and ``most_tension``: a
+    cable that bounces is pulled as hard as it is pressed.
+    """
+    couple, tangent, work, (pressure, tension) = coupling
+    zero = splat(t, 0.0)
+    most = zero - pressure
+    pulled = where_less(tension, axial_force, tension, axial_force)
+    spring = couple * where_less(pulled, most, most, pulled)
+    stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
+    moment = zero - spring * (t + tangent * x) / stiff
+    return work * moment - 2.0 * kappa * forward * vy, kappa * forward * forward, moment
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def loaded_wall(parameters):
+    """Contact stiffness, coefficient of friction and mass per inertia of the lanes."""
+    return load(parameters, STIFFNESS), load(parameters, FRICTION), load(parameters, MASS_RATIO)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def loaded_floats(parameters):
+    """The sensor's node, and lever, gap and drag of the guide's and of the carrier's floats."""
+    return (
+        load(parameters, SENSOR),
+        load(parameters, GUIDE_LEVER),
+        load(parameters, CARRIER_LEVER),
+        load(parameters, GUIDE_GAP),
+        load(parameters, CARRIER_GAP),
+        load(parameters, GUIDE_DRAG),
+        load(parameters, CARRIER_DRAG),
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def float_at(i, floats):
+    """Lever, gap and drag of the float at node ``i``: the guide's up to the sensor, the carrier's beyond."""
+    sensor, guide_lever, carrier_lever, guide_gap, carrier_gap, guide_drag, carrier_drag = floats
+    place = splat(sensor, float(i) - 0.5)
+    return (
+        where_less(place, sensor, guide_lever, carrier_lever),
+        where_less(place, sensor, guide_gap, carrier_gap),
+        where_less(place, sensor, guide_drag, carrier_drag),
+    )
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def float_forces(own, wall, forward, air, y, slide, turn):
+    """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
+    lever, gap, drag = own
+    stiffness, coefficient, ratio = wall
+    zero = splat(y, 0.0)
+    relative = air - forward
+    inner = where_less(y, zero, zero - y, zero)  # depth in the inner and in the outer wall
+    beyond = y - gap
+    outer = where_less(zero, beyond, beyond, zero)
+    lever = where_less(y, zero, lever, zero - lever)  # of the contact point
+    most = coefficient * stiffness * (inner + outer)
+    friction = where_less(slide + turn * lever, zero, zero - most, most)  # against the slide; zero counts as forward
+    return drag * relative * magnitude(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def cable_walls(own, cable):
+    """Heights y below and above which the cable between floats is in a wall: thinner than a float on either side."""
+    lever, gap, _ = own
+    clearance = lever - cable[0]
+    return splat(clearance, 0.0) - clearance, gap + clearance
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def nearest_walls(floats, cable):
+    """``cable_walls`` that hold all along a probe: those of the guide or of the carrier, whichever are nearer."""
+    _, guide_lever, carrier_lever, guide_gap, carrier_gap, _, _ = floats
+    low, high = cable_walls((guide_lever, guide_gap, guide_gap), cable)
+    carrier_low, carrier_high = cable_walls((carrier_lever, carrier_gap, carrier_gap), cable)
+    return where_less(low, carrier_low, carrier_low, low), where_less(high, carrier_high, high, carrier_high)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def widened(least, most, y):
+    """A range of heights, with one more in it."""
+    return where_less(y, least, y, least), where_less(most, y, y, most)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def cable_forces(walls, cable, y, slide, turn):
+    """Contact and friction of the cable between floats; see ``cable_walls``."""
+    low, high = walls
+    radius, stiffness, grip, twist = cable
+    zero = splat(y, 0.0)
+    inner = where_less(y, low, low - y, zero)
+    outer = where_less(high, y, y - high, zero)
+    side = where_less(y, low, splat(y, 1.0), splat(y, -1.0))
+    most = grip * (inner + outer)
+    friction = where_less(slide + side * radius * turn, zero, zero - most, most)
+    return zero - friction, stiffness * (inner - outer), side * friction * twist
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def to_root(state, factors, nodes, drive, rates, model, coupling, pressed):
+    """Kick and elimination of all nodes; the root itself is kicked for its release. Returns the floats' largest |y|.
+
+    ``pressed`` as in ``imex_advance``; one entry less where no cable is near a wall, so that no node has to look.
+    """
+    top, last, per_pitch = nodes
+    speed, slope, air = drive
+    dt, tau, rate = rates
+    kappa, couple, floats, wall = model
+    pressed_couple, cable = coupling
+    zero = splat(speed, 0.0)
+    gx, gy, gt = zero, zero, zero
+    walls = cable_walls(float_at(0, floats), cable)
+    to_float, peak = 0, zero
+    for i in range(top + 1):
+        q, f = i * FIELDS, min(i, last) * FACTORS
+        x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
+        vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
+        forward = speed + vx
+        if len(pressed) > 0:
+            ax, ay, at = pressed_forces(kappa, pressed_couple, forward, vy, x, t, load(state, q + V), dt)
+        else:
+            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
+        if len(pressed) > 1:  # here, since an else below would make the compiler round the rest otherwise
+            if to_float == 0:
+                walls = cable_walls(float_at(i + 1, floats), cable)
+            elif any_less(y, walls[0]) or any_less(walls[1], y):
+                slide, turn = speed + rate * load(state, q + GX), rate * load(state, q + GT)
+                cx, cy, ct = cable_forces(walls, cable, y, slide, turn)
+                ax, ay, at = ax + cx, ay + cy, at - ct
+        if to_float == 0:
+            to_float = per_pitch
+            slide, turn = speed + load(state, q + GX) / tau, load(state, q + GT) / tau
+            cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, slide, turn)
+            ax, ay, at = ax + cx, ay + cy, at - ct
+            height = magnitude(y)
+            peak = where_less(peak, height, height, peak)
+        to_float -= 1
+        # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
+        ax, at = ax - slope, at + kappa * ax
+        vx, vy, vt = vx + dt * ax, vy + dt * ay, vt + dt * at
+        ex, ey, et = product(factors, f + A, x + tau * vx, y + tau * vy, t + tau * vt)
+        gx, gy, gt = less_product(ex, ey, et, factors, f + B, gx, gy, gt)
+        store(state, q + VX, vx)
+        store(state, q + VY, vy)
+        store(state, q + VT, vt)
+        store(state, q + GX, gx)
+        store(state, q + GY, gy)
+        store(state, q + GT, gt)
+    return peak
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed):
+    """Steps of all lanes by imex; returns the steps done.
+
+    ``sampling``: steps until the first sample, steps between samples, and ``points``, ``samples``, ``tension`` of
+    ``after_step``, which also describes ``roots`` and ``failed``.
+
+    ``pressed`` is a tuple whose length is part of its type, so what a scene does not need is not in the kernel: empty,
+    or one entry where the couple counts from the tangent in some lane, or two where its cable touches the walls.
+    """
+    first, every, points, samples, tension = sampling
+    zero = splat(parameters, 0.0)
+    last = len(factors) // FACTORS - 1
+    theta, tau = linear_weights(load(parameters, DAMPING), dt)
+    rate = 1.0 / tau
+    drift, bounce, reflection = dt / tau, 1.0 / (tau * theta), (1.0 - theta) / theta
+    kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
+    floats, wall = loaded_floats(parameters), loaded_wall(parameters)
+    coupling = loaded_pressed(parameters)
+    low, high = nearest_walls(floats, coupling[1])
+    rates, model = (dt, tau, rate), (kappa, couple, floats, wall)
+    near = True  # whether cable was near a wall when the last step ended, so that the sweep to the root has to look
+    cosine = load(parameters, AXIAL) * load(parameters, COS)
+    sine = load(parameters, AXIAL) * load(parameters, SIN)
+    row, due = 0, first
+    for step in range(len(tops)):
+        k = step * INPUTS
+        drive = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
+        top, bottom = tops[step], bottoms[step]
+        nodes = top, last, per_pitch
+        if len(pressed) > 1 and (near or top != tops[step - 1]):  # a node that came at the root was not looked at
+            peak = to_root(state, factors, nodes, drive, rates, model, coupling, pressed)
+        else:
+            peak = to_root(state, factors, nodes, drive, rates, model, coupling, pressed[:1])
+        # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
+        wx, wy, wt = zero, zero, zero
+        least, most = low, high
+        held = load(parameters, ROOT)
+        for back in range(top - bottom + 1):
+            i = top - back
+            q = i * FIELDS
+            node = splat(parameters, float(i))
+            ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            ux = where_less(node, held, ux, load(state, q + X))
+            uy = where_less(node, held, uy, load(state, q + Y))
+            ut = where_less(node, held, ut, load(state, q + T))
+            store(state, q + V, where_less(node, held, cosine * (ux - wx) + sine * (uy + wy), zero))
+            wx, wy, wt = ux, uy, ut
+            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
+            store(state, q + VX, where_less(node, held, vx, zero))
+            store(state, q + VY, where_less(node, held, vy, zero))
+            store(state, q + VT, where_less(node, held, vt, zero))
+            if len(pressed) > 1:
+                least, most = widened(least, most, load(state, q + Y))
+        for back in range(bottom):
+            i = bottom - 1 - back
+            q = i * FIELDS
+            ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
+            store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
+            wx, wy, wt = ux, uy, ut
+            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
+            store(state, q + VX, vx)
+            store(state, q + VY, vy)
+            store(state, q + VT, vt)
+            if len(pressed) > 1:
+                least, most = widened(least, most, load(state, q + Y))
+        near = len(pressed) > 1 and (any_less(least, low) or any_less(high, most))
+        store(parameters, PEAK, peak)
+        due -= 1
+        if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+            return step + 1
+        if due == 0:
+            due = every
+            row += 1
+    return len(tops)
+
+
+IMEX = lane_method("imex", LaneKernel(imex_advance, imex_factors, np.float64), order=2, usual_step=2e-4)
+
+# in the return a probe lies back by some 0.4 m, whose rounding in single precision lifts it off the wall by 0.1 mm
+IMEX32 = lane_method(
+    "imex32", LaneKernel(imex_advance, single_factors, np.float32), order=2, usual_step=2e-4, least_step=5e-5,
+    draws_back=False,
+)  # fmt: skip
