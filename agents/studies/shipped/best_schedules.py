@@ -12,7 +12,7 @@ import pandas as pd
 from cmaes import CMA
 from tqdm import tqdm
 
-from agents.evaluation.plan import Plan, check_stored, run_plan
+from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.policies.fixed import Scheduled
 from agents.policies.maps.lookup import FIRST, least_air
 from agents.policies.maps.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
@@ -147,7 +147,7 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
     def plan_of(schedule: Schedule) -> Plan:
         return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=PRESETS["fast"])
 
-    check_stored(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
+    stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
     cost = MapCost(family.tubes(train.contexts), config, vibration)
     points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
