@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
+import sys
 import threading
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -20,7 +23,6 @@ from agents.evaluation.run import plan_of
 from agents.policies.catalogue import name_and_spec, own_policies
 from agents.policies.fixed import STUDY_AIR, STUDY_FEED
 from agents.policies.places import place_at
-from agents.processes.pool import GRACE, started
 from agents.records.models import Stored
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.pictures.strip import Motion
@@ -39,6 +41,8 @@ MIN_SAMPLES: Final = 100
 """Fewer samples of the sensor are not shown."""
 State = Literal["waiting", "running", "finished", "stopped", "failed"]
 ACTIVE: Final = ("waiting", "running")
+GRACE: Final = 2.0
+"""Seconds that a worker may take to end."""
 
 
 class ManualPolicy:
@@ -347,3 +351,23 @@ def flaw_signal(sensor: Sensor, shape: ProbeShape, before: float, depth: float) 
     snr = float(snr_at(sensor, groove, np.array([depth]))[0, 0])
     highest = float(response[near].max()) if near.any() else 0.0
     return FlawSignal(time, smoothed(passage, voltages), near, snr, highest, threshold(sensor, shape.helix_length))
+
+
+def started(place: str) -> tuple[subprocess.Popen[bytes], Connection]:
+    """A process that calls a function with the file descriptor of a pipe, and the other end of the pipe.
+
+    The process has a session of its own, so that Ctrl-C reaches this process alone.
+
+    Args:
+        place: of the function, "module:function".
+    """
+    ours, theirs = Pipe()
+    module, _, function = place.partition(":")
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {module} import {function}; {function}({theirs.fileno()})"
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
+            env=dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1") | os.environ,
+            start_new_session=True,
+        )  # fmt: skip
+    return process, ours

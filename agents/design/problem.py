@@ -13,10 +13,10 @@ from typing import Final, Literal
 import numpy as np
 
 from agents.design.trials import DesignTrials
+from agents.evaluation.workers import HERE, Workers
 from agents.policies.catalogue import make_policy
 from agents.policies.maps.lookup import least_air
 from agents.policies.places import TABLE_2, Place
-from agents.processes.workers import HERE, Workers
 from agents.records.provenance import commit
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in

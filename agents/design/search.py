@@ -25,7 +25,7 @@ from tqdm import tqdm
 from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
 from agents.design.trials import claim, tube_column
 from agents.evaluation.statistics import bootstrap_ends
-from agents.processes.workers import HERE, Workers
+from agents.evaluation.workers import HERE, Workers
 from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.searches import JOURNAL, open_study

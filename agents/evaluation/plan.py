@@ -23,8 +23,8 @@ from tqdm import tqdm
 from agents.evaluation.folder import UNFINISHED, Setting, episodes_of, gathered, write_tables
 from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import CARRIED, HEARD
+from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
-from agents.processes.workers import HERE, Workers
 from agents.records.provenance import commit, provenance, write_json
 from agents.records.reading import FileError, read_json
 from agents.terminal.work import Work, announce

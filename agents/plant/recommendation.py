@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agents.evaluation.run import evaluate_plan, plan_of
+from agents.evaluation.workers import HERE, Workers
 from agents.plant.prior import UNKNOWNS
 from agents.plant.response import CHANNELS, Metres, Response, steady_tension
 from agents.policies.catalogue import name_and_spec
@@ -22,7 +23,6 @@ from agents.policies.law import Law, OfDiameter
 from agents.policies.maps.lookup import FIRST, SPACING
 from agents.policies.places import place_of
 from agents.policies.policy import OutsideDomain
-from agents.processes.workers import HERE, Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import FloatArray

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from agents.processes.workers import Workers
+from agents.evaluation.workers import Workers
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ from pydantic import ValidationError
 
 from agents.evaluation.plan import BATCH, Plan, run_plan
 from agents.evaluation.statistics import grouped
+from agents.evaluation.workers import HERE, Workers
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
 from agents.policies.law import Lawful
 from agents.policies.places import Place, map_of, place_of, plant_at, with_probe
 from agents.policies.policy import OutsideDomain, Policy
 from agents.policies.wrappers import BothWays
-from agents.processes.workers import HERE, Workers
 from agents.studies.spec import Changes, Study
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig

@@ -26,9 +26,9 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.workers import HERE, Workers
 from agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
 from agents.policies.policy import ranges_of
-from agents.processes.workers import HERE, Workers
 from agents.records.models import Stored
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import FileError, read_csv, read_json

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from agents.cli import main
-from agents.commands.registry import COMMANDS
+from agents.cli.registry import COMMANDS
 from probe_env.physics.methods import METHODS
 
 ROOT = Path(__file__).parents[2]

@@ -5,7 +5,7 @@ from typing import get_args, get_type_hints
 import gymnasium as gym
 
 import probe_env
-from agents.commands.feed import Render
+from agents.cli.evaluation import Render
 from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
 from probe_env.fidelity import BOTH_WAYS, PRESETS
 

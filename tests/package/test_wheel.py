@@ -18,8 +18,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from agents.cli.extras import modules_of
 from agents.records.shipped import shipped_agents, shipped_names
-from agents.terminal.extras import modules_of
 from probe_env.kernel_cache import STAMP
 
 ROOT = Path(__file__).parents[2]

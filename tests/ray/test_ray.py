@@ -14,8 +14,8 @@ from ray.cluster_utils import Cluster
 import probe_env
 from agents.design.problem import DesignProblem
 from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.workers import Workers
 from agents.policies.fixed import Constant
-from agents.processes.workers import Workers
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts

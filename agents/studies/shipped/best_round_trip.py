@@ -18,13 +18,13 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import a90_95, paired_difference
+from agents.evaluation.workers import Workers
 from agents.plant.safe_air import safe_air
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.maps.lookup import FIRST
 from agents.policies.places import Place, load_case
 from agents.policies.policy import Policy
 from agents.policies.wrappers import BothWays, fidelity_of, way_in
-from agents.processes.workers import Workers
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.studies.builtin import Request
 from agents.terminal.tables import print_table

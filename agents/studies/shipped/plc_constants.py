@@ -17,11 +17,11 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
+from agents.evaluation.workers import Workers
 from agents.policies.fixed import FixedPolicy
 from agents.policies.places import Place, place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
-from agents.processes.workers import Workers
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.studies.builtin import Request
 from agents.terminal.tables import print_table

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from agents.processes.interrupts import report, signal_handlers
+from agents.cli.interrupts import report, signal_handlers
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from agents.commands.registry import COMMANDS, first_page
+    from agents.cli.registry import COMMANDS, first_page
 
     name = arguments[0] if arguments else ""
     if name in ("", "-h", "--help"):
@@ -47,7 +47,7 @@ def _run(arguments: Sequence[str]) -> int:
 def _run_command(name: str, arguments: Sequence[str]) -> int:
     import warnings
 
-    from agents.terminal.extras import extra_with
+    from agents.cli.extras import extra_with
     from agents.terminal.refusals import refusal
     from probe_env import SimulationError
 
@@ -91,11 +91,11 @@ def _command(name: str, arguments: Sequence[str]) -> Any:
     """The command with its arguments; a named scene gives the defaults of --scene options."""
     from importlib import import_module
 
-    from agents.commands.registry import COMMANDS
-    from agents.terminal.command_line import parsed, positional
+    from agents.cli.parsing import parsed, positional
+    from agents.cli.registry import COMMANDS
 
-    module, _, kind = COMMANDS[name].place.partition(":")
-    command_class = getattr(import_module(f"agents.commands.{module}"), kind)
+    module, _, kind = COMMANDS[name].target.partition(":")
+    command_class = getattr(import_module(f"agents.cli.{module}"), kind)
     default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
     return parsed(name, command_class, arguments, COMMANDS[name].example, default)
 
@@ -105,7 +105,3 @@ def _fail(message: str, status: int = 2) -> int:
 
     print(f"probe-env: error: {one_line(message)}", file=sys.stderr)
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from agents.cli.extras import EXTRAS, extra_with, modules_in, modules_of, packages_of
 from agents.terminal import extras
-from agents.terminal.extras import EXTRAS, extra_with, modules_in, modules_of, packages_of
 
 ROOT = Path(__file__).parents[2]
 PARTS = {"pydantic_core": "pydantic", "llvmlite": "numba"}

@@ -13,8 +13,8 @@ from kills import alive
 
 from agents.design.problem import DesignProblem
 from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.workers import Workers
 from agents.policies.fixed import Constant
-from agents.processes.workers import Workers
 from probe_env import Context, Design, load_contexts
 from probe_env.envs.task import TaskConfig
 

@@ -1,4 +1,4 @@
-"""The app as a command."""
+"""Command app."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that train agents: train, tune."""
+"""Commands train and tune."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.processes.workers import Workers
+from agents.evaluation.workers import Workers
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The command for studies."""
+"""Command study."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.processes.workers import Workers
+from agents.evaluation.workers import Workers
 
 
 @dataclass(frozen=True)

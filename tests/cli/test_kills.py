@@ -13,8 +13,8 @@ from agents.design import compare as design_compare
 from agents.design.compare import Comparison, compare
 from agents.design.search import Kept, search, trials_table
 from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.workers import HERE, Workers
 from agents.policies.fixed import Constant
-from agents.processes.workers import HERE, Workers
 from agents.studies.builtin import Request
 from agents.studies.compare import write_comparison
 from agents.studies.run import expand, run_study

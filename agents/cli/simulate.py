@@ -1,4 +1,4 @@
-"""Command that simulates a single scene."""
+"""Command simulate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands of probe design."""
+"""Commands compare and design."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
-from agents.processes.workers import Workers
+from agents.evaluation.workers import Workers
 
 if TYPE_CHECKING:
     from probe_env import Design

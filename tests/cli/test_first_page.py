@@ -9,8 +9,8 @@ import pytest
 
 import probe_env
 from agents.cli import main
-from agents.commands.registry import COMMANDS, FIRST, MAKERS, PLANT, USERS, first_page
-from agents.terminal.command_line import positional
+from agents.cli.parsing import positional
+from agents.cli.registry import COMMANDS, FIRST, MAKERS, PLANT, USERS, first_page
 from probe_env import Scene
 from probe_env.physics.methods import METHODS
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from agents.cli import main
-from agents.commands.registry import COMMANDS
+from agents.cli.registry import COMMANDS
 
 
 def test_what_is_not_understood_is_one_line(capsys, monkeypatch):
