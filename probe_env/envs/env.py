@@ -167,7 +167,7 @@ class InsertionEnv(ProbeEnv):
     * `scene`: what contexts and options change, without a tube; default table 2 of the study. A `Scene`, or a mapping
       of what differs from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
     * `fidelity`: "standard", "fast", another preset, "auto" or custom settings, see `probe_env.fidelity`. "surrogate"
-      predicts from a vibration map instead of simulating, some 1000 times faster, for training; without a render mode.
+      predicts from a vibration map instead of simulating, some 100 times faster, for training; without a render mode.
     * `surrogate_map`: the map's file, for "surrogate" alone; default: NAME-map.npz beside the `tube`'s file, if there
       is one, else that of table 2's tubes.
     * `contexts`: "random", a shipped list ("train", "validation", "test"), `Context`s or mappings of one's own, or
