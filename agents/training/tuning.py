@@ -83,7 +83,7 @@ class Tuning(Stored):
     def settings(self) -> dict[str, Any]:
         """What makes it another search, by name: only the first seed, and the phases of a trial."""
         fields = self.model_dump(mode="json")
-        training = fields["training"]
+        training: dict[str, Any] = fields["training"]
         return training | {"seeds": training["seeds"][:1], "phases": self.phases, "seed": self.seed}
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from oracles.scatter import CHANCE, of_another, reach
 
-from agents.training.config import Training
 from agents.policies.maps.vibration_map import stored_map
+from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from agents.worlds import measure
 from agents.worlds.map_episodes import MapEpisodes
