@@ -20,7 +20,9 @@ JOURNAL: Final = "study.jsonl"
 MOST_JOURNAL: Final = 1024 * MEBI
 
 
-def open_study(path: Path, name: str, directions: Sequence[Literal["minimize", "maximize"]], parameters: Iterable[str]) -> optuna.Study:
+def open_study(
+    path: Path, name: str, directions: Sequence[Literal["minimize", "maximize"]], parameters: Iterable[str]
+) -> optuna.Study:
     """The study of this name, made if it is not there; trials that a kill left unfinished are marked as failed.
 
     Args:
