@@ -13,9 +13,9 @@ from ray.cluster_utils import Cluster
 
 import probe_env
 from agents.design.problem import DesignProblem
-from agents.evaluation.plan import Plan, run_plan
-from agents.evaluation.workers import Workers
 from agents.policies.fixed import Constant
+from agents.processes.workers import Workers
+from agents.rollouts.plan import Plan, run_plan
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts
@@ -41,7 +41,7 @@ def test_gymnasium_is_the_one_that_rllib_pins():
     assert gym.__version__ == "1.2.2"
     assert probe_env.__all__
     for name in ("Insertion", "Snapshot", "Design"):
-        check_env(gym.make(f"probe_env/{name}-v1").unwrapped, skip_render_check=True)
+        check_env(gym.make(f"probe_env/{name}-v0").unwrapped, skip_render_check=True)
 
 
 def test_an_evaluation_on_the_cluster_equals_the_local_one(cluster, tmp_path):
