@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 DISTRIBUTION: Final = "probe-env"
-EXTRAS: Final = ("commands", "agents", "app")
+EXTRAS: Final = ("commands", "plant", "agents", "app")
 """Extras of users, the smallest first."""
 MODULES: Final = {
     "bokeh": ("bokeh", "tornado"), "imageio": ("imageio", "imageio_ffmpeg"), "jinja2": ("jinja2", "markupsafe"),

@@ -8,14 +8,14 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 import ray
+from agents.processes.workers import Workers
+from agents.rollouts.plan import Plan, run_plan
 from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
 import probe_env
 from agents.design.problem import DesignProblem
 from agents.policies.fixed import Constant
-from agents.processes.workers import Workers
-from agents.rollouts.plan import Plan, run_plan
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts
