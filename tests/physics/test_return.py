@@ -16,10 +16,7 @@ from probe_env.physics.simulation.batch import SimulatorBatch
 
 BACK = {"feed_speed": -0.2, "air_supply_rate": -63.0 / 3600.0, "couple": "tangent"}
 IN = {"feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "couple": "tangent", "contact": {"cable": True}}
-SLOW = pytest.mark.slow
-RETURNING = pytest.mark.parametrize(
-    ("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), pytest.param("implicit", 1e-4, marks=SLOW)]
-)
+RETURNING = pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-4), ("imex", 2e-4), ("implicit", 1e-4)])
 DRIVEN = {"growing": True, "ramp": 0.5, "air_lag": 0.3}
 
 
@@ -48,7 +45,7 @@ def test_the_drive_goes_back():
 
 @pytest.mark.parametrize(
     ("method", "length"),
-    [("newmark", 2.0), ("imex", 30.0), pytest.param("implicit", 2.0, marks=SLOW)],
+    [("newmark", 2.0), ("imex", 30.0), ("implicit", 2.0)],
 )
 def test_steady_sliding_under_pressure(method, length):
     """The capstan on the outer wall: pressure along the probe to 1 % of the root's, when the start has died away."""
