@@ -1,1 +1,1 @@
-"""Simulation of the cable in the tube: displacements, forces and statistics of a scene; no rewards, no Gymnasium."""
+"""Simulation of the cable in the tube: scenes in; displacements, forces and statistics out. Knows no rewards."""

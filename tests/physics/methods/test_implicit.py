@@ -45,7 +45,7 @@ def one_float(**changes):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("time_step", [2e-4, 1e-4, pytest.param(1.25e-5, marks=SLOW)])
+@pytest.mark.parametrize("time_step", [2e-4, 1.25e-5])
 def test_the_iteration_converges_before_chaos(time_step):
     """In fewer than two iterations a step; to which trajectory, and at which order, see test_fast_methods."""
     simulator = Simulator(SHORT, "implicit", time_step)

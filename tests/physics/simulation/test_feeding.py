@@ -12,16 +12,9 @@ from probe_env.physics.model.chain import build_chain
 from probe_env.physics.model.drive import Drive
 
 QUIET = Scene(carrier_length=5.0, contact={"friction": 0.05})
-SLOW = pytest.mark.slow
 METHODS = pytest.mark.parametrize(
     ("method", "time_step"),
-    [
-        ("newmark", 1e-4),
-        ("imex", 2e-4),
-        ("imex32", 2e-4),
-        ("superelement32", 2e-4),
-        pytest.param("implicit", 1e-4, marks=SLOW),
-    ],
+    [("newmark", 1e-4), ("imex", 2e-4), ("imex32", 2e-4), ("superelement32", 2e-4), ("implicit", 1e-4)],
 )
 
 

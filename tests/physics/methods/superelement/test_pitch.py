@@ -121,23 +121,6 @@ def test_modes_of_a_straight_piece_are_a_clamped_bar_s():
     assert_allclose(np.log2(error[16] / error[32])[1:], 4.0, atol=0.3)  # the first is near the solver's rounding
 
 
-def test_curvature_stiffens_the_first_mode_alone():
-    """Shallow arch: omega^2 grows by EA / (rho r^2) (int phi)^2 / (p int phi^2), 0.690 for the first clamped mode.
-
-    Two things are left out: the third mode, which it is mixed with, takes 0.6 % of that (second order), and rotary
-    inertia another 0.5 %.
-    """
-    h = PITCH / 64
-    unit = build_chain(SCENE, 64, length=PITCH)._replace(frame_inertia=0.0)
-    straight = unit._replace(sin_phi=0.0, cos_phi=1.0)
-    square = [(2.0 * np.pi * condensed(chain, 0).frequencies[:2]) ** 2 for chain in (unit, straight)]
-    growth = square[0] - square[1]
-    hoop = SCENE.probe.tensile_rigidity / SCENE.probe.line_density * (2.0 * unit.sin_phi / h) ** 2
-    assert growth[0] == pytest.approx(0.690 * hoop, rel=0.02)
-    curvature, wave = 2.0 * unit.sin_phi / h, CLAMPED[1] / PITCH
-    assert abs(growth[1]) < 10.0 * (curvature / wave) ** 2 * square[1][1]  # its stretching sums up to nothing
-
-
 def test_free_motion_strains_nothing():
     """Sliding along the tube and the rigid turn of a straight piece cost no energy; the mean axial force is zero."""
     for chain in (piece(16), piece(12, share=0.75), piece(4, share=0.25)):
