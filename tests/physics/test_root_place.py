@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from oracles.chains import bent, matrices, plain_chain
 from oracles.root_waves import MIDDLE, arc_of_rotation, conversion, far_stiffness, lengthening, near_stiffness
+from oracles.scatter import apart, reach
 from oracles.sliding import growth_rates, sliding_system
 
 from probe_env import Scene, SimulatorBatch
