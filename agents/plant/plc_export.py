@@ -23,7 +23,6 @@ TEMPLATE: Final = Path(__file__).parent / "data" / "feed-law.st.j2"
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5
 """Between the lengths of a table [m]."""
-HEADER: Final = ("constant", "value", "unit", "")
 DESCRIPTIONS: Final = {
     "average": ("s", "time constant of the averages of friction and noise"),
     "onset_length": ("m", "slow with strong air from here on, at friction 0.175 and 1.5 m"),
@@ -64,7 +63,6 @@ def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = 
     environment.filters["real"] = _real
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         law=plc_law,
-        trimmed=plc_law,
         trim=trim,
         constants=own,
         plant=[(name, value, unit) for (name, unit), value in zip(PLANT_DATA.items(), values, strict=True)],
@@ -102,7 +100,7 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
     """Print the constants of the law, and of a trim."""
     values = constants.model_dump() | (trim.model_dump() if trim else {})
     rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in values.items()]
-    print_table("The law's constants", HEADER, rows, left=4)
+    print_table("The law's constants", ("constant", "value", "unit", ""), rows, left=4)
 
 
 def write_law(
@@ -120,13 +118,12 @@ def write_law(
             " evaluate shielded:plc-law",
             stacklevel=2,
         )
-    domain = Domain.of_map(stored_map())
-    check_domains({"the law": domain}, place.config, place.contexts, strict=False)
+    check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)
     if st:
         write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")
     if csv:
         diameters = sorted({context.helix_diameter for context in place.contexts})
-        tabulated = table(constants, plant, diameters, place.config.scene.tube.helix_length)
-        write_atomically(csv, tabulated.to_csv(index=False, float_format="%.6g"))
+        rows = table(constants, plant, diameters, place.config.scene.tube.helix_length)
+        write_atomically(csv, rows.to_csv(index=False, float_format="%.6g"))
         print(f"written: {csv}")

@@ -123,7 +123,7 @@ class Response:
     reach: FloatArray
     misfit: FloatArray
 
-    def tells(self, table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
+    def predict(self, table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n, m, c) of the decadic logarithm of the channels (``CHANNELS``, SI units).
 
         Args:
@@ -144,14 +144,14 @@ class Response:
     def outside(self, metres: Metres, scene: Scene) -> list[str]:
         """What of a log is outside the training ranges, one text each."""
         texts = []
-        named = {
-            "inserted length": (metres.length, "m"),
-            "feed speed": (metres.feed, "m/s"),
-            "pull of the air": (_pull(metres, scene), "N/m"),
-            "helix diameter": (np.array([scene.tube.helix_diameter]), "m"),
-            "radial room of the floats": (np.array([_room(scene)]), "m"),
-        }
-        for (name, (values, unit)), low, high in zip(named.items(), *self.ranges, strict=True):
+        named = (
+            ("inserted length", metres.length, "m"),
+            ("feed speed", metres.feed, "m/s"),
+            ("pull of the air", _pull(metres, scene), "N/m"),
+            ("helix diameter", np.array([scene.tube.helix_diameter]), "m"),
+            ("radial room of the floats", np.array([_room(scene)]), "m"),
+        )
+        for (name, values, unit), low, high in zip(named, *self.ranges, strict=True):
             if len(values) and (values.min() < low * (1.0 - 1e-3) or values.max() > high * (1.0 + 1e-3)):
                 texts.append(f"{name} {values.min():.4g} to {values.max():.4g} {unit}, beyond {low:.4g} to {high:.4g}")
         standard, own = Scene().probe.model_dump(), scene.probe.model_dump()
@@ -215,20 +215,14 @@ class Response:
 
 def steady_tension(friction: FloatArray, metres: Metres, scene: Scene, diameter: float) -> FloatArray:
     """Root tension (n, m) of steady sliding [N] for frictions (n, 1) in a helix of this diameter [m]."""
-    seen = {
-        "inserted_length": metres.length,
-        "feed_speed": metres.feed,
-        "air_supply_rate": metres.air,
-        "helix_diameter": np.full(len(metres), diameter),
-    }
-    return sliding_tension(friction, seen, scene)
+    seen = {"inserted_length": metres.length, "feed_speed": metres.feed, "air_supply_rate": metres.air}
+    return sliding_tension(friction, seen | {"helix_diameter": np.full(len(metres), diameter)}, scene)
 
 
 def inputs_of(table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Inputs (n, m, 10) of the network, and the tension of steady sliding (n, m) [N]; arguments of ``tells``."""
+    """Inputs (n, m, 10) of the network, and the tension of steady sliding (n, m) [N]; arguments of ``predict``."""
     diameter = scene.tube.helix_diameter
-    drag = table[:, None, DRAG] / scene.air.drag_coefficient
-    friction = table[:, None, FRICTION]
+    friction, drag = table[:, None, FRICTION], table[:, None, DRAG] / scene.air.drag_coefficient
     tension = np.maximum(drag * steady_tension(friction, metres, scene, diameter), FLOORS[0])
     columns = (
         metres.length / 30.0,
@@ -261,7 +255,6 @@ def _pull(metres: Metres, scene: Scene) -> FloatArray:
 
 
 def _room(scene: Scene) -> float:
-    """Radial room of the carrier's floats [m]."""
     return scene.tube.inner_diameter - scene.probe.carrier_float_diameter
 
 

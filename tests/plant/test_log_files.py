@@ -291,7 +291,7 @@ def test_broken_files_are_refused_in_one_line(tmp_path):
 def test_a_sheet_may_claim_any_size(tmp_path):
     path = tmp_path / "rig.xlsx"
     path.write_bytes(with_part(b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
-    assert read_log(path, sheet="Messung").mended.rows == 2
+    assert read_log(path, sheet="Messung").repairs.rows == 2
 
 
 def test_what_is_no_file(tmp_path, monkeypatch):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agents.cli import main
-from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_reward, recommended
-from agents.plant.response import stored_response
+from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_costs, recommended
+from agents.plant.response import Metres, stored_response
 from agents.policies.catalogue import DATA
 from agents.records.reading import read_csv
 from probe_env import Context, Plant
@@ -63,8 +63,11 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     for factor in (0.7, 1.4):
         feed = tuple(np.clip(factor * np.array(schedule.feed_speed), *config.feed_speeds).tolist())
         others.append(Schedule("inserted_length", "linear", schedule.position, feed, schedule.air_supply_rate))
-    own, *rewards = (expected_reward(other, TUBES, RESPONSE, config) for other in (schedule, *others))
-    assert own > max(rewards)
+    lengths, costs = np.arange(5.5, 60.0), []
+    for other in (schedule, *others):
+        feed, air = (np.asarray(values, dtype=float) for values in other.at(lengths))
+        costs.append(expected_costs(TUBES, RESPONSE, config, Metres(lengths, feed, air, {})).mean())
+    assert costs[0] < min(costs[1:])
     # at 40 m the probe rings with a friction of 0.25 and not with 0.08
     slippery, rough = (
         recommended([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
