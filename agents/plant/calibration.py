@@ -47,23 +47,14 @@ DRAWN: Final = 64
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Result of a calibration.
-
-    Attributes:
-        prior: of the unknowns.
-        cases: the logs by metres.
-        posterior: draws and misfit.
-        sliding: tube -> estimate from the tension alone; None without a tension.
-        beyond: what of the logs is outside the training ranges of the response, one text each.
-        gains: gain of the tension gauge, per log; None without a tension.
-    """
+    """Result of a calibration."""
 
     prior: Prior
-    cases: tuple[Case, ...]
+    cases: Sequence[Case]
     posterior: Posterior
-    sliding: dict[str, Sliding | None]
-    beyond: tuple[str, ...]
-    gains: tuple[Gain | None, ...]
+    sliding: dict[str, Sliding | None]  # tube -> estimate from the tension alone; None without a tension
+    beyond: list[str]  # what of the logs is outside the training ranges of the response
+    gains: list[Gain | None]  # of the tension gauge, per log; None without a tension
 
     def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
         """Mean and 90 % interval of an unknown, of one tube or over all of them."""
@@ -94,8 +85,7 @@ class Calibration:
     @property
     def leaning(self) -> list[str]:
         """Unknowns whose posterior lies at an edge of the prior, one text each."""
-        texts = []
-        width, share = AT_EDGE
+        texts, (width, share) = [], AT_EDGE
         for column, name in enumerate(UNKNOWNS):
             if name in self.prior.known:
                 continue
@@ -118,8 +108,8 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """``calibration.json``: estimates, draws, verdict."""
         draws = self.posterior.draws
-        kept = np.arange(draws.shape[1])
-        turns = kept % len(draws)  # over all tubes: each in turn
+        rows = np.arange(draws.shape[1])
+        turns = rows % len(draws)  # over all tubes: each in turn
         return {
             **{name: self.summary(name) | {"unit": UNKNOWNS[name].unit} for name in UNKNOWNS},
             "verdict": self.verdict,
@@ -138,7 +128,7 @@ class Calibration:
             "held_possible": {name: list(range_) for name, range_ in self.prior.ranges.items()},
             "known": self.prior.known,
             "draws": {
-                name: [float(f"{v:.6g}") for v in draws[turns, kept, column]]
+                name: [float(f"{v:.6g}") for v in draws[turns, rows, column]]
                 for column, name in enumerate(UNKNOWNS)
                 if name not in self.prior.known
             },
@@ -184,15 +174,11 @@ def recorded_of(
     labels = [name_of(file) for file in files]
     if len(set(labels)) < len(labels):
         labels = [str(path) for path in paths]
-    return [
-        Case(
-            label,
-            name,
-            plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}}),
-            metres_of(read_log(file, columns)),
-        )
-        for label, file, name, diameter in zip(labels, files, names, diameters, strict=True)
-    ]
+    cases = []
+    for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
+        scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
+        cases.append(Case(label, tube, scene, metres_of(read_log(file, columns))))
+    return cases
 
 
 def calibrate(
@@ -200,22 +186,15 @@ def calibrate(
 ) -> Calibration:
     """Estimate the friction of each tube, and the stiffness, drag and damping that all tubes share.
 
-    Args:
-        cases: the logs.
-        plant: where they were recorded.
-        response: expected measurements.
-        file: of the plant, for errors.
-        progress: whether a bar is shown.
-
     Raises:
         ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.
     """
     prior = prior_of(plant, file)
     posterior = sampled(response, cases, prior, progress=progress)
-    beyond = tuple(f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene))
+    beyond = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
     sliding = {tube: by_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
-    gains = tuple(gain_of(posterior.likelihood, number, prior) for number in range(len(cases)))
-    return Calibration(prior, tuple(cases), posterior, sliding, beyond, gains)
+    gains = [gain_of(posterior.likelihood, number, prior) for number in range(len(cases))]
+    return Calibration(prior, cases, posterior, sliding, beyond, gains)
 
 
 def print_calibration(calibration: Calibration, own: bool = True) -> None:

@@ -45,13 +45,7 @@ class Channels:
 
 
 def channels_of(table: Table, options: Sequence[ColumnOption], decimal: str, air: float | None) -> Channels:
-    """The quantities of a table.
-
-    Args:
-        table: texts.
-        options: values of ``--columns``.
-        decimal: decimal sign; empty: found from the numbers.
-        air: air supply [m3/s] of a log without that column.
+    """The quantities of a table; ``decimal`` is empty if found from the numbers, ``air`` for a log without it [m3/s].
 
     Raises:
         FileError: a column is missing, occurs twice or has no unit; a cell is not a number or time, or out of range.

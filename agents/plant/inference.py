@@ -61,17 +61,13 @@ class Case(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Draws of the unknowns.
+    """Draws (tubes, n, 4) in the order of ``UNKNOWNS``; all but the friction are the same for all tubes.
 
-    Attributes:
-        draws: (tubes, n, 4) in the order of ``UNKNOWNS``; all but the friction are the same for all tubes.
-        misfit: of each case the mean squared deviation of every channel and of all (c + 1,) at the draw that fits best;
-            NaN where the log has no such channel.
-        likelihood: that they were drawn by.
+    ``misfit`` is each case's ``Likelihood.misfit`` at the draw that fits best.
     """
 
     draws: FloatArray
-    misfit: tuple[FloatArray, ...]
+    misfit: list[FloatArray]
     likelihood: Likelihood
 
 
@@ -144,14 +140,7 @@ class Likelihood:
 def sampled(
     response: Response, cases: Sequence[Case], prior: Prior, seed: int = 0, progress: bool = False
 ) -> Posterior:
-    """Posterior of the frictions of all tubes and of the unknowns that they share.
-
-    Args:
-        response: expected measurements.
-        cases: the logs.
-        prior: of the unknowns.
-        seed: of the walkers.
-        progress: whether a bar is shown.
+    """Posterior of the frictions of all tubes and of the unknowns that they share; ``seed`` is that of the walkers.
 
     Raises:
         ValueError: a log has too few metres, or no channel.
@@ -164,8 +153,7 @@ def sampled(
         if len(case.metres) < LEAST_METRES:
             raise ValueError(f"{case.name}: {len(case.metres)} metres were fed, and at least {LEAST_METRES} are needed")
     likelihood = Likelihood(response, cases)
-    tubes = len(likelihood.tubes)
-    size = tubes + len(prior.shared)
+    size = (tubes := len(likelihood.tubes)) + len(prior.shared)
     rng = np.random.default_rng([seed, size])
 
     def density(normal: FloatArray) -> FloatArray:
@@ -187,7 +175,7 @@ def sampled(
     chain, density_of = sampler.get_chain(discard=BURN, flat=True), sampler.get_log_prob(discard=BURN, flat=True)
     rows = np.linspace(0, len(chain) - 1, KEPT).round().astype(int)
     best = prior.values(chain[[int(np.argmax(density_of))]], tubes)[:, 0]
-    misfit = tuple(likelihood.misfit(k, best[place]) for k, place in enumerate(likelihood.places))
+    misfit = [likelihood.misfit(k, best[place]) for k, place in enumerate(likelihood.places)]
     return Posterior(prior.values(chain[rows], tubes), misfit, likelihood)
 
 
@@ -300,8 +288,7 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     def strays(x: FloatArray) -> FloatArray:
         parts = []
         for case in with_tension:
-            helix = case.scene.tube.helix_diameter
-            predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene, helix)[0] * np.exp(x[1])
+            predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene)[0] * np.exp(x[1])
             scale = middle / case.scene.air.drag_coefficient
             parts.append(np.log(np.maximum(case.metres.felt["root_tension"], 1e-2) / (predicted * scale)))
         return np.concatenate(parts)
@@ -315,14 +302,11 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     alike = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
     weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + alike) / (1.0 - alike))
     fit = least_squares(weighted(float(weight)), fit.x, bounds=bounds, loss="soft_l1")
-    jacobian = np.asarray(fit.jac)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + 1e-12 * np.eye(2))
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac + 1e-12 * np.eye(2))
     deviation = np.sqrt(np.diag(covariance) + SLIDING_TRUST**2)
 
-    def interval(centre: float, relative: float) -> tuple[float, float, float]:
-        return centre, centre * float(np.exp(-Z90 * relative)), centre * float(np.exp(Z90 * relative))
-
-    return Sliding(
-        interval(float(np.exp(fit.x[0])), float(deviation[0])),
-        interval(middle * float(np.exp(fit.x[1])), float(deviation[1])),
+    friction, drag = (
+        (float(scale * np.exp(x)), *(float(scale * np.exp(x) * np.exp(z * relative)) for z in (-Z90, Z90)))
+        for scale, x, relative in zip((1.0, middle), fit.x, deviation, strict=True)
     )
+    return Sliding(friction, drag)

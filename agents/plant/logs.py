@@ -43,12 +43,10 @@ class Log:
         inserted_length: (n,) at that time [m], never falling.
         feed_speed: (n,) mean until the next row [m/s], 0 in standstills; its integral is the inserted length.
         air_supply_rate: (n,) mean until the next row [m3/s].
-        measured: name -> (n,) mean root tension [N], rms accelerations [m/s2], rms of the eddy-current noise [m] until
-            the next row; some of ``agents.plant.quantities.MEASURED``.
+        measured: some of ``MEASURED`` -> (n,) mean or root mean square until the next row [SI].
         repairs: counts of them.
         notes: sentences about what does not agree.
-        deviation: largest distance of the straight lines from the length at the rows of the file, or from the band that
-            its noise leaves open (``agents.plant.cleaning.Cleaned.band``) [m].
+        deviation: largest distance of the straight lines from the band of lengths of ``Cleaned`` [m].
     """
 
     time: FloatArray
@@ -74,8 +72,7 @@ class Log:
     def channels(self) -> dict[str, FloatArray]:
         """Quantity -> its column (n,) of the clean file, in that column's unit."""
         values = {"inserted_length": self.inserted_length, "feed_speed": self.feed_speed}
-        values |= {"air_supply": self.air_supply_rate}
-        values |= {name: self.measured[name] for name in MEASURED if name in self.measured}
+        values |= {"air_supply": self.air_supply_rate} | {n: self.measured[n] for n in MEASURED if n in self.measured}
         return {name: column / QUANTITIES[name].scale for name, column in values.items()}
 
     def to_csv(self) -> str:

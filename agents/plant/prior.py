@@ -45,19 +45,12 @@ UNKNOWNS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Prior distribution of the unknowns.
-
-    Attributes:
-        known: name -> value of those that are fixed.
-        quantile: name -> quantile function of the others.
-        ranges: name -> smallest and largest possible value.
-        assumed: ranges that were assumed, as texts.
-    """
+    """Prior distribution of the unknowns: fixed values, quantile functions and ranges of the others, by name."""
 
     known: dict[str, float]
     quantile: dict[str, Callable[[FloatArray], FloatArray]]
     ranges: dict[str, tuple[float, float]]
-    assumed: list[str]
+    assumed: list[str]  # ranges that the file does not give, as texts
 
     @property
     def shared(self) -> tuple[str, ...]:

@@ -207,8 +207,7 @@ def expected_costs(tubes: Sequence[Context], response: Response, config: TaskCon
     plain = config.model_copy(update={"vibration_measure": "displacement", "vibration_limit": 1e-4})
     costs = []
     for tube in tubes:
-        scene = config.scene.model_copy(update={"tube": {"helix_diameter": tube.helix_diameter}})
-        mean, spread = response.predict(_table(tube, config.scene), metres, scene)
+        mean, spread = response.predict(_table(tube, config.scene), metres, _scene_in(tube, config))
         louder = mean[0, :, column] - np.log10(config.limit)
         costs.append(expected_cost(louder, spread[0, :, column], metres.feed, metres.air, plain))
     return np.array(costs)
@@ -219,22 +218,25 @@ def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> Fl
     rows = []
     for tube in tubes:
         friction = np.full((1, 1), max(tube.friction, 1e-6))
-        rows.append(tube.drag_factor * steady_tension(friction, metres, config.scene, tube.helix_diameter)[0])
+        rows.append(tube.drag_factor * steady_tension(friction, metres, _scene_in(tube, config))[0])
     return np.array(rows)
 
 
 def beyond(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
     """What of a task's tubes is outside the training ranges of the response, one text each."""
     nothing, lines = np.zeros(0), dict[str, None]()
-    for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
-        scene = config.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), scene))
+    for tube in {tube.helix_diameter: tube for tube in tubes}.values():
+        lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), _scene_in(tube, config)))
     table = np.concatenate([_table(tube, config.scene) for tube in tubes])
     for values, unknown in zip(table.T, UNKNOWNS.values(), strict=True):
         if values.min() < unknown.low or values.max() > unknown.high:
             span = f"{values.min():.4g} to {values.max():.4g}"
             lines[f"{unknown.text} {span}, beyond {unknown.low:g} to {unknown.high:g} {unknown.unit}".strip()] = None
     return list(lines)
+
+
+def _scene_in(tube: Context, config: TaskConfig) -> Scene:
+    return config.scene.model_copy(update={"tube": {"helix_diameter": tube.helix_diameter}})
 
 
 def _table(tube: Context, scene: Scene) -> FloatArray:

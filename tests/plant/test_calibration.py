@@ -259,7 +259,7 @@ def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | f
     scene = Scene.fitted({"tube": {"inner_diameter": bore, "helix_diameter": 1.4}})
     length = np.arange(5.5, 55.0)
     bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
-    tension = drag * steady_tension(np.full((1, 1), friction), bare, scene, 1.4)[0] * np.exp(noise)
+    tension = drag * steady_tension(np.full((1, 1), friction), bare, scene)[0] * np.exp(noise)
     return with_felt(Case("log", "", scene, bare), {"root_tension": tension})
 
 
