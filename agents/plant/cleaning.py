@@ -30,21 +30,13 @@ ROUNDS: Final = 12
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of the repairs; a log beyond them is refused.
+    """Limits of the repairs; a log beyond them is refused."""
 
-    Attributes:
-        gap: longest gap in time that is bridged by straight lines [s].
-        backward: motion of the encoder backwards that is taken for noise [m].
-        start_length: inserted length at the beginning of a log without an encoder [m].
-        tolerance: of the inserted length after thinning [m].
-        every: longest time between rows of the clean log [s].
-    """
-
-    gap: float = 5.0
-    backward: float = 0.02
-    start_length: float = 5.0
-    tolerance: float = 1e-3
-    every: float = 1.0
+    gap: float = 5.0  # in time, bridged by straight lines [s]
+    backward: float = 0.02  # motion of the encoder backwards that is taken for noise [m]
+    start_length: float = 5.0  # inserted at the beginning of a log without an encoder [m]
+    tolerance: float = 1e-3  # of the inserted length after thinning [m]
+    every: float = 1.0  # longest time between rows of the clean log [s]
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (
@@ -58,9 +50,8 @@ class Bounds:
             if not low <= value <= high:
                 raise ValueError(f"{name} = {value!r} is outside the accepted range {low:g} to {high:g} {unit}")
         if self.every > self.gap:
-            raise ValueError(
-                f"every = {self.every:g} s is more than gap = {self.gap:g} s, and the clean file could not be read"
-            )
+            problem = f"every = {self.every:g} s is more than gap = {self.gap:g} s"
+            raise ValueError(f"{problem}, and the clean file could not be read")
 
 
 @dataclass
@@ -198,12 +189,9 @@ def _band(channels: Channels, length: FloatArray, rows: IntArray, backward: floa
     back = before - length > backward
     if back.any():
         row = int(back.argmax())
-        raise table.error(
-            rows[row],
-            f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m that"
-            " are taken for noise - a log is of the way in: cut the file there, or --backward",
-            channels.places[name],
-        )
+        problem = f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m"
+        hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
+        raise table.error(rows[row], f"{problem} {hint}", channels.places[name])
     if length.max() > most:
         raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
     return np.minimum.accumulate(length[::-1])[::-1], before

@@ -55,23 +55,17 @@ def channels_of(table: Table, options: Sequence[ColumnOption], decimal: str, air
     for names in (("time",), ("feed_speed", "inserted_length"), ("air_supply",)):
         if not any(name in places for name in names) and (names != ("air_supply",) or air is None):
             hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
-            raise FileError(
-                table.path,
-                f"no column is known as {' or '.join(names)}; found: {heads_shown(table.heads)}"
-                f" - name it: --columns 'HEAD={names[0]}'{hint}",
-            )
+            problem = f"no column is known as {' or '.join(names)}; found: {heads_shown(table.heads)}"
+            raise FileError(table.path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
     cells = {k: _trimmed(table.columns[k]) for k in places.values()}
     time = places["time"]
     if date is not None:
         cells[time] = _dated(table, date, _trimmed(table.columns[date]), cells[time])
     first = cells[time].filter(pc.invert(_is_missing(cells[time])))[:1]
     written_out = any(pc.match_substring_regex(first, _MORE_THAN_NUMBER).to_pylist())
-    factors = {
-        name: _factor(table, QUANTITIES[name], k, units)
-        for name, k in places.items()
-        if not (written_out and name == "time")
-    }
-    sign = decimal or _decimal_sign(table, {places[name]: cells[places[name]] for name in factors})
+    scaled = {name: k for name, k in places.items() if not (written_out and name == "time")}
+    factors = {name: _factor(table, QUANTITIES[name], k, units) for name, k in scaled.items()}
+    sign = decimal or _decimal_sign(table, {k: cells[k] for k in scaled.values()})
     values = {}
     for name, k in places.items():
         known = name in factors
@@ -113,9 +107,8 @@ def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) 
     if not unit and quantity.name == "time":
         unit = quantity.unit
     if not unit:
-        raise FileError(
-            table.path, f"column {head!r} has no unit: give it, --columns '{plain(head)}={quantity.name}[UNIT]'"
-        )
+        hint = f"give it, --columns '{plain(head)}={quantity.name}[UNIT]'"
+        raise FileError(table.path, f"column {head!r} has no unit: {hint}")
     try:
         return si_factor(unit, quantity)
     except ValueError as error:
@@ -126,14 +119,10 @@ def _in_range(table: Table, k: int, quantity: Quantity, values: FloatArray) -> F
     low, high = quantity.low, quantity.high
     wrong = (values < low - NOISE.get(quantity.name, 0.0)) | (values > high)
     if wrong.any():
-        row = int(wrong.argmax())
+        row, unit = int(wrong.argmax()), quantity.unit
         value, least, most = (number / quantity.scale for number in (values[row], low, high))
-        raise table.error(
-            row,
-            f"{quantity.name} = {value:.6g} {quantity.unit} is outside the accepted range {least:g} to {most:g}"
-            f" {quantity.unit} - is the unit right?",
-            k,
-        )
+        problem = f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {least:g} to {most:g} {unit}"
+        raise table.error(row, f"{problem} - is the unit right?", k)
     return np.asarray(np.where(values < low, low, values))
 
 
@@ -150,8 +139,8 @@ def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
     proofs = {sign: _first(columns, _proof(sign)) for sign in ".,"}
     if proofs["."] and proofs[","]:
         row, k = max(proofs["."], proofs[","])
-        cell = columns[k][row].as_py()
-        raise table.error(row, f"{cell[:40]!r} has another decimal sign than the numbers before it: use one", k)
+        problem = f"{columns[k][row].as_py()[:40]!r} has another decimal sign than the numbers before it"
+        raise table.error(row, f"{problem}: use one", k)
     for sign, proof in proofs.items():
         if proof:
             return sign
@@ -160,12 +149,8 @@ def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
         return "."
     if unclear := _first(columns, r"[.,]"):
         row, k = unclear
-        cell = columns[k][row].as_py()
-        raise table.error(
-            row,
-            f"{cell[:40]!r} may have a decimal sign or thousands, and no other number tells: --decimal point or comma",
-            k,
-        )
+        problem = f"{columns[k][row].as_py()[:40]!r} may have a decimal sign or thousands, and no other number tells"
+        raise table.error(row, f"{problem}: --decimal point or comma", k)
     return "."
 
 

@@ -137,12 +137,10 @@ def _thinned(channels: Channels, bounds: Bounds) -> Log:
     speed = np.diff(kept) / np.diff(time)
     if speed.max() > RANGES[FEED][1]:
         k = int(speed.argmax())
-        raise table.error_between(
-            whole.rows[rows[k]],
-            whole.rows[rows[k + 1]],
-            f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s, and no feed"
-            f" does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance for a noisy encoder",
-        )
+        problem = f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
+        hint = f"no feed does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance"
+        first, last = whole.rows[rows[k : k + 2]]
+        raise table.error_between(first, last, f"{problem}, and {hint} for a noisy encoder")
     values = {name: portion_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
     length[rows] = kept
     deviation = float(outside(whole.time, rows, length, whole.band).max())

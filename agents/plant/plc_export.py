@@ -78,14 +78,9 @@ def _real(value: float) -> str:
 def table(
     constants: Constants, plant: PlantData, diameters: Sequence[float], helix_length: float, noise: float | None = None
 ) -> pd.DataFrame:
-    """Feed and air by helix diameter, friction and inserted length, for a controller that stores tables.
+    """Feed and air by helix diameter, friction and inserted length [m], for a controller that stores tables.
 
-    Args:
-        constants: of the law.
-        plant: its data.
-        diameters: of the helices [m].
-        helix_length: [m].
-        noise: as radial rms [m]; default: that at which it shifts nothing.
+    ``noise`` is a radial rms [m]; default: that at which it shifts nothing.
     """
     lengths = np.append(np.arange(SHORTEST, helix_length, TABLE_STEP), helix_length)
     grid = np.meshgrid(diameters, TABLE_FRICTIONS, lengths, indexing="ij")

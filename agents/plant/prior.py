@@ -114,9 +114,7 @@ def _log_uniform(low: float, high: float, shares: FloatArray) -> FloatArray:
 def _checked(value: float, unknown: Unknown, file: str) -> float:
     if not unknown.low <= value <= unknown.high:
         unit = f" {unknown.unit}" if unknown.unit else ""
-        raise FileError(
-            file,
-            f"{unknown.table}.{unknown.field} = {value:g}{unit} is outside {unknown.low:g} to {unknown.high:g}{unit},"
-            " for which the response of the probe was learnt",
-        )
+        problem = f"{value:g}{unit} is outside {unknown.low:g} to {unknown.high:g}{unit}"
+        reason = "for which the response of the probe was learnt"
+        raise FileError(file, f"{unknown.table}.{unknown.field} = {problem}, {reason}")
     return float(value)

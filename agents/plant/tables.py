@@ -87,15 +87,11 @@ def read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) -
         return _sheet_table(path, _sheet_rows(path, content, sheet), options)
     if sheet is not None:
         raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
-    return _text_table(path, decoded(path, content), options)
+    return _text_table(path, _decoded(path, content), options)
 
 
-def decoded(path: Path, content: bytes) -> str:
-    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe.
-
-    Raises:
-        FileError: not a text.
-    """
+def _decoded(path: Path, content: bytes) -> str:
+    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe."""
     begin = content[:1000]
     names = ["utf-8-sig", "cp1252"]
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -113,9 +109,8 @@ def decoded(path: Path, content: bytes) -> str:
     text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # DOS ended files with Ctrl-Z
     if control := _CONTROL.search(text):
         line = text.count("\n", 0, control.start()) + 1
-        raise FileError(
-            path, f"line {line}: not a text file: a control character (0x{ord(control[0]):02x}) - export it as text"
-        )
+        problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
+        raise FileError(path, f"line {line}: {problem} - export it as text")
     return text
 
 
@@ -126,19 +121,15 @@ def _text_table(path: Path, text: str, options: Sequence[ColumnOption]) -> Table
     if len(lines) > MOST_ROWS:
         raise FileError(path, f"{len(lines)} lines are more than the {MOST_ROWS} that a log may have: cut it")
     filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
-    candidates = [
-        (k + 1, separator, _split(_uncommented(lines[k][: 100 * MOST_COLUMNS]), separator))
-        for k in filled
-        for separator in SEPARATORS
-    ]
+    begins = {k + 1: _uncommented(lines[k][: 100 * MOST_COLUMNS]) for k in filled}
+    candidates = [(k, separator, _split(line, separator)) for k, line in begins.items() for separator in SEPARATORS]
     first = next(((number, cells) for number, _, cells in candidates if len(cells) > 1), (1, list[str]()))
     head, separator, _ = _find_head(path, "line", candidates, options, first)
     heads = _split(_uncommented(lines[head - 1]), separator)
     if len(heads) > MOST_COLUMNS:
         raise FileError(path, f"line {head}: {len(heads)} columns are more than {MOST_COLUMNS}")
-    steps = any(
-        line.startswith(CSV_COMMENT) and line.partition(":")[2].strip() == "steps" for line in lines[: head - 1]
-    )
+    remarks = (line for line in lines[: head - 1] if line.startswith(CSV_COMMENT))
+    steps = any(line.partition(":")[2].strip() == "steps" for line in remarks)
     body = pa.array(lines[head:], pa.large_string())
     numbers = np.flatnonzero(~np.asarray(pc.match_substring_regex(body, _COMMENT))) + head + 1
     below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
@@ -163,12 +154,9 @@ def _find_head(
 
     best = max(candidates, key=score, default=None)
     if best is None or score(best) < 2:
-        number, cells = shown
-        raise FileError(
-            path,
-            f"{word} {number}: no head that names two quantities; found: {heads_shown(cells) or 'none'} - say what they"
-            f" are: --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}",
-        )
+        problem = f"no head that names two quantities; found: {heads_shown(shown[1]) or 'none'} - say what they are"
+        names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
+        raise FileError(path, f"{word} {shown[0]}: {problem}: {names}")
     return best
 
 
@@ -257,14 +245,10 @@ def _sheet_rows(path: Path, content: bytes, sheet: str | None) -> list[tuple[int
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             parts = archive.infolist()
-    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as error:
-        raise FileError(path, f"not an Excel workbook that can be read ({error}): save it again") from error
-    unpacked = sum(part.file_size for part in parts)  # what a part declares is all that is unpacked of it
-    if unpacked > MOST_UNPACKED:
-        raise FileError(
-            path, f"{len(parts)} parts of {unpacked} bytes unpacked are more than a log may have: export it as CSV"
-        )
-    try:
+        unpacked = sum(part.file_size for part in parts)  # what a part declares is all that is unpacked of it
+        if unpacked > MOST_UNPACKED:
+            size = f"{len(parts)} parts of {unpacked} bytes unpacked"
+            raise FileError(path, f"{size} are more than a log may have: export it as CSV")
         with warnings.catch_warnings(action="ignore"):  # of styles and extensions
             book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
             names = [str(name) for name in book.sheetnames]
@@ -278,9 +262,8 @@ def _sheet_rows(path: Path, content: bytes, sheet: str | None) -> list[tuple[int
     except FileError:
         raise
     except Exception as error:  # a damaged workbook raises whatever its parts run into
-        raise FileError(path, f"not an Excel workbook that can be read ({type(error).__name__}): save it again") from (
-            error
-        )
+        problem = f"not an Excel workbook that can be read ({type(error).__name__})"
+        raise FileError(path, f"{problem}: save it again") from error
 
 
 def _checked_rows(path: Path, values: Iterable[Sequence[Any]]) -> list[tuple[int, list[str]]]:

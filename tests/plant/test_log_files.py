@@ -6,7 +6,6 @@ import struct
 import zipfile
 from datetime import datetime, time, timedelta
 
-import numpy as np
 import pytest
 
 from agents.plant.cleaning import Bounds
@@ -158,7 +157,6 @@ CHANGED = [
     ("m/s", "furlongs/s?", "column 'feed [furlongs/s?]': 'furlongs/s?' is not a unit"),
     ("m/s", "wubbles", "column 'feed [wubbles]': the unit 'wubbles' is not known"),
     ("m/s", "kg", "column 'feed [kg]': 'kg' is not a unit of feed_speed - give one like m/s"),
-    ("m/s", "m**9**9**9**9", "is not a unit"),
     (" [m/s]", "", "column 'feed' has no unit: give it, --columns 'feed=feed_speed[UNIT]'"),
     ("length [m]", "Vorschub [m/s]", "columns 'Vorschub [m/s]' and 'feed [m/s]' are both feed_speed"),
     ("time", "clock?", "no column is known as time; found: 'clock? [s]', 'length [m]'"),
@@ -173,8 +171,9 @@ CHANGED = [
 HOLE = HEAD + "\n" + "\n".join(f"{t};{'' if 2 < t < 12 else 5.5};0.0;63.0" for t in range(20))
 
 
-def with_days(d, c):
-    return lines(head=DATED, row=DAYS, d=d, c=c)
+def with_days(day, clock):
+    """The first and then the second day of a month, two rows each."""
+    return lines(head=DATED, row=DAYS, d=lambda t, _: day.format(1 + t // 2), c=clock)
 
 
 def with_clock(c):
@@ -183,7 +182,6 @@ def with_clock(c):
 
 BROKEN = [
     ("", "empty: a head"),
-    ("\n \n\n", "empty: a head"),
     ("\n" * 2500 + BAD, "line 1: no head that names two quantities; found: none"),
     (HEAD, "line 1: a head, but no rows"),
     ("time;feed;air\ns;m/s;m3/h\n", "line 1: a head, but no rows"),
@@ -191,7 +189,6 @@ BROKEN = [
     (lines(head=OTHER), "line 1: no head that names two quantities; found: 'Kanal 1', 'Kanal 2'"),
     ("Dear all,\nthis is not a log.\n", "no head that names two quantities"),
     (bytes(range(256)) * 8, "line 2: not a text file (byte 0x81)"),
-    (np.random.default_rng(0).bytes(4096), "not a text file"),
     (b"\xff\xfe" + BAD.encode("utf-16-le")[:-1], "not a text file"),
     (BAD[:-9], "line 5: 3 values for 4 columns, separated by ';' - the file ends within it"),
     (lines(",", row="{t};5,0;0,2;63,0"), "export it with semicolons"),
@@ -203,18 +200,8 @@ BROKEN = [
     (with_clock(lambda t, _: f"25:00:0{t}"), "line 2, column 'time [s]': '25:00:00' is not a"),
     (with_clock(lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]'"),
     (with_clock(lambda t, _: f"2024-05-31T12:00:0{t}{'Z' * (t == 2)}"), "line 4, column 'time [s]': times with a zone"),
-    (
-        with_days(lambda t, _: f"{1 + t // 2:02d}.06.2024", lambda t, _: f"09:00:0{t}"),
-        "lines 3 to 4: no rows for 86401 s",
-    ),
-    (
-        with_days(lambda t, _: f"0{1 + t // 2}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"),
-        "lines 3 to 4: no rows for 82801 s",
-    ),
-    (
-        with_days(lambda t, _: f"6/{1 + t // 2}/24", lambda t, _: f"09:00:0{t}"),
-        "line 2, column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024",
-    ),
+    (with_days("0{}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"), "lines 3 to 4: no rows for 82801 s"),
+    (with_days("6/{}/24", "%H:%M:%S"), "column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024"),
     (HOLE, "lines 4 to 14: column 'length [m]' has no values for 10 s, more than the 5 s"),
     (lines(row="{t};{mm};{v};{a}"), "line 2, column 'length [m]': inserted_length = 5000 m is outside"),
     (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
@@ -288,13 +275,9 @@ def test_broken_files_are_refused_in_one_line(tmp_path):
     assert not failures
 
 
-def test_a_sheet_may_claim_any_size(tmp_path):
-    path = tmp_path / "rig.xlsx"
-    path.write_bytes(with_part(b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
-    assert read_log(path, sheet="Messung").repairs.rows == 2
-
-
-def test_what_is_no_file(tmp_path, monkeypatch):
+def test_sizes_and_what_is_no_file(tmp_path, monkeypatch):
+    (tmp_path / "rig.xlsx").write_bytes(with_part(b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
+    assert read_log(tmp_path / "rig.xlsx", sheet="Messung").repairs.rows == 2  # a sheet may claim any size
     with pytest.raises(FileError, match="a folder, not a file"):
         read_log(tmp_path)
     os.mkfifo(tmp_path / "pipe")

@@ -97,8 +97,8 @@ def test_what_is_outside_the_training_ranges_is_reported() -> None:
 
 
 @pytest.mark.slow
-def test_it_is_written_simulated_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The schedule, how it was found, and the report with a schedule to compare with, on tubes of the plant."""
+def test_it_is_simulated_against_others(tmp_path: Path) -> None:
+    """The schedule, and the report with a schedule to compare with, on tubes of the plant."""
     (tmp_path / "tube.toml").write_text(TUBE)
     own = tmp_path / "own.csv"
     own.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n24,0.2,63\n")
@@ -109,10 +109,7 @@ def test_it_is_written_simulated_and_printed(tmp_path: Path, capsys: pytest.Capt
     episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
     assert set(episodes["policy"]) == {"recommended", "recommended-law", "own", "best-schedule", "tension-scheduled"}
     assert (episodes.groupby("policy").size() == 2).all()
-    page = (tmp_path / "my-confirmed" / "report.html").read_text()
-    assert "own" in page
-    assert "recommended" in page
-    assert "expected reward" in capsys.readouterr().out
+    assert "recommended" in (tmp_path / "my-confirmed" / "report.html").read_text()
 
 
 def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,7 +123,7 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert not record["calibrated"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
-    assert "simulated on" not in printed
+    assert "expected reward" in printed
     assert "way in" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0
