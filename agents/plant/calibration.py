@@ -152,9 +152,8 @@ def recorded_of(
         diameters *= len(paths)
     if len(diameters) != len(paths):
         what = "--helix-diameters" if helix_diameters else "tube.helix_diameter"
-        raise ValueError(
-            f"{what}: {len(diameters)} for {len(paths)} logs: give --helix-diameters, one for all or one each [m]"
-        )
+        hint = "give --helix-diameters, one for all or one each [m]"
+        raise ValueError(f"{what}: {len(diameters)} for {len(paths)} logs: {hint}")
     for diameter in diameters:
         within("helix_diameter", diameter, 0.3, 1e4, "m")
         if len(plant.diameters) > 1 and not any(abs(diameter - known) < 1e-6 for known in plant.diameters):
@@ -222,9 +221,8 @@ def print_calibration(calibration: Calibration, own: bool = True) -> None:
     )
     terms = {"logs": "; ".join(logs), "taken for": "; ".join(geometry)}
     if not own:
-        terms["taken for"] += (
-            ". That is table 2's: a --tube says what yours are; another bore or helix tells another friction"
-        )
+        hint = "a --tube says what yours are; another bore or helix tells another friction"
+        terms["taken for"] += f". That is table 2's: {hint}"
     if prior.assumed:
         terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(prior.assumed)
     if prior.known:

@@ -302,11 +302,10 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     alike = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
     weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + alike) / (1.0 - alike))
     fit = least_squares(weighted(float(weight)), fit.x, bounds=bounds, loss="soft_l1")
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac + 1e-12 * np.eye(2))
+    jacobian = np.asarray(fit.jac)
+    covariance = np.linalg.inv(jacobian.T @ jacobian + 1e-12 * np.eye(2))
     deviation = np.sqrt(np.diag(covariance) + SLIDING_TRUST**2)
 
-    friction, drag = (
-        (float(scale * np.exp(x)), *(float(scale * np.exp(x) * np.exp(z * relative)) for z in (-Z90, Z90)))
-        for scale, x, relative in zip((1.0, middle), fit.x, deviation, strict=True)
-    )
-    return Sliding(friction, drag)
+    centres = np.exp(fit.x) * (1.0, middle)
+    rows = np.column_stack([centres, centres * np.exp(-Z90 * deviation), centres * np.exp(Z90 * deviation)])
+    return Sliding(*rows.tolist())

@@ -127,9 +127,8 @@ def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
         head, _, right = text.rpartition("=")
         name, unit = split_head(right) if right.rstrip().endswith(("]", ")")) else (right.strip(), "")
         if not head.strip() or name not in NAMES:
-            raise ValueError(
-                f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT], with one of {', '.join(NAMES)}"
-            )
+            problem = f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT]"
+            raise ValueError(f"{problem}, with one of {', '.join(NAMES)}")
         if name in (other.quantity for other in options):
             raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, and comes from one column")
         options.append(ColumnOption(head.strip(), name, unit))
@@ -170,6 +169,5 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 def looks_like_unit(cell: str) -> bool:
     """Whether a cell below a head may be its unit."""
     text = cell.strip().strip("[]()").strip().translate(_SUPERSCRIPTS)
-    return not text or bool(
-        len(text) <= LONGEST_UNIT and re.fullmatch(r"[A-Za-zµ°%/*^ \d-]+", text) and not text.isdigit()
-    )
+    shape = rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}"
+    return not text.isdigit() and re.fullmatch(shape, text) is not None

@@ -138,20 +138,14 @@ def recommend(
 
 
 def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
-    """The schedule with the best mean expected reward over some tubes.
-
-    Args:
-        tubes: equally likely.
-        response: expected measurements.
-        config: the task: ranges, steps, weights and limits.
+    """The schedule with the best mean expected reward over some tubes, which are equally likely.
 
     Raises:
         ValueError: the response does not have the task's vibration measure, or no air of the range keeps the drive.
     """
     if config.vibration_measure not in MEASURES:
-        raise ValueError(
-            f"task.vibration_measure = {config.vibration_measure!r}: recommendations know {' and '.join(MEASURES)}"
-        )
+        problem = f"task.vibration_measure = {config.vibration_measure!r}"
+        raise ValueError(f"{problem}: recommendations know {' and '.join(MEASURES)}")
     end = config.scene.tube.helix_length
     places = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
     feed, air = _grid(config)
@@ -164,27 +158,22 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     too_slack = slack(config, taut / MARGIN, places[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
-        raise ValueError(
-            f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
-            f" {taut[hopeless][0].max():.3g} N of root tension at {places[hopeless][0]:g} m in {SURE:.0%} of the draws,"
-            f" and {MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
-        )
+        at = f"{taut[hopeless][0].max():.3g} N of root tension at {places[hopeless][0]:g} m in {SURE:.0%} of the draws"
+        needed = f"{MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
+        problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
+        raise ValueError(f"{problem} {at}, and {needed}")
     logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
     change = SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
     path = cheapest_path(np.where(too_slack, np.inf, cost * stands_for[:, None]), change)
-    schedule = Schedule(
-        "inserted_length", "linear", tuple(places.tolist()), tuple(feed[path].tolist()), tuple(air[path].tolist())
-    )
+    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (places, feed[path], air[path]))
+    schedule = Schedule("inserted_length", "linear", position, feeds_of, airs_of)
     on_path = range(len(path)), path
     gained = float((metre_reward(config, cost) * stands_for[:, None])[on_path].sum())
     return Optimum(schedule, gained, float(taut[on_path][drive_counts(config, places)].min(initial=np.inf)))
 
 
 def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
-    """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes.
-
-    Args and errors as of ``recommended``.
-    """
+    """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
     least, most = ranges["friction"]
@@ -196,8 +185,8 @@ def recommended_law(tubes: Sequence[Context], response: Response, config: TaskCo
         drawn = ([tube.model_copy(update={"friction": mu}) for tube in alike] for mu in inside)
         rows = [recommended(contexts, response, config).schedule for contexts in drawn]
         places = rows[0].position
-        speeds, airs = tuple(row.feed_speed for row in rows), tuple(row.air_supply_rate for row in rows)
-        tables.append(OfDiameter(helix_diameter=diameter, feed_speed=speeds, air_supply_rate=airs))
+        columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
+        tables.append(OfDiameter(helix_diameter=diameter, **columns))
     return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=places, tables=tuple(tables))
 
 
@@ -247,12 +236,10 @@ def _table(tube: Context, scene: Scene) -> FloatArray:
 
 def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     """(g,) feeds and airs that the device can be set to."""
-    feed = np.geomspace(*feeds(config), FEEDS)
-    air = np.linspace(*config.air_supply_rates, AIRS)
     targets = []
     for values, step, (low, high) in (
-        (feed, config.feed_speed_step, config.feed_speeds),
-        (air, config.air_supply_step, config.air_supply_rates),
+        (np.geomspace(*feeds(config), FEEDS), config.feed_speed_step, config.feed_speeds),
+        (np.linspace(*config.air_supply_rates, AIRS), config.air_supply_step, config.air_supply_rates),
     ):
         set_to = np.round(step * np.round(values / step), 12) if step > 0.0 else values
         within = set_to[(set_to >= low - 1e-12) & (set_to <= high + 1e-12)]
@@ -296,18 +283,18 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
     airs = np.unique(np.round(3600.0 * config.given(np.full_like(whole, fastest), whole)[:, 1], 9))
     pulls, enough = pulled(config, tubes, airs, fastest), MARGIN * config.required_tension
     if not (pulls >= enough).any():
-        raise ValueError(
-            f"air_supply_rates up to {most:.4g} m3/h: even the most pulls with {pulls.max():.3g} N only where it pulls"
-            f" least, and {enough:.3g} N are needed ({MARGIN:g} times required_tension)"
-        )
+        problem = f"air_supply_rates up to {most:.4g} m3/h: even the most pulls with {pulls.max():.3g} N only"
+        needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
+        raise ValueError(f"{problem} where it pulls least, and {needed}")
     bearable = buckling_load(config.scene.probe) / MARGIN
     borne = min(bisect_right(airs, bearable, key=partial(pressed, config, tube, feed=slowest)) for tube in tubes)
     if borne == 0:
         greatest = max(pressed(config, tube, airs[0], slowest) for tube in tubes)
-        raise ValueError(
-            f"air_supply_rates from {least:.4g} m3/h: even the least presses with {greatest:.3g} N on the way back, and"
-            f" the cable bears {bearable:.3g} N between two floats (its buckling load over {MARGIN:g})"
+        problem = (
+            f"air_supply_rates from {least:.4g} m3/h: even the least presses with {greatest:.3g} N on the way back"
         )
+        limit = f"{bearable:.3g} N between two floats (its buckling load over {MARGIN:g})"
+        raise ValueError(f"{problem}, and the cable bears {limit}")
     return float(airs[pulls >= enough].min()), float(airs[borne - 1])
 
 

@@ -83,16 +83,13 @@ def test_the_prior_is_what_the_file_says() -> None:
     # standard normal coordinates of the 5th percentile, the median and the 95th
     values = prior.values(np.array([[z, z] for z in (-1.6449, 0.0, 1.6449)]), 1)[0, :, :2]
     np.testing.assert_allclose(values, [[0.105, 83551.5], [0.15, 1e5], [0.195, 116448.5]], rtol=1e-3)
-
-
-def test_values_outside_the_training_ranges_are_refused() -> None:
-    cases: list[tuple[dict[str, Any], str]] = [
+    refused: list[tuple[dict[str, Any], str]] = [
         ({"contact": {"friction": {"low": 0.1, "high": 0.6}}}, "contact.friction = 0.6 is outside 0.05 to 0.35"),
         ({"contact": {"stiffness": 1e6}}, r"contact.stiffness = 1e\+06 N/m is outside 50000 to 190000 N/m"),
         ({"probe": {"damping_time": 1e-5}}, "probe.damping_time = 1e-05 s is outside"),
         ({"air": {"drag_coefficient": {"mean": 3.0, "std": 0.1}}}, "air.drag_coefficient = 3 is outside"),
     ]
-    for tables, problem in cases:
+    for tables, problem in refused:
         with pytest.raises(ValueError, match=f"mine.toml: {problem}"):
             prior_of(Plant.model_validate(tables), "mine.toml")
 
@@ -165,9 +162,8 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
         ratios.append(np.log(three / one))
     # exp(-0.274), for drag, which acts alike, is known no better; scatters by 0.069 over 16 worlds
     assert np.mean(ratios) < -0.274 + of_another(0.069, 16, members=worlds) < 0.0
-    others = [
-        log_like(np.array([own, 9e4, 0.44, 6e-5]), rng, tube=k) for k, own in zip("ab", (0.18, 0.12), strict=True)
-    ]
+    own = {"a": 0.18, "b": 0.12}
+    others = [log_like(np.array([friction, 9e4, 0.44, 6e-5]), rng, tube=tube) for tube, friction in own.items()]
     draws = sampled(RESPONSE, others, PRIOR).draws
     # 0.183 +- 0.0051 and 0.122 +- 0.0032 over 16 worlds
     assert np.median(draws[0, :, 0]) > 0.183 - of_another(0.0051, 16, among=2) > 0.15
@@ -177,10 +173,8 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
 @pytest.mark.parametrize("short", [(10, 20)], indirect=True)
 def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(short: None) -> None:
     rng = np.random.default_rng(0)
-    cases = [
-        log_like(np.array([own, 9e4, 0.44, 6e-5]), rng, tube=k, length=LENGTH[::4])
-        for k, own in zip("ab", (0.3, 0.1), strict=True)
-    ]
+    own, every = {"a": 0.3, "b": 0.1}, LENGTH[::4]
+    cases = [log_like(np.array([mu, 9e4, 0.44, 6e-5]), rng, tube=k, length=every) for k, mu in own.items()]
     first, second = (sampled(RESPONSE, cases, PRIOR).draws for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert first.shape[0] == 2

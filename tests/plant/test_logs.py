@@ -75,7 +75,7 @@ def test_standstills_last_and_are_exactly_none_and_slow_creeping_is_none(tmp_pat
         encoder = length + noise * np.random.default_rng(1).normal(size=len(time))
         log = read_log(written(tmp_path / "rig.csv", time, encoder))
         (dwell,) = log.dwells
-        # the noise hides the tolerance and itself, at both ends, at 0.1 m/s: hundredths of a second, of rows 0.1 s apart
+        # the noise hides the tolerance and itself, at both ends, at 0.1 m/s: hundredths of a second; rows: 0.1 s apart
         assert dwell.time == pytest.approx(20.0, abs=0.15)
         assert dwell.duration == pytest.approx(15.0, abs=0.3)
         assert dwell.inserted_length == pytest.approx(7.0, abs=TOLERANCE + noise)
