@@ -91,9 +91,12 @@ def test_what_is_outside_the_training_ranges_is_reported() -> None:
     assert beyond(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
     texts = "; ".join(beyond([Context(friction=0.4)], RESPONSE, odd))
-    assert "radial room of the floats 0.009 to 0.009 m, beyond" in texts
-    assert "a probe of another line_density" in texts
-    assert "friction 0.4 to 0.4, beyond 0.05 to 0.35" in texts
+    for text in (
+        "floats 0.009 to 0.009 m, beyond",
+        "a probe of another line_density",
+        "friction 0.4 to 0.4, beyond 0.05",
+    ):
+        assert text in texts
 
 
 @pytest.mark.slow
