@@ -91,11 +91,7 @@ def test_what_is_outside_the_training_ranges_is_reported() -> None:
     assert beyond(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
     texts = "; ".join(beyond([Context(friction=0.4)], RESPONSE, odd))
-    for text in (
-        "floats 0.009 to 0.009 m, beyond",
-        "a probe of another line_density",
-        "friction 0.4 to 0.4, beyond 0.05",
-    ):
+    for text in ("floats 0.009 to 0.009 m, beyond", "a probe of another line_density", "friction 0.4 to 0.4, beyond"):
         assert text in texts
 
 
