@@ -18,74 +18,43 @@ from agents.plant.inference import (
     Posterior,
     Sliding,
     by_sliding,
-    check_cases,
     gain_of,
     sampled,
 )
-from agents.plant.logs import Log, read_log
+from agents.plant.logs import read_log
 from agents.plant.prior import UNKNOWNS, Prior, prior_of
 from agents.plant.response import CHANNELS, Response, metres_of
 from agents.records.shipped import file_or_shipped
 from agents.terminal.names import name_of, name_problem
 from agents.terminal.tables import print_table, print_terms
 from probe_env import Plant
-from probe_env.arrays import FloatArray
 from probe_env.settings import within
 
 LEVEL: Final = 0.90
 """Of the intervals."""
 AT_EDGE: Final = 0.06, 0.5
 """A posterior leans against an edge if more than the second share of it is within the first share of the range."""
-LABELS: Final = {
-    "root_tension": ("root tension [N]", 1.0),
-    "radial_acceleration_rms": ("radial acceleration rms [m/s²]", 1.0),
-    "axial_acceleration_rms": ("axial acceleration rms [m/s²]", 1.0),
-    "rf_noise_rms": ("radial rms by the noise [mm]", 1e3),
-}
+LABELS: Final = (
+    ("root tension [N]", 1.0),
+    ("radial acceleration rms [m/s²]", 1.0),
+    ("axial acceleration rms [m/s²]", 1.0),
+    ("radial rms by the noise [mm]", 1e3),
+)
+"""Label of each channel in a picture, and its scale."""
 DRAWN: Final = 64
 """Draws in a picture of bands."""
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """A log and the tube it was recorded in.
-
-    Attributes:
-        name: of the log.
-        log: read and repaired.
-        tube: name of the tube; logs of one name share a friction.
-        helix_diameter: of that tube [m].
-    """
-
-    name: str
-    log: Log
-    tube: str
-    helix_diameter: float
-
-
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Result of a calibration.
-
-    Attributes:
-        prior: of the unknowns.
-        cases: the logs by metres.
-        tubes: names.
-        posterior: draws and misfit.
-        sliding: estimate from the tension alone, per tube; None without a tension.
-        beyond: what of each log is outside the training ranges of the response.
-        limits: largest accepted misfit of each channel, and of all.
-        gains: gain of the tension gauge, per log; None without a tension.
-    """
+    """Result of a calibration."""
 
     prior: Prior
-    cases: tuple[Case, ...]
-    tubes: tuple[str, ...]
+    cases: Sequence[Case]
     posterior: Posterior
-    sliding: tuple[Sliding | None, ...]
-    beyond: tuple[tuple[str, ...], ...]
-    limits: FloatArray
-    gains: tuple[Gain | None, ...]
+    sliding: dict[str, Sliding | None]  # tube -> estimate from the tension alone; None without a tension
+    beyond: list[str]  # what of the logs is outside the training ranges of the response
+    gains: list[Gain | None]  # of the tension gauge, per log; None without a tension
 
     def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
         """Mean and 90 % interval of an unknown, of one tube or over all of them."""
@@ -97,7 +66,7 @@ class Calibration:
     @property
     def misfits(self) -> list[str]:
         """Why the model cannot have produced these logs, one text each; empty where it can."""
-        reasons = []
+        reasons, limits = [], self.posterior.likelihood.response.misfit
         for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
             if gauge and gauge.ratio > LIMIT:
                 reasons.append(
@@ -106,18 +75,17 @@ class Calibration:
                     f" {gauge.ratio:.1f}, one log in thirty: {LIMIT:g})"
                 )
             for k, name in enumerate((*CHANNELS, "all channels together")):
-                if misfit[k] > self.limits[k]:
+                if misfit[k] > limits[k]:
                     reasons.append(
                         f"{case.name}: {name.replace('_', ' ')} strays {np.sqrt(misfit[k]):.1f} times as far from the"
-                        f" model as simulated logs do (one in a hundred: {np.sqrt(self.limits[k]):.1f})"
+                        f" model as simulated logs do (one in a hundred: {np.sqrt(limits[k]):.1f})"
                     )
         return reasons
 
     @property
     def leaning(self) -> list[str]:
         """Unknowns whose posterior lies at an edge of the prior, one text each."""
-        texts = []
-        width, share = AT_EDGE
+        texts, (width, share) = [], AT_EDGE
         for column, name in enumerate(UNKNOWNS):
             if name in self.prior.known:
                 continue
@@ -140,39 +108,36 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """``calibration.json``: estimates, draws, verdict."""
         draws = self.posterior.draws
-        kept = np.arange(draws.shape[1])
-        tube = kept % len(self.tubes)  # over all tubes: each in turn
+        rows = np.arange(draws.shape[1])
+        turns = rows % len(draws)  # over all tubes: each in turn
         return {
             **{name: self.summary(name) | {"unit": UNKNOWNS[name].unit} for name in UNKNOWNS},
             "verdict": self.verdict,
             "misspecified": bool(self.misfits),
-            "reasons": [*self.misfits, *self.leaning, *(text for texts in self.beyond for text in texts)],
+            "reasons": [*self.misfits, *self.leaning, *self.beyond],
             "tubes": {
-                name: {
+                tube: {
                     "friction": self.summary("friction", k),
-                    "logs": [case.name for case in self.cases if case.tube == k],
-                    "helix_diameter": next(c.scene.tube.helix_diameter for c in self.cases if c.tube == k),
-                    "by_tension_alone": _sliding_json(self.sliding[k]),
+                    "logs": [case.name for case in self.cases if case.tube == tube],
+                    "helix_diameter": next(c.scene.tube.helix_diameter for c in self.cases if c.tube == tube),
+                    "by_tension_alone": fit
+                    and {n: dict(zip(("mean", "low", "high"), v, strict=True)) for n, v in fit._asdict().items()},
                 }
-                for k, name in enumerate(self.tubes)
+                for k, (tube, fit) in enumerate(self.sliding.items())
             },
             "held_possible": {name: list(range_) for name, range_ in self.prior.ranges.items()},
             "known": self.prior.known,
             "draws": {
-                name: [float(f"{v:.6g}") for v in draws[tube, kept, column]]
+                name: [float(f"{v:.6g}") for v in draws[turns, rows, column]]
                 for column, name in enumerate(UNKNOWNS)
                 if name not in self.prior.known
             },
         }
 
 
-def _sliding_json(fit: Sliding | None) -> dict[str, dict[str, float]] | None:
-    return fit and {name: dict(zip(("mean", "low", "high"), v, strict=True)) for name, v in fit._asdict().items()}
-
-
 def recorded_of(
     paths: Sequence[Path], plant: Plant, helix_diameters: Sequence[float], tubes: Sequence[str], columns: Sequence[str]
-) -> list[Recorded]:
+) -> list[Case]:
     """The logs with their tubes; all arguments are checked before the first log is read.
 
     Raises:
@@ -187,9 +152,8 @@ def recorded_of(
         diameters *= len(paths)
     if len(diameters) != len(paths):
         what = "--helix-diameters" if helix_diameters else "tube.helix_diameter"
-        raise ValueError(
-            f"{what}: {len(diameters)} for {len(paths)} logs: give --helix-diameters, one for all or one each [m]"
-        )
+        hint = "give --helix-diameters, one for all or one each [m]"
+        raise ValueError(f"{what}: {len(diameters)} for {len(paths)} logs: {hint}")
     for diameter in diameters:
         within("helix_diameter", diameter, 0.3, 1e4, "m")
         if len(plant.diameters) > 1 and not any(abs(diameter - known) < 1e-6 for known in plant.diameters):
@@ -209,49 +173,37 @@ def recorded_of(
     labels = [name_of(file) for file in files]
     if len(set(labels)) < len(labels):
         labels = [str(path) for path in paths]
-    return [
-        Recorded(label, read_log(file, columns), name, diameter)
-        for label, file, name, diameter in zip(labels, files, names, diameters, strict=True)
-    ]
+    cases = []
+    for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
+        scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
+        cases.append(Case(label, tube, scene, metres_of(read_log(file, columns))))
+    return cases
 
 
 def calibrate(
-    recorded: Sequence[Recorded], plant: Plant, response: Response, file: str = "tube", progress: bool = True
+    cases: Sequence[Case], plant: Plant, response: Response, file: str = "tube", progress: bool = True
 ) -> Calibration:
     """Estimate the friction of each tube, and the stiffness, drag and damping that all tubes share.
-
-    Args:
-        recorded: the logs.
-        plant: where they were recorded; the helix diameter is that of each log.
-        response: expected measurements.
-        file: of the plant, for errors.
-        progress: whether a bar is shown.
 
     Raises:
         ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.
     """
     prior = prior_of(plant, file)
-    tubes = tuple(dict.fromkeys(entry.tube for entry in recorded))
-    cases = []
-    for entry in recorded:
-        scene = plant.scene.model_copy(update={"tube": {"helix_diameter": entry.helix_diameter}})
-        cases.append(Case(entry.name, tubes.index(entry.tube), scene, metres_of(entry.log)))
-    check_cases(cases)
-    beyond = tuple(tuple(f"{c.name}: {text}" for text in response.outside(c.metres, c.scene)) for c in cases)
-    sliding = tuple(by_sliding([c for c in cases if c.tube == k], prior) for k in range(len(tubes)))
     posterior = sampled(response, cases, prior, progress=progress)
-    gains = tuple(gain_of(posterior.likelihood, number, prior) for number in range(len(cases)))
-    return Calibration(prior, tuple(cases), tubes, posterior, sliding, beyond, response.misfit, gains)
+    beyond = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
+    sliding = {tube: by_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
+    gains = [gain_of(posterior.likelihood, number, prior) for number in range(len(cases))]
+    return Calibration(prior, cases, posterior, sliding, beyond, gains)
 
 
 def print_calibration(calibration: Calibration, own: bool = True) -> None:
     """Print estimates, intervals and the verdict; ``own``: whether a file describes the tubes."""
     prior = calibration.prior
     estimates: list[tuple[str, Sequence[float], str]] = []
-    for k, name in enumerate(calibration.tubes):
-        where = f" in {name}" if len(calibration.tubes) > 1 else ""
+    for k, (tube, sliding) in enumerate(calibration.sliding.items()):
+        where = f" in {tube}" if len(calibration.sliding) > 1 else ""
         estimates.append((f"friction{where}", [*calibration.summary("friction", k).values()], ""))
-        if sliding := calibration.sliding[k]:
+        if sliding:
             estimates.append((f"friction{where} by the tension alone", sliding.friction, ""))
     for name, unknown in UNKNOWNS.items():
         if name in prior.quantile and name != "friction":
@@ -269,16 +221,15 @@ def print_calibration(calibration: Calibration, own: bool = True) -> None:
     )
     terms = {"logs": "; ".join(logs), "taken for": "; ".join(geometry)}
     if not own:
-        terms["taken for"] += (
-            ". That is table 2's: a --tube says what yours are; another bore or helix tells another friction"
-        )
+        hint = "a --tube says what yours are; another bore or helix tells another friction"
+        terms["taken for"] += f". That is table 2's: {hint}"
     if prior.assumed:
         terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(prior.assumed)
     if prior.known:
         known = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.known.items())
         terms["known"] = "by the file: " + "; ".join(text.strip() for text in known)
     print_terms(terms)
-    for text in (text for texts in calibration.beyond for text in texts):
+    for text in calibration.beyond:
         print_terms({"note": f"beyond what the response was learnt from: {text}"})
     for text in (*calibration.misfits, *calibration.leaning):
         print_terms({"note": text})
@@ -295,11 +246,11 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
     for column, name in enumerate(UNKNOWNS):
         if name in calibration.prior.known:
             continue
-        several = name == "friction" and len(calibration.tubes) > 1
-        for tube in range(len(calibration.tubes) if several else 1):
-            columns.append(draws[tube, :, column])
+        several = name == "friction" and len(draws) > 1
+        for k, tube in enumerate(calibration.sliding if several else ("",)):
+            columns.append(draws[k, :, column])
             unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
-            labels.append(UNKNOWNS[name].text + (f"\n{plain(calibration.tubes[tube])}" if several else "") + unit)
+            labels.append(UNKNOWNS[name].text + (f"\n{plain(tube)}" if several else "") + unit)
     before, small = logging.root.manager.disable, {"fontsize": 9}
     logging.disable(logging.WARNING)  # corner warns the root logger where draws are too few for contours
     style = {"color": BLUE, "label_kwargs": small, "title_kwargs": small, "title_fmt": ".3g", "show_titles": True}
@@ -323,7 +274,7 @@ def draw_bands(calibration: Calibration, response: Response, path: Path) -> Path
     axes = figure.subplots(len(present), len(calibration.cases), squeeze=False, sharex="col", sharey="row")
     rng = np.random.default_rng(0)
     for place, case in enumerate(calibration.cases):
-        draws = calibration.posterior.draws[case.tube]
+        draws = calibration.posterior.draws[likelihood.places[place]]
         table = draws[rng.choice(len(draws), min(DRAWN, len(draws)), replace=False)]
         strays, spread = likelihood.strays(place, table)
         mean = likelihood.seen[place] - strays * spread
@@ -332,7 +283,7 @@ def draw_bands(calibration: Calibration, response: Response, path: Path) -> Path
         names = [CHANNELS[k] for k in likelihood.chosen[place]]
         for axis, name in zip(axes[:, place], present, strict=True):
             axis.grid(**GRID)
-            label, scale = LABELS[name]
+            label, scale = LABELS[CHANNELS.index(name)]
             if place == 0:
                 axis.set_ylabel(label, fontsize=8)
             if name not in names:

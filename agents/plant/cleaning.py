@@ -30,21 +30,13 @@ ROUNDS: Final = 12
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of the repairs; a log beyond them is refused.
+    """Limits of the repairs; a log beyond them is refused."""
 
-    Attributes:
-        gap: longest gap in time that is bridged by straight lines [s].
-        backward: motion of the encoder backwards that is taken for noise [m].
-        start_length: inserted length at the beginning of a log without an encoder [m].
-        tolerance: of the inserted length after thinning [m].
-        every: longest time between rows of the clean log [s].
-    """
-
-    gap: float = 5.0
-    backward: float = 0.02
-    start_length: float = 5.0
-    tolerance: float = 1e-3
-    every: float = 1.0
+    gap: float = 5.0  # in time, bridged by straight lines [s]
+    backward: float = 0.02  # motion of the encoder backwards that is taken for noise [m]
+    start_length: float = 5.0  # inserted at the beginning of a log without an encoder [m]
+    tolerance: float = 1e-3  # of the inserted length after thinning [m]
+    every: float = 1.0  # longest time between rows of the clean log [s]
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (
@@ -58,60 +50,39 @@ class Bounds:
             if not low <= value <= high:
                 raise ValueError(f"{name} = {value!r} is outside the accepted range {low:g} to {high:g} {unit}")
         if self.every > self.gap:
-            raise ValueError(
-                f"every = {self.every:g} s is more than gap = {self.gap:g} s, and the clean file could not be read"
-            )
+            problem = f"every = {self.every:g} s is more than gap = {self.gap:g} s"
+            raise ValueError(f"{problem}, and the clean file could not be read")
 
 
 @dataclass
-class Mended:
-    """Counts of repairs.
+class Repairs:
+    """Counts of repairs."""
 
-    Attributes:
-        rows: of the file.
-        untimed: rows without a time, left out.
-        duplicates: rows at the time of the row before, averaged with it.
-        gaps: gaps in time, bridged.
-        longest_gap: of them [s].
-        missing: missing values, interpolated.
-        backward: rows at which the encoder is behind an earlier row.
-        most_backward: by how much at most [m].
-    """
-
-    rows: int
-    untimed: int = 0
-    duplicates: int = 0
-    gaps: int = 0
-    longest_gap: float = 0.0
-    missing: int = 0
-    backward: int = 0
-    most_backward: float = 0.0
+    rows: int  # of the file
+    untimed: int = 0  # rows without a time, left out
+    duplicates: int = 0  # rows at the time of the row before, averaged with it
+    gaps: int = 0  # in time, bridged
+    longest_gap: float = 0.0  # [s]
+    missing: int = 0  # values, interpolated
+    backward: int = 0  # rows at which the encoder is behind an earlier row
+    most_backward: float = 0.0  # [m]
 
 
 @dataclass(frozen=True)
 class Cleaned:
     """A log at its own rows.
 
-    Attributes:
-        time: (n,) seconds from the first, strictly rising.
-        length: (n,) inserted length [m], never falling.
-        band: smallest length from each row on and largest up to it, (n,) each [m]: what the encoder's noise leaves
-            open; both equal the length where it only rises.
-        values: measured quantities and the air supply, (n,) [SI].
-        mended: counts of repairs.
-        notes: sentences about what does not agree.
-        steps: whether values hold until the next row.
-        rows: (n,) index of the row of the table.
+    ``band`` is the smallest length from each row on and the largest up to it: what the encoder's noise leaves open.
+    Both equal the length where it only rises.
     """
 
-    time: FloatArray
-    length: FloatArray
-    band: Band
-    values: dict[str, FloatArray]
-    mended: Mended
-    notes: tuple[str, ...]
-    steps: bool
-    rows: IntArray
+    time: FloatArray  # (n,) seconds from the first, strictly rising
+    length: FloatArray  # (n,) inserted length [m], never falling
+    band: Band  # (n,) each [m]
+    values: dict[str, FloatArray]  # measured quantities and the air supply, (n,) [SI]
+    repairs: Repairs
+    notes: tuple[str, ...]  # sentences about what does not agree
+    rows: IntArray  # (n,) index of the row of the table
 
 
 def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
@@ -127,9 +98,9 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
     _check_gaps(table, rows, steps, "no rows", bounds.gap)
     long = steps[steps > USUAL_SPACING * np.median(steps)]
     count = len(table.lines)
-    mended = Mended(count, count - len(timed), len(timed) - len(rows), len(long), float(long.max(initial=0.0)))
+    repairs = Repairs(count, count - len(timed), len(timed) - len(rows), len(long), float(long.max(initial=0.0)))
     for name, column in values.items():
-        mended.missing += int(np.isnan(column).sum())
+        repairs.missing += int(np.isnan(column).sum())
         values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
     speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
     length, notes = encoder, tuple[str, ...]()
@@ -139,13 +110,19 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
         if length is None:
             length = bounds.start_length + fed
         else:
-            notes = _disagreement(time, length - length[0], fed)
+            by_encoder, (absolute, relative) = length - length[0], AGREEMENT
+            excess = np.abs(fed - by_encoder) - (absolute + relative * np.abs(by_encoder))
+            if excess[k := int(excess.argmax())] > 0.0:
+                notes = (
+                    f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m are fed up to"
+                    f" {time[k]:.4g} s, more than {absolute:g} m and {100 * relative:g} % apart; the encoder is taken.",
+                )
     assert length is not None  # one of both is there
     low, high = _band(channels, length, rows, bounds.backward, "feed_speed" if encoder is None else "inserted_length")
     behind = high - length
-    mended.backward, mended.most_backward = int((behind > 0.0).sum()), float(behind.max())
+    repairs.backward, repairs.most_backward = int((behind > 0.0).sum()), float(behind.max())
     rising = np.where(low == high, length, 0.5 * (low + high))  # neither early nor late
-    return Cleaned(time, rising, (low, high), values, mended, notes, table.steps, rows)
+    return Cleaned(time, rising, (low, high), values, repairs, notes, rows)
 
 
 def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
@@ -205,19 +182,6 @@ def _bridged(
     return np.asarray(np.interp(time, time[known], column[known]))
 
 
-def _disagreement(time: FloatArray, by_encoder: FloatArray, by_speed: FloatArray) -> tuple[str, ...]:
-    """A sentence if lengths (n,) by encoder and by speed [m] differ by more than ``AGREEMENT``."""
-    absolute, relative = AGREEMENT
-    excess = np.abs(by_speed - by_encoder) - (absolute + relative * np.abs(by_encoder))
-    k = int(excess.argmax())
-    if excess[k] <= 0.0:
-        return ()
-    return (
-        f"The speed column and the encoder disagree: {by_speed[k]:.4g} m and {by_encoder[k]:.4g} m are fed up to"
-        f" {time[k]:.4g} s, more than {absolute:g} m and {100 * relative:g} % apart; the encoder is taken.",
-    )
-
-
 def _band(channels: Channels, length: FloatArray, rows: IntArray, backward: float, name: str) -> Band:
     """Smallest length (n,) from each row on, and largest up to it [m]; ``name`` is where the length comes from."""
     table, most = channels.table, POSITIONS["inserted_length_m"][1]
@@ -225,12 +189,9 @@ def _band(channels: Channels, length: FloatArray, rows: IntArray, backward: floa
     back = before - length > backward
     if back.any():
         row = int(back.argmax())
-        raise table.error(
-            rows[row],
-            f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m that"
-            " are taken for noise - a log is of the way in: cut the file there, or --backward",
-            channels.places[name],
-        )
+        problem = f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m"
+        hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
+        raise table.error(rows[row], f"{problem} {hint}", channels.places[name])
     if length.max() > most:
         raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
     return np.minimum.accumulate(length[::-1])[::-1], before
@@ -269,13 +230,7 @@ def kept_rows(
 ) -> IntArray:
     """Rows (m,) whose straight lines stay within ``tolerance`` [m] of the band, at most ``every`` [s] apart.
 
-    Args:
-        time: (n,) [s].
-        length: (n,) [m], within the band.
-        band: smallest and largest length, (n,) each [m].
-        ends: first and last rows of standstills, which are kept.
-        tolerance: [m].
-        every: [s]; rows of the file that are further apart stay so.
+    ``ends``, the first and last rows of standstills, are kept. Rows of the file that are further apart stay so.
     """
     regular, end = [0], len(time) - 1
     while regular[-1] < end:

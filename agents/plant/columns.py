@@ -12,16 +12,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.plant.quantities import (
-    DATE,
-    QUANTITIES,
-    ColumnOption,
-    Quantity,
-    known_as,
-    plain,
-    si_factor,
-    split_head,
-)
+from agents.plant.quantities import DATE, QUANTITIES, ColumnOption, Quantity, known_as, plain, si_factor, split_head
 from agents.plant.tables import Table, heads_shown
 from probe_env.arrays import FloatArray
 from probe_env.files import FileError
@@ -45,29 +36,16 @@ _MORE_THAN_NUMBER: Final = r"\d[:\-]\d|\d\.\d+\.\d{4}"
 
 @dataclass(frozen=True)
 class Channels:
-    """A log as it was recorded, in SI units.
-
-    Attributes:
-        table: where it was read.
-        time: (rows,) seconds from any origin; NaN where missing.
-        values: quantity -> (rows,), NaN where missing.
-        places: quantity -> index of its column.
-    """
+    """A log as it was recorded, in SI units, NaN where values are missing."""
 
     table: Table
-    time: FloatArray
-    values: Mapping[str, FloatArray]
-    places: Mapping[str, int]
+    time: FloatArray  # (rows,) seconds from any origin
+    values: Mapping[str, FloatArray]  # quantity -> (rows,)
+    places: Mapping[str, int]  # quantity -> index of its column
 
 
 def channels_of(table: Table, options: Sequence[ColumnOption], decimal: str, air: float | None) -> Channels:
-    """The quantities of a table.
-
-    Args:
-        table: texts.
-        options: values of ``--columns``.
-        decimal: decimal sign; empty: found from the numbers.
-        air: air supply [m3/s] of a log without that column.
+    """The quantities of a table; ``decimal`` is empty if found from the numbers, ``air`` for a log without it [m3/s].
 
     Raises:
         FileError: a column is missing, occurs twice or has no unit; a cell is not a number or time, or out of range.
@@ -77,27 +55,21 @@ def channels_of(table: Table, options: Sequence[ColumnOption], decimal: str, air
     for names in (("time",), ("feed_speed", "inserted_length"), ("air_supply",)):
         if not any(name in places for name in names) and (names != ("air_supply",) or air is None):
             hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
-            raise FileError(
-                table.path,
-                f"no column is known as {' or '.join(names)}; found: {heads_shown(table.heads)}"
-                f" - name it: --columns 'HEAD={names[0]}'{hint}",
-            )
-    cells = {k: trimmed(table.columns[k]) for k in places.values()}
+            problem = f"no column is known as {' or '.join(names)}; found: {heads_shown(table.heads)}"
+            raise FileError(table.path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
+    cells = {k: _trimmed(table.columns[k]) for k in places.values()}
     time = places["time"]
     if date is not None:
-        cells[time] = _dated(table, date, trimmed(table.columns[date]), cells[time])
-    first = cells[time].filter(pc.invert(is_missing(cells[time])))[:1]
+        cells[time] = _dated(table, date, _trimmed(table.columns[date]), cells[time])
+    first = cells[time].filter(pc.invert(_is_missing(cells[time])))[:1]
     written_out = any(pc.match_substring_regex(first, _MORE_THAN_NUMBER).to_pylist())
-    factors = {
-        name: _factor(table, QUANTITIES[name], k, units)
-        for name, k in places.items()
-        if not (written_out and name == "time")
-    }
-    sign = decimal or decimal_sign(table, {places[name]: cells[places[name]] for name in factors})
+    scaled = {name: k for name, k in places.items() if not (written_out and name == "time")}
+    factors = {name: _factor(table, QUANTITIES[name], k, units) for name, k in scaled.items()}
+    sign = decimal or _decimal_sign(table, {k: cells[k] for k in scaled.values()})
     values = {}
     for name, k in places.items():
         known = name in factors
-        column = numbers(table, k, cells[k], sign) * factors[name] if known else _seconds(table, k, cells[k])
+        column = _numbers(table, k, cells[k], sign) * factors[name] if known else _seconds(table, k, cells[k])
         values[name] = _in_range(table, k, QUANTITIES[name], column)
     if "air_supply" not in values and air is not None:
         values["air_supply"] = np.full(len(table.lines), air)
@@ -135,9 +107,8 @@ def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) 
     if not unit and quantity.name == "time":
         unit = quantity.unit
     if not unit:
-        raise FileError(
-            table.path, f"column {head!r} has no unit: give it, --columns '{plain(head)}={quantity.name}[UNIT]'"
-        )
+        hint = f"give it, --columns '{plain(head)}={quantity.name}[UNIT]'"
+        raise FileError(table.path, f"column {head!r} has no unit: {hint}")
     try:
         return si_factor(unit, quantity)
     except ValueError as error:
@@ -148,42 +119,28 @@ def _in_range(table: Table, k: int, quantity: Quantity, values: FloatArray) -> F
     low, high = quantity.low, quantity.high
     wrong = (values < low - NOISE.get(quantity.name, 0.0)) | (values > high)
     if wrong.any():
-        row = int(wrong.argmax())
+        row, unit = int(wrong.argmax()), quantity.unit
         value, least, most = (number / quantity.scale for number in (values[row], low, high))
-        raise table.error(
-            row,
-            f"{quantity.name} = {value:.6g} {quantity.unit} is outside the accepted range {least:g} to {most:g}"
-            f" {quantity.unit} - is the unit right?",
-            k,
-        )
+        problem = f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {least:g} to {most:g} {unit}"
+        raise table.error(row, f"{problem} - is the unit right?", k)
     return np.asarray(np.where(values < low, low, values))
 
 
-def trimmed(cells: Any) -> Any:
-    """Texts without white space at their ends."""
+def _trimmed(cells: Any) -> Any:
     return pc.utf8_trim(cells, " \t\u00a0\u2009\u202f\ufeff")
 
 
-def is_missing(cells: Any) -> Any:
-    """Which of the trimmed texts stand for a missing value."""
+def _is_missing(cells: Any) -> Any:
     return pc.match_substring_regex(cells, MISSING)
 
 
-def decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
-    """The decimal sign of a file, by all its numbers.
-
-    Args:
-        table: where they are.
-        columns: index of the column -> its trimmed texts.
-
-    Raises:
-        FileError: some numbers have a point and others a comma, or no number is unambiguous.
-    """
+def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
+    """The decimal sign of a file, by all its numbers: trimmed texts by the index of their column."""
     proofs = {sign: _first(columns, _proof(sign)) for sign in ".,"}
     if proofs["."] and proofs[","]:
         row, k = max(proofs["."], proofs[","])
-        cell = columns[k][row].as_py()
-        raise table.error(row, f"{cell[:40]!r} has another decimal sign than the numbers before it: use one", k)
+        problem = f"{columns[k][row].as_py()[:40]!r} has another decimal sign than the numbers before it"
+        raise table.error(row, f"{problem}: use one", k)
     for sign, proof in proofs.items():
         if proof:
             return sign
@@ -192,12 +149,8 @@ def decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
         return "."
     if unclear := _first(columns, r"[.,]"):
         row, k = unclear
-        cell = columns[k][row].as_py()
-        raise table.error(
-            row,
-            f"{cell[:40]!r} may have a decimal sign or thousands, and no other number tells: --decimal point or comma",
-            k,
-        )
+        problem = f"{columns[k][row].as_py()[:40]!r} may have a decimal sign or thousands, and no other number tells"
+        raise table.error(row, f"{problem}: --decimal point or comma", k)
     return "."
 
 
@@ -227,12 +180,8 @@ def _first(columns: Mapping[int, Any], shape: str) -> tuple[int, int] | None:
     return None
 
 
-def numbers(table: Table, column: int, cells: Any, sign: str) -> FloatArray:
-    """Numbers (rows,) of trimmed texts, NaN where missing.
-
-    Raises:
-        FileError: something else than a finite number.
-    """
+def _numbers(table: Table, column: int, cells: Any, sign: str) -> FloatArray:
+    """Finite numbers (rows,) of trimmed texts, NaN where missing."""
     other = "," if sign == "." else "."
     if sign == "." or not _first({0: cells}, r"\."):
         try:  # most columns are written plainly, and read fast
@@ -241,7 +190,7 @@ def numbers(table: Table, column: int, cells: Any, sign: str) -> FloatArray:
             values = np.array([np.nan])
         if np.isfinite(values).all():
             return values
-    missing = np.asarray(is_missing(cells))
+    missing = np.asarray(_is_missing(cells))
     d, g = re.escape(sign), re.escape(other)
     shape = rf"^[+-]?(?:\d+|\d{{1,3}}(?:{g}\d{{3}})+|\d{{1,3}}(?:{_SPACES}\d{{3}})+)?(?:{d}\d*)?{_POWER}?$"
     good = pc.and_(pc.match_substring_regex(cells, shape), pc.match_substring_regex(cells, r"\d"))
@@ -261,11 +210,8 @@ def _dated(table: Table, column: int, dates: Any, clocks: Any) -> Any:
     """Trimmed clocks with the day of another column, as timestamps.
 
     Timestamps, numbers and the clocks of a single day stay as they are: a clock shows when midnight is passed.
-
-    Raises:
-        FileError: days that differ, and are not all dates.
     """
-    timed = pc.invert(is_missing(clocks))
+    timed = pc.invert(_is_missing(clocks))
     days = pc.replace_substring_regex(dates, _MIDNIGHT, "")
     if not np.asarray(pc.match_substring_regex(clocks, _CLOCK)).any() or len(pc.unique(days.filter(timed))) < 2:
         return clocks
@@ -276,13 +222,9 @@ def _dated(table: Table, column: int, dates: Any, clocks: Any) -> Any:
 
 
 def _seconds(table: Table, column: int, cells: Any) -> FloatArray:
-    """Seconds (rows,) of trimmed timestamps or clocks, from any origin; NaN where missing.
-
-    Raises:
-        FileError: neither, or some of both; some with a zone and some without.
-    """
+    """Seconds (rows,) of trimmed timestamps or clocks, from any origin; NaN where missing."""
     wanted = "is not a time like the first: 2024-05-31T14:05:09.25, 14:05:09.25 or a number"
-    missing = np.asarray(is_missing(cells))
+    missing = np.asarray(_is_missing(cells))
     clocks = np.asarray(pc.match_substring_regex(cells, _CLOCK))
     if clocks.any():
         _check(table, column, cells, missing | clocks, wanted)

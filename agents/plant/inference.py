@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -53,42 +52,32 @@ Z90: Final = 1.645
 
 
 class Case(NamedTuple):
-    """A log to fit.
-
-    Attributes:
-        name: of the log.
-        tube: index of the tube, which logs may share.
-        scene: tube, probe and air it was recorded in.
-        metres: of the log.
-    """
+    """A log to fit: its name, that of its tube (logs of one tube share a friction), scene and metres."""
 
     name: str
-    tube: int
+    tube: str
     scene: Scene
     metres: Metres
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """Draws of the unknowns.
+class Posterior(NamedTuple):
+    """Draws (tubes, n, 4) in the order of ``UNKNOWNS``; all but the friction are the same for all tubes.
 
-    Attributes:
-        draws: (tubes, n, 4) in the order of ``UNKNOWNS``; all but the friction are the same for all tubes.
-        misfit: of each case the mean squared deviation of every channel and of all (c + 1,) at the draw that fits best;
-            NaN where the log has no such channel.
-        likelihood: that they were drawn by.
+    ``misfit`` is each case's ``Likelihood.misfit`` at the draw that fits best.
     """
 
     draws: FloatArray
-    misfit: tuple[FloatArray, ...]
+    misfit: list[FloatArray]
     likelihood: Likelihood
 
 
 class Likelihood:
-    """Likelihood of some cases under a response."""
+    """Likelihood of some cases under a response; ``tubes`` are their names, ``places`` each case's index in them."""
 
     def __init__(self, response: Response, cases: Sequence[Case]) -> None:
         self.response, self.cases = response, cases
+        self.tubes = tuple(dict.fromkeys(case.tube for case in cases))
+        self.places = [self.tubes.index(case.tube) for case in cases]
         self.chosen = [[k for k, name in enumerate(CHANNELS) if name in case.metres.felt] for case in cases]
         self.seen = [observed(case.metres, chosen) for case, chosen in zip(cases, self.chosen, strict=True)]
         self.blocks = [
@@ -105,7 +94,7 @@ class Likelihood:
     def strays(self, number: int, table: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Deviations (n, m, c) of a case at (n, 4) in standard deviations, and those [decades]."""
         case, chosen = self.cases[number], self.chosen[number]
-        mean, spread = self.response.tells(table, case.metres, case.scene)
+        mean, spread = self.response.predict(table, case.metres, case.scene)
         quiet = UNREST * np.minimum(FLOORS / 10.0**mean, 1.0)
         spread = np.hypot(np.hypot(spread, SENSOR), quiet)[..., chosen]
         return (self.seen[number] - mean[..., chosen]) / spread, spread
@@ -117,15 +106,15 @@ class Likelihood:
         that alone: logs deviate less than the wandering insertions of the training.
         """
         self.settled = [
-            np.exp(np.log(self.strays(number, draws[case.tube])[1]).mean(axis=0))
-            for number, case in enumerate(self.cases)
+            np.exp(np.log(self.strays(number, draws[place])[1]).mean(axis=0))
+            for number, place in enumerate(self.places)
         ]
 
     def logarithm(self, draws: FloatArray) -> FloatArray:
         """(n,) logarithm of the likelihood at draws (tubes, n, 4), up to a constant; call ``settle`` before."""
         total = np.zeros(draws.shape[1])
-        for number, case in enumerate(self.cases):
-            strays, spread = self.strays(number, draws[case.tube])
+        for number, place in enumerate(self.places):
+            strays, spread = self.strays(number, draws[place])
             total += sum(self.block(number, channels, strays, spread) for channels in self.blocks[number])
         return total
 
@@ -148,35 +137,23 @@ class Likelihood:
         return self.response.misfit_of(strays, self.cases[number].metres.length, self.chosen[number])
 
 
-def check_cases(cases: Sequence[Case]) -> None:
-    """Raise ValueError if a log has too few metres, or no channel."""
-    for case in cases:
-        if not case.metres.felt:
-            raise ValueError(f"{case.name}: measures none of {', '.join(CHANNELS)}, so it tells nothing")
-        if len(case.metres) < LEAST_METRES:
-            raise ValueError(f"{case.name}: {len(case.metres)} metres were fed, and at least {LEAST_METRES} are needed")
-
-
 def sampled(
     response: Response, cases: Sequence[Case], prior: Prior, seed: int = 0, progress: bool = False
 ) -> Posterior:
-    """Posterior of the frictions of all tubes and of the unknowns that they share.
-
-    Args:
-        response: expected measurements.
-        cases: the logs.
-        prior: of the unknowns.
-        seed: of the walkers.
-        progress: whether a bar is shown.
+    """Posterior of the frictions of all tubes and of the unknowns that they share; ``seed`` is that of the walkers.
 
     Raises:
         ValueError: a log has too few metres, or no channel.
     """
     import emcee
 
-    check_cases(cases)
-    likelihood, tubes = Likelihood(response, cases), 1 + max(case.tube for case in cases)
-    size = tubes + len(prior.shared)
+    for case in cases:
+        if not case.metres.felt:
+            raise ValueError(f"{case.name}: measures none of {', '.join(CHANNELS)}, so it tells nothing")
+        if len(case.metres) < LEAST_METRES:
+            raise ValueError(f"{case.name}: {len(case.metres)} metres were fed, and at least {LEAST_METRES} are needed")
+    likelihood = Likelihood(response, cases)
+    size = (tubes := len(likelihood.tubes)) + len(prior.shared)
     rng = np.random.default_rng([seed, size])
 
     def density(normal: FloatArray) -> FloatArray:
@@ -198,7 +175,7 @@ def sampled(
     chain, density_of = sampler.get_chain(discard=BURN, flat=True), sampler.get_log_prob(discard=BURN, flat=True)
     rows = np.linspace(0, len(chain) - 1, KEPT).round().astype(int)
     best = prior.values(chain[[int(np.argmax(density_of))]], tubes)[:, 0]
-    misfit = tuple(likelihood.misfit(k, best[case.tube]) for k, case in enumerate(cases))
+    misfit = [likelihood.misfit(k, best[place]) for k, place in enumerate(likelihood.places)]
     return Posterior(prior.values(chain[rows], tubes), misfit, likelihood)
 
 
@@ -226,12 +203,7 @@ def _shares(logarithm: FloatArray, least: int) -> FloatArray:
 
 
 class Gain(NamedTuple):
-    """Gain of a tension gauge.
-
-    Attributes:
-        ratio: twice the logarithm of the likelihood ratio of the best gain to no gain.
-        gain: reading over true value.
-    """
+    """Gain (reading over true value) of a tension gauge; twice the log of its likelihood ratio to no gain."""
 
     ratio: float
     gain: float
@@ -316,8 +288,7 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     def strays(x: FloatArray) -> FloatArray:
         parts = []
         for case in with_tension:
-            helix = case.scene.tube.helix_diameter
-            predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene, helix)[0] * np.exp(x[1])
+            predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene)[0] * np.exp(x[1])
             scale = middle / case.scene.air.drag_coefficient
             parts.append(np.log(np.maximum(case.metres.felt["root_tension"], 1e-2) / (predicted * scale)))
         return np.concatenate(parts)
@@ -335,10 +306,6 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     covariance = np.linalg.inv(jacobian.T @ jacobian + 1e-12 * np.eye(2))
     deviation = np.sqrt(np.diag(covariance) + SLIDING_TRUST**2)
 
-    def interval(centre: float, relative: float) -> tuple[float, float, float]:
-        return centre, centre * float(np.exp(-Z90 * relative)), centre * float(np.exp(Z90 * relative))
-
-    return Sliding(
-        interval(float(np.exp(fit.x[0])), float(deviation[0])),
-        interval(middle * float(np.exp(fit.x[1])), float(deviation[1])),
-    )
+    centres = np.exp(fit.x) * (1.0, middle)
+    rows = np.column_stack([centres, centres * np.exp(-Z90 * deviation), centres * np.exp(Z90 * deviation)])
+    return Sliding(*rows.tolist())

@@ -10,21 +10,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agents.plant.cleaning import (
-    DIGITS,
-    DWELL,
-    Bounds,
-    Cleaned,
-    Mended,
-    cleaned,
-    held,
-    kept_rows,
-    outside,
-    portion_means,
-)
-from agents.plant.columns import channels_of
+from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, cleaned, held, kept_rows, outside, portion_means
+from agents.plant.columns import Channels, channels_of
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
-from agents.plant.tables import IntArray, Table, read_table
+from agents.plant.tables import IntArray, read_table
 from agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
@@ -54,12 +43,10 @@ class Log:
         inserted_length: (n,) at that time [m], never falling.
         feed_speed: (n,) mean until the next row [m/s], 0 in standstills; its integral is the inserted length.
         air_supply_rate: (n,) mean until the next row [m3/s].
-        measured: name -> (n,) mean root tension [N], rms accelerations [m/s2], rms of the eddy-current noise [m] until
-            the next row; some of ``agents.plant.quantities.MEASURED``.
-        mended: counts of repairs.
+        measured: some of ``MEASURED`` -> (n,) mean or root mean square until the next row [SI].
+        repairs: counts of them.
         notes: sentences about what does not agree.
-        deviation: largest distance of the straight lines from the length at the rows of the file, or from the band that
-            its noise leaves open (``agents.plant.cleaning.Cleaned.band``) [m].
+        deviation: largest distance of the straight lines from the band of lengths of ``Cleaned`` [m].
     """
 
     time: FloatArray
@@ -67,7 +54,7 @@ class Log:
     feed_speed: FloatArray
     air_supply_rate: FloatArray
     measured: Mapping[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
-    mended: Mended = field(default_factory=lambda: Mended(0))
+    repairs: Repairs = field(default_factory=lambda: Repairs(0))
     notes: tuple[str, ...] = ()
     deviation: float = 0.0
 
@@ -85,8 +72,7 @@ class Log:
     def channels(self) -> dict[str, FloatArray]:
         """Quantity -> its column (n,) of the clean file, in that column's unit."""
         values = {"inserted_length": self.inserted_length, "feed_speed": self.feed_speed}
-        values |= {"air_supply": self.air_supply_rate}
-        values |= {name: self.measured[name] for name in MEASURED if name in self.measured}
+        values |= {"air_supply": self.air_supply_rate} | {n: self.measured[n] for n in MEASURED if n in self.measured}
         return {name: column / QUANTITIES[name].scale for name, column in values.items()}
 
     def to_csv(self) -> str:
@@ -130,16 +116,16 @@ def read_log(
     highest = RANGES[AIR][1] / HOUR
     if air_supply_rate is not None and not 0.0 <= air_supply_rate <= highest:
         raise ValueError(f"air_supply_rate = {air_supply_rate!r} is outside the accepted range 0 to {highest:g} m3/s")
-    table = read_table(path, sheet, options)
-    channels = channels_of(table, options, DECIMALS[decimal], air_supply_rate)
-    return _thinned(table, cleaned(channels, bounds), bounds)
+    channels = channels_of(read_table(path, sheet, options), options, DECIMALS[decimal], air_supply_rate)
+    return _thinned(channels, bounds)
 
 
-def _thinned(table: Table, whole: Cleaned, bounds: Bounds) -> Log:
+def _thinned(channels: Channels, bounds: Bounds) -> Log:
     """The log of a clean file; one that is clean already keeps all rows."""
+    table, whole = channels.table, cleaned(channels, bounds)
     share = 0.49 * bounds.tolerance  # for standing still, for straight lines, the rest for digits
     rows: IntArray
-    if whole.steps:
+    if table.steps:
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
         length, ends = held(whole.time, whole.length, whole.band, share)
@@ -151,40 +137,38 @@ def _thinned(table: Table, whole: Cleaned, bounds: Bounds) -> Log:
     speed = np.diff(kept) / np.diff(time)
     if speed.max() > RANGES[FEED][1]:
         k = int(speed.argmax())
-        raise table.error_between(
-            whole.rows[rows[k]],
-            whole.rows[rows[k + 1]],
-            f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s, and no feed"
-            f" does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance for a noisy encoder",
-        )
+        problem = f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
+        hint = f"no feed does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance"
+        first, last = whole.rows[rows[k : k + 2]]
+        raise table.error_between(first, last, f"{problem}, and {hint} for a noisy encoder")
     values = {name: portion_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
     length[rows] = kept
     deviation = float(outside(whole.time, rows, length, whole.band).max())
     speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
-    return Log(time, kept, speed, air, measured, whole.mended, whole.notes, deviation)
+    return Log(time, kept, speed, air, measured, whole.repairs, whole.notes, deviation)
 
 
 def print_log(log: Log, path: Path) -> None:
     """Print the ranges of the channels, the repairs and the standstills."""
-    mended, dwells = log.mended, log.dwells
+    repairs, dwells = log.repairs, log.dwells
     rows = [
         (name.replace("_", " "), QUANTITIES[name].unit, f"{v.min():.4g}", f"{v.max():.4g}")
         for name, v in log.channels.items()
     ]
     print_table(one_line(path.name), ("channel", "unit", "least", "most"), rows, left=2)
     start, end = log.inserted_length[[0, -1]]
-    repairs = {
-        "gaps": (mended.gaps, f"bridged, the longest of {mended.longest_gap:.3g} s"),
-        "missing": (mended.missing, "values interpolated"),
-        "no time": (mended.untimed, "rows left out"),
-        "duplicates": (mended.duplicates, "rows averaged with the one of the same time"),
-        "backward": (mended.backward, f"rows smoothed, by {1e3 * mended.most_backward:.2g} mm at most"),
+    counts = {
+        "gaps": (repairs.gaps, f"bridged, the longest of {repairs.longest_gap:.3g} s"),
+        "missing": (repairs.missing, "values interpolated"),
+        "no time": (repairs.untimed, "rows left out"),
+        "duplicates": (repairs.duplicates, "rows averaged with the one of the same time"),
+        "backward": (repairs.backward, f"rows smoothed, by {1e3 * repairs.most_backward:.2g} mm at most"),
     }
     terms = {
-        "rows": f"{mended.rows}, of which {len(log.time)} are written",
+        "rows": f"{repairs.rows}, of which {len(log.time)} are written",
         "duration": f"{log.time[-1]:.6g} s",
         "length": f"{start:.4f} m to {end:.4f} m, within {1e3 * log.deviation:.2f} mm at every row",
-        **{name: f"{count} {text}" if count else "none" for name, (count, text) in repairs.items()},
+        **{name: f"{count} {text}" if count else "none" for name, (count, text) in counts.items()},
         "dwells": str(len(dwells) or "none"),
     }
     print_terms(terms)
@@ -192,31 +176,17 @@ def print_log(log: Log, path: Path) -> None:
         title = f"standstills, the first {DWELLS_SHOWN}" if len(dwells) > DWELLS_SHOWN else "standstills"
         rows_of_dwells = [(f"{d.inserted_length:.3f}", f"{d.time:.2f}", f"{d.duration:.2f}") for d in dwells]
         print_table(title, ("at [m]", "from [s]", "lasting [s]"), rows_of_dwells[:DWELLS_SHOWN], left=0)
-    for text in (*log.notes, *beyond_task(log)):
+    for text in log.notes:
         print_terms({"note": text})
-
-
-def beyond_task(log: Log) -> tuple[str, ...]:
-    """Sentences about feed and air outside the ranges of the task."""
-    config, sentences = TaskConfig(), []
+    config, stops = TaskConfig(), "stops and starts below it, and falls behind above it"
     for name, values, (low, high), unit, scale, effect in (
-        (
-            "feed speed",
-            log.feed_speed,
-            config.feed_speeds,
-            "m/s",
-            1.0,
-            "stops and starts below it, and falls behind above it",
-        ),
+        ("feed speed", log.feed_speed, config.feed_speeds, "m/s", 1.0, stops),
         ("air supply", log.air_supply_rate, config.air_supply_rates, "m3/h", HOUR, "takes the nearest of these"),
     ):
         below, above = (values < low * (1.0 - 1e-6)).sum(), (values > high * (1.0 + 1e-6)).sum()
         if below or above:
-            sentences.append(
-                f"The {name} leaves the task's range of {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
-                f" below and {above} above it. A replay {effect}."
-            )
-    return tuple(sentences)
+            text = f"The {name} leaves the task's range of {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
+            print_terms({"note": f"{text} below and {above} above it. A replay {effect}."})
 
 
 def check_picture(path: Path) -> None:

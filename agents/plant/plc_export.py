@@ -23,7 +23,6 @@ TEMPLATE: Final = Path(__file__).parent / "data" / "feed-law.st.j2"
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5
 """Between the lengths of a table [m]."""
-HEADER: Final = ("constant", "value", "unit", "")
 DESCRIPTIONS: Final = {
     "average": ("s", "time constant of the averages of friction and noise"),
     "onset_length": ("m", "slow with strong air from here on, at friction 0.175 and 1.5 m"),
@@ -64,7 +63,6 @@ def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = 
     environment.filters["real"] = _real
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         law=plc_law,
-        trimmed=plc_law,
         trim=trim,
         constants=own,
         plant=[(name, value, unit) for (name, unit), value in zip(PLANT_DATA.items(), values, strict=True)],
@@ -80,14 +78,9 @@ def _real(value: float) -> str:
 def table(
     constants: Constants, plant: PlantData, diameters: Sequence[float], helix_length: float, noise: float | None = None
 ) -> pd.DataFrame:
-    """Feed and air by helix diameter, friction and inserted length, for a controller that stores tables.
+    """Feed and air by helix diameter, friction and inserted length [m], for a controller that stores tables.
 
-    Args:
-        constants: of the law.
-        plant: its data.
-        diameters: of the helices [m].
-        helix_length: [m].
-        noise: as radial rms [m]; default: that at which it shifts nothing.
+    ``noise`` is a radial rms [m]; default: that at which it shifts nothing.
     """
     lengths = np.append(np.arange(SHORTEST, helix_length, TABLE_STEP), helix_length)
     grid = np.meshgrid(diameters, TABLE_FRICTIONS, lengths, indexing="ij")
@@ -102,7 +95,7 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
     """Print the constants of the law, and of a trim."""
     values = constants.model_dump() | (trim.model_dump() if trim else {})
     rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in values.items()]
-    print_table("The law's constants", HEADER, rows, left=4)
+    print_table("The law's constants", ("constant", "value", "unit", ""), rows, left=4)
 
 
 def write_law(
@@ -120,13 +113,12 @@ def write_law(
             " evaluate shielded:plc-law",
             stacklevel=2,
         )
-    domain = Domain.of_map(stored_map())
-    check_domains({"the law": domain}, place.config, place.contexts, strict=False)
+    check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)
     if st:
         write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")
     if csv:
         diameters = sorted({context.helix_diameter for context in place.contexts})
-        tabulated = table(constants, plant, diameters, place.config.scene.tube.helix_length)
-        write_atomically(csv, tabulated.to_csv(index=False, float_format="%.6g"))
+        rows = table(constants, plant, diameters, place.config.scene.tube.helix_length)
+        write_atomically(csv, rows.to_csv(index=False, float_format="%.6g"))
         print(f"written: {csv}")

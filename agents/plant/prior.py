@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,14 +24,7 @@ DRAG: Final = (0.85, 1.15)
 
 
 class Unknown(NamedTuple):
-    """An unknown parameter.
-
-    Attributes:
-        table, field: of the plant's file.
-        unit: SI.
-        low, high: range in which the response was trained.
-        text: its name in tables.
-    """
+    """An unknown parameter: its place in the plant's file, the range of the response's training, its name in tables."""
 
     table: str
     field: str
@@ -47,24 +41,16 @@ UNKNOWNS: Final = {
     "damping_time": Unknown("probe", "damping_time", "s", *DAMPING, "damping time"),
 }
 """In the order of their columns in arrays."""
-Quantile = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Prior distribution of the unknowns.
-
-    Attributes:
-        known: name -> value of those that are fixed.
-        quantile: name -> quantile function of the others.
-        ranges: name -> smallest and largest possible value.
-        assumed: ranges that were assumed, as texts.
-    """
+    """Prior distribution of the unknowns: fixed values, quantile functions and ranges of the others, by name."""
 
     known: dict[str, float]
-    quantile: dict[str, Quantile]
+    quantile: dict[str, Callable[[FloatArray], FloatArray]]
     ranges: dict[str, tuple[float, float]]
-    assumed: tuple[str, ...] = ()
+    assumed: list[str]  # ranges that the file does not give, as texts
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -97,45 +83,38 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
     Raises:
         FileError: a value outside the range in which the response was trained; names field, value and range.
     """
-    known: dict[str, float] = {}
-    quantile: dict[str, Quantile] = {}
-    ranges: dict[str, tuple[float, float]] = {}
-    assumed = []
+    prior = Prior({}, {}, {}, [])
     for name, unknown in UNKNOWNS.items():
         table = getattr(plant, unknown.table)
         figure: Figure = getattr(table, unknown.field)
         low, high = unknown.low, unknown.high
         if isinstance(figure, Between):
             low, high = (_checked(value, unknown, file) for value in (figure.low, figure.high))
-            quantile[name] = _quantile(figure, low, high)
         elif isinstance(figure, Normal):
             _checked(figure.mean, unknown, file)
-            quantile[name] = _quantile(figure, low, high)  # clipped there
         elif name != "friction" and unknown.field in table.model_fields_set:
-            known[name] = _checked(figure, unknown, file)
+            prior.known[name] = _checked(figure, unknown, file)
             continue
         else:
             if name == "drag_coefficient":
                 low, high = (share * figure for share in DRAG)
-            quantile[name] = _quantile(Between(low=low, high=high) if name == "friction" else None, low, high)
-            assumed.append(f"{unknown.text} {low:g} to {high:g} {unknown.unit}".strip())
-        ranges[name] = (low, high)
-    return Prior(known, quantile, ranges, tuple(assumed))
+            figure = Between(low=low, high=high)
+            prior.assumed.append(f"{unknown.text} {low:g} to {high:g} {unknown.unit}".strip())
+            if name != "friction":
+                prior.quantile[name] = partial(_log_uniform, low, high)
+        prior.quantile.setdefault(name, partial(quantiles, figure, low=low, high=high))
+        prior.ranges[name] = (low, high)
+    return prior
 
 
-def _quantile(figure: Between | Normal | None, low: float, high: float) -> Quantile:
-    """Quantile function of a figure; None: log-uniform."""
-    if figure is None:
-        return lambda shares: np.asarray(low * (high / low) ** shares)
-    return lambda shares: quantiles(figure, shares, low, high)
+def _log_uniform(low: float, high: float, shares: FloatArray) -> FloatArray:
+    return np.asarray(low * (high / low) ** shares)
 
 
 def _checked(value: float, unknown: Unknown, file: str) -> float:
     if not unknown.low <= value <= unknown.high:
         unit = f" {unknown.unit}" if unknown.unit else ""
-        raise FileError(
-            file,
-            f"{unknown.table}.{unknown.field} = {value:g}{unit} is outside {unknown.low:g} to {unknown.high:g}{unit},"
-            " for which the response of the probe was learnt",
-        )
+        problem = f"{value:g}{unit} is outside {unknown.low:g} to {unknown.high:g}{unit}"
+        reason = "for which the response of the probe was learnt"
+        raise FileError(file, f"{unknown.table}.{unknown.field} = {problem}, {reason}")
     return float(value)

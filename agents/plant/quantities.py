@@ -4,46 +4,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from math import inf
+from typing import Final, NamedTuple
 
 from probe_env.schedule import AIR, FEED, POSITIONS, RANGES
 
-if TYPE_CHECKING:
-    import pint
-
 HOUR: Final = 3600.0
-ENDLESS: Final = float("inf")
 
 
 class Quantity(NamedTuple):
-    """A quantity of a log.
-
-    Attributes:
-        name: as ``--columns`` takes it.
-        column: its column in a clean file.
-        unit: unit of that column.
-        scale: that unit in SI units.
-        si: SI unit, as pint writes it.
-        low: smallest accepted value [SI].
-        high: largest accepted value [SI].
-        rms: whether it is averaged as a root mean square.
-    """
+    """A quantity of a log: as ``--columns`` takes it and as a clean file has it."""
 
     name: str
     column: str
     unit: str
-    scale: float
-    si: str
-    low: float
+    scale: float  # of that unit [SI]
+    si: str  # as pint writes it
+    low: float  # accepted [SI]
     high: float
-    rms: bool = False
+    rms: bool = False  # whether it is averaged as a root mean square
 
 
 _RADIAL, _AXIAL = "radial_acceleration_rms", "axial_acceleration_rms"
 _MOST_LENGTH, _MOST_FEED, _MOST_AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
 _ALL: Final = (
-    Quantity("time", "time_s", "s", 1.0, "s", -ENDLESS, ENDLESS),
+    Quantity("time", "time_s", "s", 1.0, "s", -inf, inf),
     Quantity("inserted_length", "inserted_length_m", "m", 1.0, "m", 0.0, _MOST_LENGTH),
     Quantity("feed_speed", FEED, "m/s", 1.0, "m/s", -_MOST_FEED, _MOST_FEED),
     Quantity("air_supply", AIR, "m3/h", 1.0 / HOUR, "m**3/s", 0.0, _MOST_AIR),
@@ -102,8 +87,7 @@ def split_head(head: str) -> tuple[str, str]:
     match = _UNIT.search(head)
     if match and match.start():
         return head[: match.start()].strip(), next(group for group in match.groups() if group is not None).strip()
-    suffix = _SUFFIX.fullmatch(head.strip().lower())
-    if suffix:
+    if suffix := _SUFFIX.fullmatch(head.strip().lower()):
         unit = suffix[2].replace("_per_", "/")
         return head.strip()[: suffix.end(1)], _CAPITALS.get(unit, unit)
     return head.strip(), ""
@@ -143,9 +127,8 @@ def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
         head, _, right = text.rpartition("=")
         name, unit = split_head(right) if right.rstrip().endswith(("]", ")")) else (right.strip(), "")
         if not head.strip() or name not in NAMES:
-            raise ValueError(
-                f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT], with one of {', '.join(NAMES)}"
-            )
+            problem = f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT]"
+            raise ValueError(f"{problem}, with one of {', '.join(NAMES)}")
         if name in (other.quantity for other in options):
             raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, and comes from one column")
         options.append(ColumnOption(head.strip(), name, unit))
@@ -173,9 +156,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
         raise ValueError(f"{unit[:LONGEST_UNIT]!r} is not a unit - {example}")
     import pint
 
-    registry = _registry()
     try:
-        return float(registry.Quantity(1.0, registry.parse_units(text)).to(quantity.si).magnitude)
+        return float(pint.Quantity(1.0, pint.Unit(text)).to(quantity.si).magnitude)
     except pint.UndefinedUnitError:
         raise ValueError(f"the unit {unit!r} is not known - {example}") from None
     except pint.DimensionalityError:
@@ -187,13 +169,5 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 def looks_like_unit(cell: str) -> bool:
     """Whether a cell below a head may be its unit."""
     text = cell.strip().strip("[]()").strip().translate(_SUPERSCRIPTS)
-    return not text or bool(
-        len(text) <= LONGEST_UNIT and re.fullmatch(r"[A-Za-zµ°%/*^ \d-]+", text) and not text.isdigit()
-    )
-
-
-@lru_cache(maxsize=1)
-def _registry() -> pint.UnitRegistry[Any]:
-    import pint
-
-    return pint.UnitRegistry(cache_folder=None)
+    shape = rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}"
+    return not text.isdigit() and re.fullmatch(shape, text) is not None

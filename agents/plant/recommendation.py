@@ -1,4 +1,4 @@
-"""Recommended schedules and feedback laws: least expected cost over draws of what is unknown of a plant's tubes.
+"""Recommended schedules, feedback laws and safe air: least expected cost over draws of a plant's unknowns.
 
 The schedule has feed and air at every few metres, by dynamic programming. Every metre has its own cost; a price on
 change makes the schedule smooth, and settings that leave the cable too slack in too many of the draws are excluded.
@@ -6,9 +6,12 @@ change makes the schedule smooth, and settings that leave the cable too slack in
 
 from __future__ import annotations
 
+import math
 import warnings
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -28,12 +31,15 @@ from probe_env import Context, Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
 from probe_env.envs.vibration_map import expected_cost, feeds
+from probe_env.physics.closed_forms import buckling_load, steady_root_tension
 from probe_env.schedule import Schedule
 
 MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_acceleration_rms"}
 """Vibration measure of a task -> channel of the response."""
 FEEDS, AIRS = 28, 12
 """Points of the grid of settings."""
+SAFE_PLACES: Final = 23
+"""Lengths of an insertion at which ``safe_air`` computes the root tension."""
 STEP: Final = 0.02
 FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
 """Of a law's rows, up to 0.34."""
@@ -52,33 +58,20 @@ OURS: Final = ("best-schedule", "tension-scheduled")
 
 
 class Optimum(NamedTuple):
-    """A schedule and its expected result.
-
-    Attributes:
-        schedule: over inserted length.
-        reward: mean expected reward of an insertion.
-        tension: root tension that ``SURE`` of the draws exceed where lost drive counts [N].
-    """
+    """A schedule over inserted length, and its expected result."""
 
     schedule: Schedule
-    reward: float
-    tension: float
+    reward: float  # mean of an insertion
+    tension: float  # of the root, which SURE of the draws exceed where lost drive counts [N]
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """How a recommendation is simulated.
+    """How a recommendation is simulated."""
 
-    Attributes:
-        folder: of the episodes and the report.
-        own: schedules to compare with, as ``evaluate`` takes them.
-        limit: number of tubes; 0: all.
-        fidelity: of the simulation.
-    """
-
-    folder: Path
-    own: tuple[str, ...] = ()
-    limit: int = 24
+    folder: Path  # of the episodes and the report
+    own: tuple[str, ...] = ()  # schedules to compare with, as evaluate takes them
+    limit: int = 24  # tubes; 0: all
     fidelity: str = "standard"
 
 
@@ -145,20 +138,14 @@ def recommend(
 
 
 def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
-    """The schedule with the best mean expected reward over some tubes.
-
-    Args:
-        tubes: equally likely.
-        response: expected measurements.
-        config: the task: ranges, steps, weights and limits.
+    """The schedule with the best mean expected reward over some tubes, which are equally likely.
 
     Raises:
         ValueError: the response does not have the task's vibration measure, or no air of the range keeps the drive.
     """
     if config.vibration_measure not in MEASURES:
-        raise ValueError(
-            f"task.vibration_measure = {config.vibration_measure!r}: recommendations know {' and '.join(MEASURES)}"
-        )
+        problem = f"task.vibration_measure = {config.vibration_measure!r}"
+        raise ValueError(f"{problem}: recommendations know {' and '.join(MEASURES)}")
     end = config.scene.tube.helix_length
     places = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
     feed, air = _grid(config)
@@ -171,27 +158,22 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     too_slack = slack(config, taut / MARGIN, places[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
-        raise ValueError(
-            f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
-            f" {taut[hopeless][0].max():.3g} N of root tension at {places[hopeless][0]:g} m in {SURE:.0%} of the draws,"
-            f" and {MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
-        )
+        at = f"{taut[hopeless][0].max():.3g} N of root tension at {places[hopeless][0]:g} m in {SURE:.0%} of the draws"
+        needed = f"{MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
+        problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
+        raise ValueError(f"{problem} {at}, and {needed}")
     logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
     change = SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
     path = cheapest_path(np.where(too_slack, np.inf, cost * stands_for[:, None]), change)
-    schedule = Schedule(
-        "inserted_length", "linear", tuple(places.tolist()), tuple(feed[path].tolist()), tuple(air[path].tolist())
-    )
+    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (places, feed[path], air[path]))
+    schedule = Schedule("inserted_length", "linear", position, feeds_of, airs_of)
     on_path = range(len(path)), path
     gained = float((metre_reward(config, cost) * stands_for[:, None])[on_path].sum())
     return Optimum(schedule, gained, float(taut[on_path][drive_counts(config, places)].min(initial=np.inf)))
 
 
 def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
-    """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes.
-
-    Args and errors as of ``recommended``.
-    """
+    """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
     least, most = ranges["friction"]
@@ -200,22 +182,12 @@ def recommended_law(tubes: Sequence[Context], response: Response, config: TaskCo
     places: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         alike = [tube for tube in tubes if tube.helix_diameter == diameter][:OF_A_LAW]
-        rows = []
-        for mu in inside:
-            drawn = [tube.model_copy(update={"friction": mu}) for tube in alike]
-            rows.append(recommended(drawn, response, config).schedule)
+        drawn = ([tube.model_copy(update={"friction": mu}) for tube in alike] for mu in inside)
+        rows = [recommended(contexts, response, config).schedule for contexts in drawn]
         places = rows[0].position
-        speeds, airs = tuple(row.feed_speed for row in rows), tuple(row.air_supply_rate for row in rows)
-        tables.append(OfDiameter(helix_diameter=diameter, feed_speed=speeds, air_supply_rate=airs))
+        columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
+        tables.append(OfDiameter(helix_diameter=diameter, **columns))
     return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=places, tables=tuple(tables))
-
-
-def expected_reward(schedule: Schedule, tubes: Sequence[Context], response: Response, config: TaskConfig) -> float:
-    """Mean expected reward of an insertion by a schedule over inserted length, without jerk and lost drive."""
-    lengths = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
-    feed, air = (np.asarray(values, dtype=float) for values in schedule.at(lengths))
-    cost = expected_costs(tubes, response, config, Metres(lengths, feed, air, {}))
-    return float(len(lengths) * metre_reward(config, cost.mean()))
 
 
 def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:
@@ -224,8 +196,7 @@ def expected_costs(tubes: Sequence[Context], response: Response, config: TaskCon
     plain = config.model_copy(update={"vibration_measure": "displacement", "vibration_limit": 1e-4})
     costs = []
     for tube in tubes:
-        scene = config.scene.model_copy(update={"tube": {"helix_diameter": tube.helix_diameter}})
-        mean, spread = response.tells(_table(tube, config.scene), metres, scene)
+        mean, spread = response.predict(_table(tube, config.scene), metres, _scene_in(tube, config))
         louder = mean[0, :, column] - np.log10(config.limit)
         costs.append(expected_cost(louder, spread[0, :, column], metres.feed, metres.air, plain))
     return np.array(costs)
@@ -236,22 +207,25 @@ def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> Fl
     rows = []
     for tube in tubes:
         friction = np.full((1, 1), max(tube.friction, 1e-6))
-        rows.append(tube.drag_factor * steady_tension(friction, metres, config.scene, tube.helix_diameter)[0])
+        rows.append(tube.drag_factor * steady_tension(friction, metres, _scene_in(tube, config))[0])
     return np.array(rows)
 
 
 def beyond(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
     """What of a task's tubes is outside the training ranges of the response, one text each."""
     nothing, lines = np.zeros(0), dict[str, None]()
-    for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
-        scene = config.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), scene))
+    for tube in {tube.helix_diameter: tube for tube in tubes}.values():
+        lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), _scene_in(tube, config)))
     table = np.concatenate([_table(tube, config.scene) for tube in tubes])
     for values, unknown in zip(table.T, UNKNOWNS.values(), strict=True):
         if values.min() < unknown.low or values.max() > unknown.high:
             span = f"{values.min():.4g} to {values.max():.4g}"
             lines[f"{unknown.text} {span}, beyond {unknown.low:g} to {unknown.high:g} {unknown.unit}".strip()] = None
     return list(lines)
+
+
+def _scene_in(tube: Context, config: TaskConfig) -> Scene:
+    return config.scene.model_copy(update={"tube": {"helix_diameter": tube.helix_diameter}})
 
 
 def _table(tube: Context, scene: Scene) -> FloatArray:
@@ -262,12 +236,10 @@ def _table(tube: Context, scene: Scene) -> FloatArray:
 
 def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     """(g,) feeds and airs that the device can be set to."""
-    feed = np.geomspace(*feeds(config), FEEDS)
-    air = np.linspace(*config.air_supply_rates, AIRS)
     targets = []
     for values, step, (low, high) in (
-        (feed, config.feed_speed_step, config.feed_speeds),
-        (air, config.air_supply_step, config.air_supply_rates),
+        (np.geomspace(*feeds(config), FEEDS), config.feed_speed_step, config.feed_speeds),
+        (np.linspace(*config.air_supply_rates, AIRS), config.air_supply_step, config.air_supply_rates),
     ):
         set_to = np.round(step * np.round(values / step), 12) if step > 0.0 else values
         within = set_to[(set_to >= low - 1e-12) & (set_to <= high + 1e-12)]
@@ -288,3 +260,62 @@ def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
     for best in reversed(came_from):
         path.append(int(best[path[-1]]))
     return path[::-1]
+
+
+def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
+    """The least air for insertion and the most for withdrawal [m3/h]: whole ones, or the device's own steps.
+
+    Enough air pulls the probe in; too much buckles the cable on withdrawal. The closed forms of steady sliding know
+    neither vibration nor changes of feed and air, hence ``MARGIN``.
+
+    Args:
+        config: the task: range of the air, required tension, probe and bore.
+        tubes: all of them.
+        feeds: slowest and fastest feed [m/s]; the fastest is pulled least, the slowest compressed most.
+
+    Raises:
+        ValueError: no air of the range is safe.
+    """
+    slowest, fastest = feeds
+    least, most = (3600.0 * air for air in config.air_supply_rates)
+    whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
+    # bounds are what the device gives, so that no air between them is rounded beyond them
+    airs = np.unique(np.round(3600.0 * config.given(np.full_like(whole, fastest), whole)[:, 1], 9))
+    pulls, enough = pulled(config, tubes, airs, fastest), MARGIN * config.required_tension
+    if not (pulls >= enough).any():
+        problem = f"air_supply_rates up to {most:.4g} m3/h: even the most pulls with {pulls.max():.3g} N only"
+        needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
+        raise ValueError(f"{problem} where it pulls least, and {needed}")
+    bearable = buckling_load(config.scene.probe) / MARGIN
+    borne = min(bisect_right(airs, bearable, key=partial(pressed, config, tube, feed=slowest)) for tube in tubes)
+    if borne == 0:
+        greatest = max(pressed(config, tube, airs[0], slowest) for tube in tubes)
+        problem = (
+            f"air_supply_rates from {least:.4g} m3/h: even the least presses with {greatest:.3g} N on the way back"
+        )
+        limit = f"{bearable:.3g} N between two floats (its buckling load over {MARGIN:g})"
+        raise ValueError(f"{problem}, and the cable bears {limit}")
+    return float(airs[pulls >= enough].min()), float(airs[borne - 1])
+
+
+def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
+    """(a,) smallest root tension of the insertion [N] over tubes and lengths at which the drive counts, by air."""
+    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_PLACES)
+    lengths = lengths[drive_counts(config, lengths)]
+    air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
+    tension = tensions(tubes, config, Metres(length, np.full(len(length), feed), air, {}))
+    return np.asarray(tension.min(axis=0).reshape(len(airs), -1).min(axis=1, initial=np.inf))
+
+
+def pressed(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
+    """Root compression on withdrawal [N] with all of the cable inserted; it grows with the air [m3/h]."""
+    scene = config.scene
+    drawn = {
+        "tube": {"helix_diameter": tube.helix_diameter},
+        "contact": {"friction": tube.friction},
+        "air": {"drag_coefficient": scene.air.drag_coefficient * tube.drag_factor},
+        "carrier_length": scene.tube.helix_length - scene.probe.guide_length,
+        "feed_speed": -feed,
+        "air_supply_rate": -air / 3600.0,
+    }
+    return -steady_root_tension(scene.model_copy(update=drawn))

@@ -54,19 +54,12 @@ SHAPES: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Metres:
-    """Means of a log over the metres of inserted length in which the probe was fed.
+    """Means of a log over the metres of inserted length in which the probe was fed, (m,) each."""
 
-    Attributes:
-        length: (m,) inserted length at their middle [m].
-        feed: (m,) feed speed [m/s].
-        air: (m,) air supply [m3/s].
-        felt: channel -> (m,) mean tension [N], rms of accelerations [m/s2] and noise [m]; some of ``CHANNELS``.
-    """
-
-    length: FloatArray
-    feed: FloatArray
-    air: FloatArray
-    felt: dict[str, FloatArray]
+    length: FloatArray  # inserted, at their middle [m]
+    feed: FloatArray  # [m/s]
+    air: FloatArray  # [m3/s]
+    felt: dict[str, FloatArray]  # channel -> mean tension [N], rms of accelerations [m/s2], noise [m]
 
     def __len__(self) -> int:
         return len(self.length)
@@ -84,10 +77,7 @@ def metres_of(log: Log) -> Metres:
     fed = log.feed_speed * lasts
     good = (log.feed_speed > 0.0) & (since >= RESTART)
     metre = np.floor(log.inserted_length + 0.5 * fed).astype(int)[good]
-    if not len(metre):
-        nothing = np.zeros(0)
-        return Metres(nothing, nothing, nothing, dict.fromkeys(felt, nothing))
-    first = int(metre.min())
+    first = int(metre.min(initial=0))  # no metre may be fed
     seconds = np.bincount(metre - first, lasts[good])
     through = np.bincount(metre - first, fed[good])
     kept = through >= LEAST_FED
@@ -123,7 +113,7 @@ class Response:
     reach: FloatArray
     misfit: FloatArray
 
-    def tells(self, table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
+    def predict(self, table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n, m, c) of the decadic logarithm of the channels (``CHANNELS``, SI units).
 
         Args:
@@ -144,14 +134,14 @@ class Response:
     def outside(self, metres: Metres, scene: Scene) -> list[str]:
         """What of a log is outside the training ranges, one text each."""
         texts = []
-        named = {
-            "inserted length": (metres.length, "m"),
-            "feed speed": (metres.feed, "m/s"),
-            "pull of the air": (_pull(metres, scene), "N/m"),
-            "helix diameter": (np.array([scene.tube.helix_diameter]), "m"),
-            "radial room of the floats": (np.array([_room(scene)]), "m"),
-        }
-        for (name, (values, unit)), low, high in zip(named.items(), *self.ranges, strict=True):
+        named = (
+            ("inserted length", metres.length, "m"),
+            ("feed speed", metres.feed, "m/s"),
+            ("pull of the air", _pull(metres, scene), "N/m"),
+            ("helix diameter", np.array([scene.tube.helix_diameter]), "m"),
+            ("radial room of the floats", np.array([_room(scene)]), "m"),
+        )
+        for (name, values, unit), low, high in zip(named, *self.ranges, strict=True):
             if len(values) and (values.min() < low * (1.0 - 1e-3) or values.max() > high * (1.0 + 1e-3)):
                 texts.append(f"{name} {values.min():.4g} to {values.max():.4g} {unit}, beyond {low:.4g} to {high:.4g}")
         standard, own = Scene().probe.model_dump(), scene.probe.model_dump()
@@ -166,12 +156,12 @@ class Response:
         return np.asarray(sum(np.kron(k, alike[part]) for k, alike in zip(kernels, self.alike, strict=True)))
 
     def misfit_of(self, strays: FloatArray, length: FloatArray, chosen: list[int]) -> FloatArray:
-        """(c + 1,) mean squared decorrelated deviation of every channel, and of all; NaN for the other channels.
+        """(c + 1,) mean squared decorrelated deviation of every channel, and of all; NaN for channels not chosen.
 
         Args:
-            strays: (m, c) deviations of some channels [standard deviations].
+            strays: (m, c) deviations of the chosen channels [standard deviations].
             length: (m,) [m].
-            chosen: which channels.
+            chosen: their indices.
         """
         strays = np.clip(strays, -FAREST, FAREST)
         misfit = np.full(len(CHANNELS) + 1, np.nan)
@@ -213,23 +203,18 @@ class Response:
         write_atomically(path, buffer.getvalue())
 
 
-def steady_tension(friction: FloatArray, metres: Metres, scene: Scene, diameter: float) -> FloatArray:
-    """Root tension (n, m) of steady sliding [N] for frictions (n, 1) in a helix of this diameter [m]."""
-    seen = {
-        "inserted_length": metres.length,
-        "feed_speed": metres.feed,
-        "air_supply_rate": metres.air,
-        "helix_diameter": np.full(len(metres), diameter),
-    }
-    return sliding_tension(friction, seen, scene)
+def steady_tension(friction: FloatArray, metres: Metres, scene: Scene) -> FloatArray:
+    """Root tension (n, m) of steady sliding [N] for frictions (n, 1)."""
+    diameter = np.full(len(metres), scene.tube.helix_diameter)
+    seen = {"inserted_length": metres.length, "feed_speed": metres.feed, "air_supply_rate": metres.air}
+    return sliding_tension(friction, seen | {"helix_diameter": diameter}, scene)
 
 
 def inputs_of(table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Inputs (n, m, 10) of the network, and the tension of steady sliding (n, m) [N]; arguments of ``tells``."""
+    """Inputs (n, m, 10) of the network, and the tension of steady sliding (n, m) [N]; arguments of ``predict``."""
     diameter = scene.tube.helix_diameter
-    drag = table[:, None, DRAG] / scene.air.drag_coefficient
-    friction = table[:, None, FRICTION]
-    tension = np.maximum(drag * steady_tension(friction, metres, scene, diameter), FLOORS[0])
+    friction, drag = table[:, None, FRICTION], table[:, None, DRAG] / scene.air.drag_coefficient
+    tension = np.maximum(drag * steady_tension(friction, metres, scene), FLOORS[0])
     columns = (
         metres.length / 30.0,
         np.log(metres.feed),
@@ -261,7 +246,6 @@ def _pull(metres: Metres, scene: Scene) -> FloatArray:
 
 
 def _room(scene: Scene) -> float:
-    """Radial room of the carrier's floats [m]."""
     return scene.tube.inner_diameter - scene.probe.carrier_float_diameter
 
 

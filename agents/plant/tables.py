@@ -43,38 +43,23 @@ _NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+
 ZIP: Final = b"PK\x03\x04"
 OLD_EXCEL: Final = b"\xd0\xcf\x11\xe0"
 MOST_UNPACKED: Final = 512 * MEBI
-MOST_PARTS: Final = 10_000
 MOST_TEXT: Final = 256 * MEBI
-LONGEST_CELL: Final = 32_767
-"""Characters; the limit of Excel, as is the next."""
-LAST_ROW: Final = 1_048_576
 MOST_EMPTY: Final = 10_000
 """Rows without a cell, of which a small file can hold millions."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as they are written.
-
-    Attributes:
-        path: the file.
-        heads: one per column.
-        units: the row of units below the heads; empty texts where there is none.
-        columns: texts (rows,) of each column, arrow arrays.
-        lines: (rows,) line number, or row number of a sheet.
-        row_word: what errors call a row, "line" or "row".
-        separator: of the columns; empty for a sheet.
-        steps: whether the file says that values hold until the next row.
-    """
+    """Cells as they are written."""
 
     path: Path
     heads: tuple[str, ...]
-    units: tuple[str, ...]
-    columns: tuple[Any, ...]
-    lines: IntArray
-    row_word: str = "line"
-    separator: str = ""
-    steps: bool = False
+    units: tuple[str, ...]  # from the row below the heads; empty texts where there is none
+    columns: tuple[Any, ...]  # arrow arrays of texts (rows,)
+    lines: IntArray  # (rows,) line number, or row number of a sheet
+    row_word: str = "line"  # what errors call a row
+    separator: str = ""  # empty for a sheet
+    steps: bool = False  # whether the file says that values hold until the next row
 
     def error(self, row: int, problem: str, column: int | None = None) -> FileError:
         """An error at a row, and column."""
@@ -102,24 +87,18 @@ def read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) -
         return _sheet_table(path, _sheet_rows(path, content, sheet), options)
     if sheet is not None:
         raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
-    return _text_table(path, decoded(path, content), options)
+    return _text_table(path, _decoded(path, content), options)
 
 
-def decoded(path: Path, content: bytes) -> str:
-    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe.
-
-    Raises:
-        FileError: not a text.
-    """
+def _decoded(path: Path, content: bytes) -> str:
+    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe."""
     begin = content[:1000]
-    encodings = ["utf-8-sig", "cp1252"]
+    names = ["utf-8-sig", "cp1252"]
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encodings = ["utf-16"]
-    elif len(begin) > 3 and begin[1::2].count(0) > 0.4 * len(begin):
-        encodings = ["utf-16-le"]
-    elif len(begin) > 3 and begin[::2].count(0) > 0.4 * len(begin):
-        encodings = ["utf-16-be"]
-    for name in encodings:
+        names = ["utf-16"]
+    elif len(begin) > 3:
+        names = [f"utf-16-{e}" for e, k in (("le", 1), ("be", 0)) if begin[k::2].count(0) > 0.4 * len(begin)] or names
+    for name in names:
         try:
             text = content.decode(name)
             break
@@ -130,9 +109,8 @@ def decoded(path: Path, content: bytes) -> str:
     text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # DOS ended files with Ctrl-Z
     if control := _CONTROL.search(text):
         line = text.count("\n", 0, control.start()) + 1
-        raise FileError(
-            path, f"line {line}: not a text file: a control character (0x{ord(control[0]):02x}) - export it as text"
-        )
+        problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
+        raise FileError(path, f"line {line}: {problem} - export it as text")
     return text
 
 
@@ -143,23 +121,19 @@ def _text_table(path: Path, text: str, options: Sequence[ColumnOption]) -> Table
     if len(lines) > MOST_ROWS:
         raise FileError(path, f"{len(lines)} lines are more than the {MOST_ROWS} that a log may have: cut it")
     filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
-    candidates = [
-        (k + 1, separator, _split(_uncommented(lines[k][: 100 * MOST_COLUMNS]), separator))
-        for k in filled
-        for separator in SEPARATORS
-    ]
+    begins = {k + 1: _uncommented(lines[k][: 100 * MOST_COLUMNS]) for k in filled}
+    candidates = [(k, separator, _split(line, separator)) for k, line in begins.items() for separator in SEPARATORS]
     first = next(((number, cells) for number, _, cells in candidates if len(cells) > 1), (1, list[str]()))
     head, separator, _ = _find_head(path, "line", candidates, options, first)
     heads = _split(_uncommented(lines[head - 1]), separator)
     if len(heads) > MOST_COLUMNS:
         raise FileError(path, f"line {head}: {len(heads)} columns are more than {MOST_COLUMNS}")
-    steps = any(
-        line.startswith(CSV_COMMENT) and line.partition(":")[2].strip() == "steps" for line in lines[: head - 1]
-    )
+    remarks = (line for line in lines[: head - 1] if line.startswith(CSV_COMMENT))
+    steps = any(line.partition(":")[2].strip() == "steps" for line in remarks)
     body = pa.array(lines[head:], pa.large_string())
     numbers = np.flatnonzero(~np.asarray(pc.match_substring_regex(body, _COMMENT))) + head + 1
-    units, numbers = _units(_split(lines[numbers[0] - 1], separator) if len(numbers) else [], heads, numbers)
-    _check_rows(path, f"line {head}", numbers)
+    below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
+    units, numbers = _units(path, f"line {head}", below, heads, numbers)
     columns = _text_columns(path, body.take(pa.array(numbers - head - 1)), numbers, separator, len(heads))
     return Table(path, tuple(heads), units, columns, numbers, separator=separator, steps=steps)
 
@@ -180,12 +154,9 @@ def _find_head(
 
     best = max(candidates, key=score, default=None)
     if best is None or score(best) < 2:
-        number, cells = shown
-        raise FileError(
-            path,
-            f"{word} {number}: no head that names two quantities; found: {heads_shown(cells) or 'none'} - say what they"
-            f" are: --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}",
-        )
+        problem = f"no head that names two quantities; found: {heads_shown(shown[1]) or 'none'} - say what they are"
+        names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
+        raise FileError(path, f"{word} {shown[0]}: {problem}: {names}")
     return best
 
 
@@ -194,19 +165,16 @@ def heads_shown(heads: Sequence[str]) -> str:
     return ", ".join(repr(head[:60]) for head in heads[:HEADS_SHOWN]) + (" ..." if len(heads) > HEADS_SHOWN else "")
 
 
-def _units(row: Sequence[str], heads: Sequence[str], rest: Any) -> tuple[tuple[str, ...], Any]:
+def _units(path: Path, place: str, row: Sequence[str], heads: Sequence[str], rest: Any) -> tuple[tuple[str, ...], Any]:
     """Units of the columns if the row below the heads has them, and the rows that remain."""
     filled = [cell.strip() for cell in row if cell.strip()]
-    none = ("",) * len(heads)
-    if not filled or any(map(_NUMBER_OR_TIME.fullmatch, filled)) or not all(map(looks_like_unit, filled)):
-        return none, rest
-    units = (*(cell.strip().strip("[]()").strip() for cell in row), *none)
-    return units[: len(heads)], rest[1:]
-
-
-def _check_rows(path: Path, head: str, rows: Sequence[Any]) -> None:
-    if not len(rows):
-        raise FileError(path, f"{head}: a head, but no rows below it: at least two are needed")
+    units: tuple[str, ...] = ("",) * len(heads)
+    if filled and not any(map(_NUMBER_OR_TIME.fullmatch, filled)) and all(map(looks_like_unit, filled)):
+        units = (*(cell.strip().strip("[]()").strip() for cell in row), *units)[: len(heads)]
+        rest = rest[1:]
+    if not len(rest):
+        raise FileError(path, f"{place}: a head, but no rows below it: at least two are needed")
+    return units, rest
 
 
 def _uncommented(line: str) -> str:
@@ -277,14 +245,10 @@ def _sheet_rows(path: Path, content: bytes, sheet: str | None) -> list[tuple[int
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             parts = archive.infolist()
-    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as error:
-        raise FileError(path, f"not an Excel workbook that can be read ({error}): save it again") from error
-    unpacked = sum(part.file_size for part in parts)  # what a part declares is all that is unpacked of it
-    if unpacked > MOST_UNPACKED or len(parts) > MOST_PARTS:
-        raise FileError(
-            path, f"{len(parts)} parts of {unpacked} bytes unpacked are more than a log may have: export it as CSV"
-        )
-    try:
+        unpacked = sum(part.file_size for part in parts)  # what a part declares is all that is unpacked of it
+        if unpacked > MOST_UNPACKED:
+            size = f"{len(parts)} parts of {unpacked} bytes unpacked"
+            raise FileError(path, f"{size} are more than a log may have: export it as CSV")
         with warnings.catch_warnings(action="ignore"):  # of styles and extensions
             book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
             names = [str(name) for name in book.sheetnames]
@@ -298,9 +262,8 @@ def _sheet_rows(path: Path, content: bytes, sheet: str | None) -> list[tuple[int
     except FileError:
         raise
     except Exception as error:  # a damaged workbook raises whatever its parts run into
-        raise FileError(path, f"not an Excel workbook that can be read ({type(error).__name__}): save it again") from (
-            error
-        )
+        problem = f"not an Excel workbook that can be read ({type(error).__name__})"
+        raise FileError(path, f"{problem}: save it again") from error
 
 
 def _checked_rows(path: Path, values: Iterable[Sequence[Any]]) -> list[tuple[int, list[str]]]:
@@ -310,7 +273,7 @@ def _checked_rows(path: Path, values: Iterable[Sequence[Any]]) -> list[tuple[int
         cells = [_cell_text(value) for value in row]
         while cells and not cells[-1].strip():
             cells.pop()
-        if number > LAST_ROW or number - len(rows) > MOST_EMPTY:
+        if number - len(rows) > MOST_EMPTY:
             raise FileError(path, f"row {number}: more rows than a sheet has, or more empty ones than a log: cut it")
         if len(cells) > MOST_COLUMNS:
             raise FileError(path, f"row {number}: more than {MOST_COLUMNS} columns")
@@ -318,7 +281,7 @@ def _checked_rows(path: Path, values: Iterable[Sequence[Any]]) -> list[tuple[int
         if size > MOST_TEXT:
             raise FileError(path, f"row {number}: the sheet is larger than a log may be: cut it")
         for cell in cells:
-            if len(cell) > LONGEST_CELL or _CONTROL.search(cell) or "\t" in cell:
+            if _CONTROL.search(cell) or "\t" in cell:
                 raise FileError(path, f"row {number}: {cell[:60]!r} is not a head, number or time")
         if cells:
             rows.append((number, cells))
@@ -339,18 +302,11 @@ def _sheet_table(path: Path, rows: list[tuple[int, list[str]]], options: Sequenc
     candidates = [(number, "", cells) for number, cells in rows[:HEAD_WITHIN]]
     head, _, heads = _find_head(path, "row", candidates, options, rows[0])
     rows = [(number, cells) for number, cells in rows if number > head]
-    units, rows = _units(rows[0][1] if rows else [], heads, rows)
-    _check_rows(path, f"row {head}", rows)
+    units, rows = _units(path, f"row {head}", rows[0][1] if rows else [], heads, rows)
     for number, cells in rows:
         if len(cells) > len(heads):
             raise FileError(path, f"row {number}: {len(cells)} values for {len(heads)} columns - correct that row")
         cells += [""] * (len(heads) - len(cells))
-    columns = zip(*(cells for _, cells in rows), strict=True)
-    return Table(
-        path,
-        tuple(cell.strip() for cell in heads),
-        units,
-        tuple(pa.array(cells, pa.large_string()) for cells in columns),
-        np.array([number for number, _ in rows]),
-        row_word="row",
-    )
+    columns = tuple(pa.array(cells, pa.large_string()) for cells in zip(*(cells for _, cells in rows), strict=True))
+    lines = np.array([number for number, _ in rows])
+    return Table(path, tuple(cell.strip() for cell in heads), units, columns, lines, row_word="row")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Seeds
 from oracles.scatter import CHANCE, of_another
 from scipy.stats import chi2, norm
 
@@ -23,25 +22,25 @@ from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
 from probe_env import Plant, Scene
 from probe_env.arrays import FloatArray
-from probe_env.physics.closed_forms import friction_from_tension, sliding_tension, steady_root_tension
 
 RESPONSE, PRIOR = stored_response(), prior_of(Plant())
 LENGTH = np.arange(6.5, 50.0)
 TRUTH = np.array([0.2, 1e5, 0.44, 6e-5])
+Seeds = Callable[[int], Sequence[int]]
 
 
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(params=[(200, 200)])
+def short(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Few steps: enough for a mean and an interval."""
-    monkeypatch.setattr(inference, "BURN", 200)
-    monkeypatch.setattr(inference, "STEPS", 200)
+    for name, steps in zip(("BURN", "STEPS"), request.param, strict=True):
+        monkeypatch.setattr(inference, name, steps)
 
 
 def log_like(
     truth: FloatArray,
     rng: np.random.Generator | None,
     diameter: float = 1.3,
-    tube: int = 0,
+    tube: str = "",
     length: FloatArray = LENGTH,
     channels: Sequence[str] = CHANNELS,
     gain: float = 1.0,
@@ -50,7 +49,7 @@ def log_like(
     scene = Scene.fitted({"tube": {"helix_diameter": diameter}})
     feed = np.interp(length, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
     air = np.interp(length, [5.0, 30.0, 50.0], [0.018, 0.025, 0.03])
-    mean, spread = RESPONSE.tells(truth[None], Metres(length, feed, air, {}), scene)
+    mean, spread = RESPONSE.predict(truth[None], Metres(length, feed, air, {}), scene)
     strays = np.zeros(mean[0].shape)
     if rng:
         factor = np.linalg.cholesky(RESPONSE.covariance(length, list(range(len(CHANNELS)))))
@@ -66,46 +65,31 @@ def with_felt(case: Case, felt: dict[str, FloatArray]) -> Case:
     return case._replace(metres=Metres(m.length, m.feed, m.air, felt))
 
 
-def test_nothing_given_leaves_all_open() -> None:
-    """All four are unknown, over the training ranges; drag within 15 % of table 2's."""
+def test_the_prior_is_what_the_file_says() -> None:
+    """All is open without a file; a number is known, but not as friction; figures become their quantiles."""
     expected = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "damping_time": DAMPING}
     assert {name: PRIOR.ranges[name] for name in expected} == expected
     assert PRIOR.ranges["drag_coefficient"] == pytest.approx([share * 0.44 for share in DRAG])
     assert len(PRIOR.assumed) == 4
-
-
-def test_a_number_is_known_but_for_the_friction() -> None:
-    plant = Plant(
-        contact={"friction": 0.2, "stiffness": 8e4}, air={"drag_coefficient": 0.4}, probe={"damping_time": 6e-5}
-    )
-    prior = prior_of(plant)
+    middle = [sum(FRICTION) / 2.0, *(np.sqrt(low * high) for low, high in [*PRIOR.ranges.values()][1:])]
+    np.testing.assert_allclose(PRIOR.values(np.zeros((1, 4)), 1)[0, 0], middle)
+    numbers = {"contact": {"friction": 0.2, "stiffness": 8e4}, "air": {"drag_coefficient": 0.4}}
+    prior = prior_of(Plant(**numbers, probe={"damping_time": 6e-5}))
     assert prior.known == {"contact_stiffness": 8e4, "drag_coefficient": 0.4, "damping_time": 6e-5}
-    assert prior.shared == ()
     table = prior.values(np.zeros((3, 2)), 2)
-    assert table.shape == (2, 3, 4)
-    np.testing.assert_allclose(table[:, :, 1:], np.broadcast_to([8e4, 0.4, 6e-5], (2, 3, 3)))
-    np.testing.assert_allclose(table[:, :, 0], sum(FRICTION) / 2.0)
-
-
-def test_figures_become_their_quantiles() -> None:
-    """A standard normal coordinate of 0 is the median, of +-1.645 the 5th and the 95th percentile."""
-    plant = Plant(
-        contact={"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"mean": 1e5, "std": 1e4}},
-        air={"drag_coefficient": 0.44}, probe={"damping_time": 5e-5},
-    )  # fmt: skip
-    low, middle, high = prior_of(plant).values(np.array([[z, z] for z in (-1.6449, 0.0, 1.6449)]), 1)[0, :, :2]
-    np.testing.assert_allclose([low[0], middle[0], high[0]], [0.105, 0.15, 0.195], rtol=1e-4)
-    np.testing.assert_allclose([low[1], middle[1], high[1]], [83551.5, 1e5, 116448.5], rtol=1e-3)
-
-
-def test_values_outside_the_training_ranges_are_refused() -> None:
-    cases: list[tuple[dict[str, Any], str]] = [
+    np.testing.assert_allclose(table, np.broadcast_to([sum(FRICTION) / 2.0, 8e4, 0.4, 6e-5], (2, 3, 4)))
+    figures = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"mean": 1e5, "std": 1e4}}
+    prior = prior_of(Plant(contact=figures, air={"drag_coefficient": 0.44}, probe={"damping_time": 5e-5}))
+    # standard normal coordinates of the 5th percentile, the median and the 95th
+    values = prior.values(np.array([[z, z] for z in (-1.6449, 0.0, 1.6449)]), 1)[0, :, :2]
+    np.testing.assert_allclose(values, [[0.105, 83551.5], [0.15, 1e5], [0.195, 116448.5]], rtol=1e-3)
+    refused: list[tuple[dict[str, Any], str]] = [
         ({"contact": {"friction": {"low": 0.1, "high": 0.6}}}, "contact.friction = 0.6 is outside 0.05 to 0.35"),
         ({"contact": {"stiffness": 1e6}}, r"contact.stiffness = 1e\+06 N/m is outside 50000 to 190000 N/m"),
         ({"probe": {"damping_time": 1e-5}}, "probe.damping_time = 1e-05 s is outside"),
         ({"air": {"drag_coefficient": {"mean": 3.0, "std": 0.1}}}, "air.drag_coefficient = 3 is outside"),
     ]
-    for tables, problem in cases:
+    for tables, problem in refused:
         with pytest.raises(ValueError, match=f"mine.toml: {problem}"):
             prior_of(Plant.model_validate(tables), "mine.toml")
 
@@ -178,22 +162,19 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
         ratios.append(np.log(three / one))
     # exp(-0.274), for drag, which acts alike, is known no better; scatters by 0.069 over 16 worlds
     assert np.mean(ratios) < -0.274 + of_another(0.069, 16, members=worlds) < 0.0
-    others = [log_like(np.array([own, 9e4, 0.44, 6e-5]), rng, tube=k) for k, own in enumerate((0.18, 0.12))]
+    own = {"a": 0.18, "b": 0.12}
+    others = [log_like(np.array([friction, 9e4, 0.44, 6e-5]), rng, tube=tube) for tube, friction in own.items()]
     draws = sampled(RESPONSE, others, PRIOR).draws
     # 0.183 +- 0.0051 and 0.122 +- 0.0032 over 16 worlds
     assert np.median(draws[0, :, 0]) > 0.183 - of_another(0.0051, 16, among=2) > 0.15
     assert np.median(draws[1, :, 0]) < 0.122 + of_another(0.0032, 16, among=2) < 0.15
 
 
-def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(inference, "BURN", 10)
-    monkeypatch.setattr(inference, "STEPS", 20)
+@pytest.mark.parametrize("short", [(10, 20)], indirect=True)
+def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(short: None) -> None:
     rng = np.random.default_rng(0)
-    cases = [
-        log_like(np.array([own, 9e4, 0.44, 6e-5]), rng, tube=k, length=LENGTH[::4]) for k, own in enumerate((0.3, 0.1))
-    ]
+    own, every = {"a": 0.3, "b": 0.1}, LENGTH[::4]
+    cases = [log_like(np.array([mu, 9e4, 0.44, 6e-5]), rng, tube=k, length=every) for k, mu in own.items()]
     first, second = (sampled(RESPONSE, cases, PRIOR).draws for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert first.shape[0] == 2
@@ -221,7 +202,15 @@ def test_too_short_or_silent_a_log_is_refused() -> None:
         sampled(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
 
 
-def test_a_missing_channel_is_left_out() -> None:
+def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
+    """Of a log without scatter whose tension is read with a gain; the scatter is that at the truth."""
+    truth = np.array([0.12, 9e4, 0.44, 7e-5])
+    likelihood = Likelihood(RESPONSE, [log_like(truth, None, diameter=1.6, channels=channels, gain=gain)])
+    likelihood.settle(truth[None, None])
+    return likelihood
+
+
+def test_a_missing_channel_is_left_out_and_the_scatter_settles_as_a_geometric_mean() -> None:
     """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
     case = log_like(TRUTH, np.random.default_rng(1))
     part = with_felt(case, {n: case.metres.felt[n] for n in CHANNELS[1:]})
@@ -230,23 +219,10 @@ def test_a_missing_channel_is_left_out() -> None:
     whole = RESPONSE.covariance(LENGTH, [0, 1, 2, 3]).reshape(len(LENGTH), 4, len(LENGTH), 4)
     block = RESPONSE.covariance(LENGTH, [1, 2, 3]).reshape(len(LENGTH), 3, len(LENGTH), 3)
     np.testing.assert_allclose(whole[:, 1:, :, 1:], block)
-
-
-def test_the_scatter_is_settled_as_a_geometric_mean() -> None:
-    likelihood, draws = settled(1.0), np.array([TRUTH, TRUTH * [2.0, 1.0, 1.0, 1.0]])
+    likelihood, draws = Likelihood(RESPONSE, [case]), np.array([TRUTH, TRUTH * [2.0, 1.0, 1.0, 1.0]])
     spread = likelihood.strays(0, draws)[1]
-    likelihood.settle(draws[None, :1])
-    np.testing.assert_allclose(likelihood.settled[0], spread[0])
     likelihood.settle(draws[None])
     np.testing.assert_allclose(likelihood.settled[0], np.sqrt(spread[0] * spread[1]))
-
-
-def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
-    """Of a log without scatter whose tension is read with a gain; the scatter is that at the truth."""
-    truth = np.array([0.12, 9e4, 0.44, 7e-5])
-    likelihood = Likelihood(RESPONSE, [log_like(truth, None, diameter=1.6, channels=channels, gain=gain)])
-    likelihood.settle(truth[None, None])
-    return likelihood
 
 
 def test_the_best_gain_is_exact() -> None:
@@ -264,9 +240,9 @@ def test_the_best_gain_is_exact() -> None:
 def test_a_gauge_that_reads_too_much_is_found() -> None:
     """A gain of 1.5 is beyond the 15 % that drag may be, and the tension's bend fixes the friction; 1.1 is within."""
     true, drag, scaled = (gain_of(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
-    assert true is not None
-    assert drag is not None
-    assert scaled is not None
+    assert true
+    assert drag
+    assert scaled
     assert max(true.ratio, drag.ratio) < LIMIT < scaled.ratio
     assert scaled.gain > 1.5 / 1.15 / 1.15  # drag may be at either edge of its prior
     assert gain_of(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
@@ -277,8 +253,8 @@ def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | f
     scene = Scene.fitted({"tube": {"inner_diameter": bore, "helix_diameter": 1.4}})
     length = np.arange(5.5, 55.0)
     bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
-    tension = drag * steady_tension(np.full((1, 1), friction), bare, scene, 1.4)[0] * np.exp(noise)
-    return with_felt(Case("log", 0, scene, bare), {"root_tension": tension})
+    tension = drag * steady_tension(np.full((1, 1), friction), bare, scene)[0] * np.exp(noise)
+    return with_felt(Case("log", "", scene, bare), {"root_tension": tension})
 
 
 def test_sliding_is_the_inverse_of_the_closed_form() -> None:
@@ -291,23 +267,7 @@ def test_sliding_is_the_inverse_of_the_closed_form() -> None:
             assert fit.friction[1] < friction < fit.friction[2]
     case = sliding_log(0.2, 1.0, 0.0242)
     assert by_sliding([with_felt(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
-
-
-def test_the_tension_is_that_of_the_scene() -> None:
-    """The closed form over arrays is the one over a scene's own floats, and the estimate is its inverse."""
-    scene = Scene().model_copy(update={"carrier_length": 40.0})
-    seen = {
-        "inserted_length": np.array([scene.inserted_length]), "feed_speed": np.array([scene.feed_speed]),
-        "air_supply_rate": np.array([scene.air_supply_rate]), "helix_diameter": np.array([1.2]),
-    }  # fmt: skip
-    tension = sliding_tension(np.array([[0.15]]), seen, scene)[0]
-    assert tension == pytest.approx(steady_root_tension(scene), rel=1e-2)  # floats there are single, not spread out
-    back = friction_from_tension(seen | {"root_tension": tension}, scene)
-    assert back == pytest.approx(0.15, rel=1e-7)
-
-
-def test_drag_is_distinguished_from_friction() -> None:
-    """A pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off."""
+    # a pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off
     fit = by_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
     assert fit is not None
     for (mean, low, high), true in ((fit.friction, 0.2), (fit.drag_coefficient, 1.1 * 0.44)):
@@ -333,12 +293,9 @@ def test_intervals_cover_under_correlated_scatter() -> None:
 
 
 @pytest.mark.processor
-def test_the_shipped_log_is_calibrated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("short", [(60, 60)], indirect=True)
+def test_the_shipped_log_is_calibrated(short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
-    monkeypatch.setattr(inference, "BURN", 60)
-    monkeypatch.setattr(inference, "STEPS", 60)
     assert main(["calibrate", "example-rig", "--output", str(tmp_path)]) == 0
     record = json.loads((tmp_path / "calibration.json").read_text())
     for name in ("friction", "contact_stiffness", "drag_coefficient", "damping_time"):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agents.cli import main
-from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_reward, recommended
-from agents.plant.response import stored_response
+from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_costs, recommended
+from agents.plant.response import Metres, stored_response
 from agents.policies.catalogue import DATA
 from agents.records.reading import read_csv
 from probe_env import Context, Plant
@@ -63,8 +63,11 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     for factor in (0.7, 1.4):
         feed = tuple(np.clip(factor * np.array(schedule.feed_speed), *config.feed_speeds).tolist())
         others.append(Schedule("inserted_length", "linear", schedule.position, feed, schedule.air_supply_rate))
-    own, *rewards = (expected_reward(other, TUBES, RESPONSE, config) for other in (schedule, *others))
-    assert own > max(rewards)
+    lengths, costs = np.arange(5.5, 60.0), []
+    for other in (schedule, *others):
+        feed, air = (np.asarray(values, dtype=float) for values in other.at(lengths))
+        costs.append(expected_costs(TUBES, RESPONSE, config, Metres(lengths, feed, air, {})).mean())
+    assert costs[0] < min(costs[1:])
     # at 40 m the probe rings with a friction of 0.25 and not with 0.08
     slippery, rough = (
         recommended([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
@@ -88,14 +91,13 @@ def test_what_is_outside_the_training_ranges_is_reported() -> None:
     assert beyond(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
     texts = "; ".join(beyond([Context(friction=0.4)], RESPONSE, odd))
-    assert "radial room of the floats 0.009 to 0.009 m, beyond" in texts
-    assert "a probe of another line_density" in texts
-    assert "friction 0.4 to 0.4, beyond 0.05 to 0.35" in texts
+    for text in ("floats 0.009 to 0.009 m, beyond", "a probe of another line_density", "friction 0.4 to 0.4, beyond"):
+        assert text in texts
 
 
 @pytest.mark.slow
-def test_it_is_written_simulated_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The schedule, how it was found, and the report with a schedule to compare with, on tubes of the plant."""
+def test_it_is_simulated_against_others(tmp_path: Path) -> None:
+    """The schedule, and the report with a schedule to compare with, on tubes of the plant."""
     (tmp_path / "tube.toml").write_text(TUBE)
     own = tmp_path / "own.csv"
     own.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n24,0.2,63\n")
@@ -106,10 +108,7 @@ def test_it_is_written_simulated_and_printed(tmp_path: Path, capsys: pytest.Capt
     episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
     assert set(episodes["policy"]) == {"recommended", "recommended-law", "own", "best-schedule", "tension-scheduled"}
     assert (episodes.groupby("policy").size() == 2).all()
-    page = (tmp_path / "my-confirmed" / "report.html").read_text()
-    assert "own" in page
-    assert "recommended" in page
-    assert "expected reward" in capsys.readouterr().out
+    assert "recommended" in (tmp_path / "my-confirmed" / "report.html").read_text()
 
 
 def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,7 +122,7 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert not record["calibrated"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
-    assert "simulated on" not in printed
+    assert "expected reward" in printed
     assert "way in" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.plant.recommendation import MARGIN
-from agents.plant.safe_air import pressed, pulled, safe_air
+from agents.plant.recommendation import MARGIN, pressed, pulled, safe_air
 from agents.policies.catalogue import make_policy
 from agents.policies.places import both_ways, place_of
 from agents.studies.builtin import Request

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import a90_95, paired_difference
 from agents.evaluation.workers import Workers
-from agents.plant.safe_air import safe_air
+from agents.plant.recommendation import safe_air
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.maps.lookup import FIRST
 from agents.policies.places import Place, load_case
