@@ -45,16 +45,16 @@ CASES: dict[str, tuple[str, ...]] = {
     ),
     "evaluate-laws": ("evaluate adaptive trimmed-law plc-law --limit 2 --fidelity fast --output out",),
     "evaluate-agents": ("evaluate student ppo shielded:ppo --limit 2 --fidelity fast --output out",),
-    "evaluate-planner": ("evaluate planner --tube short.toml --limit 1 --fidelity fast --output out",),
+    "evaluate-planner": ("evaluate planner --tube longer.toml --limit 1 --fidelity fast --output out",),
     "evaluate-tube": ("evaluate pi trimmed-law --tube tube.toml --limit 2 --fidelity fast --output out",),
     "evaluate-both-ways": (
-        "evaluate both-ways own.csv --passes both --tube short.toml --limit 1 --fidelity fast --output out",
+        "evaluate both-ways own.csv --passes both --tube longer.toml --limit 1 --fidelity fast --output out",
     ),
     "evaluate-any-probe": ("evaluate ppo-any-probe pi --probes random --limit 2 --fidelity fast --output out",),
     "evaluate-standard": (
-        "evaluate pi --tube short.toml --limit 2 --fidelity standard --check-fidelity half-step --output out",
+        "evaluate pi --tube longer.toml --limit 1 --fidelity standard --check-fidelity half-step --output out",
     ),
-    "signal": ("signal best-schedule --flaws 8:20 9:60 --until 10 --output out",),
+    "signal": ("signal best-schedule --flaws 5.5:20 6.5:60 --until 10 --output out",),
     "compare": ("compare original improved --limit 2 --output out",),
     "compare-full": ("compare original improved --full --limit 1 --fidelity fast --output out",),
     "design": ("design --trials 5 --limit 2 --output out",),
@@ -86,7 +86,9 @@ IGNORED_NAMES = re.compile(
 """Columns and keys that say where and when something was computed. Stored seconds are wall clock: times of the
 simulation have the ending _s."""
 UNKNOWN = re.compile(r"(policy|command|env_id|fidelity) = .* is not one of|no such file|no option|no environment")
-PROGRESS = re.compile(r".*(%\||compiling kernels).*\n?|^\s*\n", re.MULTILINE)
+PROGRESS = re.compile(r".*(%\||\[\d\d:\d\d|compiling kernels).*\n?|^\s*\n", re.MULTILINE)
+TIMED, WALL_CLOCK = {"train", "tune"}, re.compile(r"│ +[\d.e+]+ │$", re.MULTILINE)
+"""Cases whose printed table ends with a column of wall clock."""
 SHOWN = 3
 
 
@@ -117,7 +119,8 @@ def run(name: str, checkout: Path, folder: Path) -> str:
             )
             if done.returncode == 0:
                 break
-        texts = (done.stdout, PROGRESS.sub("", done.stderr))
+        printed = WALL_CLOCK.sub("│ TIME │", done.stdout) if name in TIMED else done.stdout
+        texts = (printed, PROGRESS.sub("", done.stderr))
         for stream, text in zip(("stdout", "stderr"), texts, strict=True):
             clean = text.replace(str(place), "PLACE").replace(str(checkout), "CHECKOUT")
             stored[f"{stream} {number}"] = {"line": re.sub(r"\b(?=\w*\d)[0-9a-f]{12,40}\b", "HASH", clean).splitlines()}
@@ -209,6 +212,11 @@ def steps(env_id: str, number: int, settings: dict[str, Any]) -> None:
             for name, cells in flat(plain(row)).items():
                 table.setdefault(name, []).extend(f"step {index}: {cell}" for cell in cells)
         Path(f"out/{kind}.json").write_text(json.dumps(table))
+
+
+def settings_of(words: list[str]) -> dict[str, Any]:
+    """Settings of an environment from words such as fidelity=fast."""
+    return dict(word.split("=") for word in words)
 
 
 def vec_env() -> Any:
@@ -309,7 +317,7 @@ def main() -> int:
     parser.add_argument("cases", nargs="*")
     arguments = parser.parse_args()
     if arguments.action == "steps":
-        steps(arguments.first, int(arguments.second), dict(pair.split("=") for pair in arguments.cases))
+        steps(arguments.first, int(arguments.second), settings_of(arguments.cases))
         return 0
     names = [name for name in CASES if any(fnmatch.fnmatch(name, pattern) for pattern in arguments.cases or ["*"])]
     first, second = Path(arguments.first), Path(arguments.second)
