@@ -10,6 +10,7 @@ another processor rounds otherwise is of that size), see `bound`. Columns that a
 import json
 import math
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -31,10 +32,10 @@ EXPECTED = Path(__file__).parent / "expected.json"
 CALM = "--tube calm.toml --limit 2 --fidelity fast --output out"
 STEPS = "fidelity=fast tube=calm.toml"
 CASES = {
-    "simulate-newmark": "simulate fig11_l10 --method newmark --duration 0.06 --output out",
+    "simulate-newmark": "simulate fig11_l10 --method newmark --duration 0.05 --output out",
     "simulate-imex": "simulate fig11_l10 --method imex --duration 0.2 --scene.contact.friction 0.2 --output out",
-    "simulate-superelement": "simulate fig11_l10 --method superelement --duration 0.12 --output out",
-    "evaluate": f"evaluate constant pi adaptive trimmed-law own.csv {CALM}",
+    "simulate-superelement": "simulate fig11_l10 --method superelement --duration 0.125 --output out",
+    "evaluate": f"evaluate constant pi adaptive trimmed-law calm.csv {CALM}",
     "evaluate-agents": f"evaluate student ppo {CALM}",
     "signal": "signal best-schedule --tube short.toml --flaws 5.5:20 6:60 --until 9 --output out",
     "compare": "compare original improved --full --tube longer.toml --limit 1 --fidelity fast --output out",
@@ -47,19 +48,26 @@ CASES = {
     "steps-inspection": f"steps Inspection-v0 6 {STEPS}",
     "steps-design": "steps Design-v1 1",
 }
-SLOW = {"calibrate"}  # 40 s
 KEPT = 16
 """Cells of a column that are compared, spread evenly over it."""
 SUFFIXES = {".csv", ".parquet", ".json", ".npz", ".st"}
-NUDGES = 4
+LEFT_OUT = {"noise_gaussian"}  # whether a p-value is above its limit, from noise that is chaotic
+NUDGES = 8
 LEAST, MOST = 1e-6, 0.5
 """Bounds: of float32 observations that are rounded otherwise; and above which a column is left out."""
 Columns = dict[str, list[float | str]]
 
 
-def values(name: str, folder: Path) -> Columns:
-    """Run a case in a folder; "file, column" and the cells of all that it stores, numbers rounded to ten digits."""
+def values(name: str, folder: Path, shift: int = 0) -> Columns:
+    """Run a case in a folder; "file, column" and the cells of all that it stores, numbers rounded to ten digits.
+
+    ``shift`` nudges a reading of the log, which sends the random walks of a calibration another way.
+    """
     shutil.copytree(INPUTS, folder, dirs_exist_ok=True)
+    if shift and name == "calibrate":
+        lines = (folder / "rig.csv").read_text("latin-1").splitlines(keepends=True)
+        lines[100 * shift] = re.sub(r"(;\d+,\d\d);", r"\g<1>1;", lines[100 * shift])
+        (folder / "rig.csv").write_text("".join(lines), "latin-1")
     (folder / "out").mkdir()
     words, before = CASES[name].split(), Path.cwd()
     os.chdir(folder)
@@ -76,6 +84,7 @@ def values(name: str, folder: Path) -> Columns:
         for path in files
         if not IGNORED_FILES.search(path.name) and path.name not in ("setting.json", "tube.json")
         for column, cells in columns_of(path).items()
+        if column not in LEFT_OUT
     }
 
 
@@ -111,7 +120,7 @@ def bound(spread: float) -> float:
     return max(LEAST, 100.0 * spread if spread < 1e-4 else max(1e-2, 5.0 * spread))
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in CASES])
+@pytest.mark.parametrize("name", CASES)
 def test_numbers_are_those_of_the_base_commit(name, tmp_path):
     found = values(name, tmp_path)
     off = {
@@ -137,10 +146,10 @@ def write_expected() -> None:
     reset, stored = Simulator.reset, {}
     for name in CASES:
         runs = []
-        for shift in range(1 + NUDGES * (name.partition("-")[0] not in ("log", "calibrate", "plc"))):
+        for shift in range(1 + NUDGES * (name.partition("-")[0] not in ("log", "plc"))):
             nudge(reset, shift)
             with tempfile.TemporaryDirectory() as folder, redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-                runs.append(values(name, Path(folder)))
+                runs.append(values(name, Path(folder), shift))
         bounds = {
             column: bound(max((deviation(cells, run.get(column)) for run in runs[1:]), default=0.0))
             for column, cells in runs[0].items()
