@@ -324,11 +324,18 @@ def choose_fidelity(
         row for row in measured() if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
     ]
     most = MOST_TIME_LAPSE if growing else 1.0
-    candidates = dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most)
+    places = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
     rated = []
-    for fidelity in candidates:
+    for fidelity in dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most):
+        try:
+            holds = fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
+        except ValueError:  # its contact asks for more modes than a superelement has room for
+            continue
         own = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]
-        if _holds(fidelity, scene) and _complete(own, relevant, fidelity):
+        # measured wherever any was; with time-lapse also in the insertions
+        complete = places <= {(row.length, row.stiffness, row.output) for row in own}
+        inserted = any(row.length is None and row.fidelity == fidelity for row in own)
+        if holds and complete and (fidelity.time_lapse == 1.0 or inserted):
             rated.append((max(row.error for row in own), max(row.cost for row in own) / fidelity.time_lapse, fidelity))
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
@@ -342,14 +349,6 @@ def choose_fidelity(
     )
     LOGGER.info("fidelity auto: %s", reason)
     return Choice(chosen, error, cost, reason)
-
-
-def _holds(fidelity: Fidelity, scene: Scene) -> bool:
-    """Whether a setting's step is known to hold, and its method can take the scene at all."""
-    try:
-        return fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
-    except ValueError:  # its contact asks for more modes than a superelement has room for
-        return False
 
 
 def _stiffnesses(scene: Scene) -> list[float]:
@@ -381,11 +380,3 @@ def _around(known: Sequence[float], value: float) -> list[float]:
     """The measured value itself or the two around it; beyond the ends the nearest."""
     value = min(max(value, known[0]), known[-1])
     return sorted({max(v for v in known if v <= value), min(v for v in known if v >= value)})
-
-
-def _complete(own: Sequence[Measured], relevant: Sequence[Measured], fidelity: Fidelity) -> bool:
-    """Whether a setting was measured wherever any was; with time-lapse also in the insertions."""
-    places = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
-    covered = places <= {(row.length, row.stiffness, row.output) for row in own}
-    inserted = any(row.length is None and row.fidelity == fidelity for row in own)
-    return covered and (fidelity.time_lapse == 1.0 or inserted)

@@ -28,12 +28,12 @@ from probe_env.envs.task import (
     capped_square,
     cost_terms,
     ending,
-    observe,
-    passes_of,
     reward_terms,
     slack,
     slack_in_a_row,
 )
+from probe_env.envs.task.observations import observe
+from probe_env.envs.task.passes import passes_of
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
@@ -173,7 +173,11 @@ class SurrogateEpisodes:
         zeros = np.zeros(count)
         self.length, self.start, self.time = zeros.copy(), zeros.copy(), zeros.copy()
         self.feed, self.air = zeros.copy(), zeros.copy()
-        self.scatter = {name: zeros.copy() for name in ("slow", "tension", "radial", "axial")}
+        self.processes = {
+            "slow": (0, noise.slow), "tension": (2, noise.tension),
+            "radial": (3, noise.radial_scatter), "axial": (4, noise.axial_scatter),
+        }  # fmt: skip
+        self.scatter = {name: zeros.copy() for name in self.processes}
         self.slack_periods, self.running = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
         self.actions = np.tile(self.start_action, (count, 1))
         self.sums: dict[str, FloatArray] = {}
@@ -235,8 +239,8 @@ class SurrogateEpisodes:
         every = np.zeros(len(self), dtype=bool)
         every[chosen] = True
         normal = self._draw(every)
-        for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
-            self.scatter[name] = np.where(every, self._scatter(name).deviation * normal[:, row], self.scatter[name])
+        for name, (row, process) in self.processes.items():
+            self.scatter[name] = np.where(every, process.deviation * normal[:, row], self.scatter[name])
         measured = self._measured(normal)
         self.observed[every] = observe(self.config, measured, normal[:, 5:])[every, None]
         infos = self._infos(measured, {})
@@ -261,10 +265,16 @@ class SurrogateEpisodes:
         change = given.astype(float) - self.actions
         self.actions = given
         air_before = self.air.copy()
-        travel = self._move(targets, chosen)
+        steps, before = max(round(dt / DRIVE_STEP), 1), self.length
+        moved = moved_on(steps, dt / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before)
+        self.feed, self.air, length = (
+            np.where(chosen, after, now) for after, now in zip(moved, (self.feed, self.air, before), strict=True)
+        )
+        self.length = np.minimum(length, config.scene.tube.helix_length)
+        travel = self.length - before
         normal = self._draw(chosen)
-        for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
-            moved = self._scatter(name).next(self.scatter[name], normal[:, row])
+        for name, (row, process) in self.processes.items():
+            moved = process.next(self.scatter[name], normal[:, row])
             self.scatter[name] = np.where(chosen, moved, self.scatter[name])
         measured = self._measured(normal)
         ratio = measured["radial_rms_m"] / self.limit
@@ -282,19 +292,18 @@ class SurrogateEpisodes:
         terms = reward_terms(config, outcome, change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
         self.running &= ~over
-        self._count(
-            chosen,
-            {
-                "reward": reward,
-                "inspected": travel,
-                "within": np.where(ratio <= 1.0, travel, 0.0),
-                "air": used,
-                "lost_drive_events": self.slack_periods == config.lost_drive_periods,
-                **{f"cost_{name}": values for name, values in costs.items()},
-                "radial": travel * measured["radial_rms_m"] ** 2,
-                "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
-            },
-        )
+        added = {
+            "reward": reward,
+            "inspected": travel,
+            "within": np.where(ratio <= 1.0, travel, 0.0),
+            "air": used,
+            "lost_drive_events": self.slack_periods == config.lost_drive_periods,
+            **{f"cost_{name}": values for name, values in costs.items()},
+            "radial": travel * measured["radial_rms_m"] ** 2,
+            "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
+        }
+        for name, values in added.items():
+            self.sums.setdefault(name, np.zeros(len(self)))[chosen] += values[chosen]
         latest = observe(config, measured, normal[:, 5:])[:, None]
         self.observed[chosen] = np.concatenate([self.observed[:, 1:], latest], axis=1)[chosen]
         infos = self._infos(
@@ -314,29 +323,12 @@ class SurrogateEpisodes:
             infos[k]["episode_kpis"] = self._kpis(k, ended)
         return Step(self.observation.copy(), reward, ended.terminated, ended.truncated, infos)
 
-    def _move(self, targets: FloatArray, chosen: BoolArray) -> FloatArray:
-        """Move drives on by a period towards targets (N, 2); (N,) length fed [m], up to the helix's end."""
-        config, before = self.config, self.length
-        steps = max(round(config.period / DRIVE_STEP), 1)
-        moved = moved_on(
-            steps, config.period / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before
-        )
-        self.feed, self.air, length = (
-            np.where(chosen, after, now) for after, now in zip(moved, (self.feed, self.air, before), strict=True)
-        )
-        self.length = np.minimum(length, config.scene.tube.helix_length)
-        return self.length - before
-
     def _draw(self, which: BoolArray) -> FloatArray:
         """(N, DRAWS) standard normal draws of each probe's own generator; 0 for the others."""
         normal = np.zeros((len(self), DRAWS))
         for k in np.flatnonzero(which).tolist():
             normal[k] = self.rng[k].normal(size=DRAWS)
         return normal
-
-    def _scatter(self, name: str) -> Scatter:
-        scatter: Scatter = getattr(self.noise, f"{name}_scatter" if name.endswith("ial") else name)
-        return scatter
 
     def _measured(self, normal: FloatArray) -> dict[str, FloatArray]:
         """Predicted values where the probes are, (N,) each, see ``observe``."""
@@ -365,20 +357,12 @@ class SurrogateEpisodes:
     def _infos(self, measured: Mapping[str, FloatArray], more: Mapping[str, FloatArray]) -> list[dict[str, Any]]:
         """Physical values of every probe, SI units; the noise in a flaw's band only where the map is of it."""
         names = (
-            "inserted_length",
-            "feed_speed",
-            "air_supply_rate",
-            "radial_rms_m",
-            "radial_acceleration_rms_m_per_s2",
-            "tension_mean_n",
-        )
+            "inserted_length", "feed_speed", "air_supply_rate",
+            "radial_rms_m", "radial_acceleration_rms_m_per_s2", "tension_mean_n",
+        )  # fmt: skip
         noise = {"noise_rms_m": measured["radial_rms_m"]} if self.map.measure == "snr" else {}
         inspected = {"time": self.time, "inspected_length": self.length - self.start}
         return _rows(inspected | {name: measured[name] for name in names} | noise | dict(more))
-
-    def _count(self, chosen: BoolArray, values: Mapping[str, npt.NDArray[Any]]) -> None:
-        for name, value in values.items():
-            self.sums.setdefault(name, np.zeros(len(self)))[chosen] += value[chosen]
 
     def _kpis(self, k: int, ended: Ending) -> dict[str, float]:
         """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""

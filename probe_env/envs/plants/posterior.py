@@ -70,7 +70,12 @@ class Posterior(Model):
         draws = content.get("draws") if isinstance(content, dict) else None
         if not isinstance(draws, dict):
             raise FileError(path, "draws: missing, so it is not a calibration (probe-env calibrate writes one)")
-        check_usable(path, content)
+        if content.get("misspecified") is True:
+            warnings.warn(
+                f"{path}: the calibration is misspecified: the model cannot have made its logs, whatever friction, and"
+                " what is computed with its figures means nothing",
+                stacklevel=5,
+            )
         try:
             return cls.model_validate(tuples(draws))
         except ValidationError as error:
@@ -90,16 +95,6 @@ class Posterior(Model):
     def middle(self, name: str) -> float:
         """Median of a quantity."""
         return float(np.median(self.draws[name]))
-
-
-def check_usable(path: Path, content: Mapping[str, Any]) -> None:
-    """Warn of a calibration that calls itself misspecified."""
-    if content.get("misspecified") is True:
-        warnings.warn(
-            f"{path}: the calibration is misspecified: the model cannot have made its logs, whatever friction, and what"
-            " is computed with its figures means nothing",
-            stacklevel=6,
-        )
 
 
 def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:

@@ -21,31 +21,41 @@ BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""
 
 
-class Period(NamedTuple):
-    """A control period of N probes, (N,) each.
+class StepRecord(NamedTuple):
+    """What happened to N probes in a control period, (N,) each.
 
     Attributes:
-        good: whose period counts: those that were advanced and did not diverge.
+        stepped: which were stepped.
+        good: which of them did not diverge.
         before, after: inserted length around it [m].
+        helix_length: [m].
         feed_speed: at its end [m/s].
+        air: used [m3].
+        seconds: of motion.
+        action_change: (N, 2) action less the one before.
         squares: capped square of the vibration over its limit.
-        within: whether it was within the limit.
+        within: whether the vibration was within the limit.
         measures: (N, m) what else is averaged over the length.
     """
 
+    stepped: BoolArray
     good: BoolArray
     before: FloatArray
     after: FloatArray
+    helix_length: FloatArray
     feed_speed: FloatArray
+    air: FloatArray
+    seconds: FloatArray
+    action_change: FloatArray
     squares: FloatArray
     within: BoolArray
     measures: FloatArray
 
 
 class Counted(NamedTuple):
-    """What a period adds, (N,) each: length inspected [m], sums over length of squares and of what is within the limit.
+    """What a period adds, (N,) each: length inspected [m], sums over it of squares and of what is within the limit.
 
-    ``measures`` (N, m) are sums over length of what else is averaged over it.
+    ``measures`` (N, m) are sums over the length of what else is averaged over it.
     """
 
     inspected: FloatArray
@@ -79,21 +89,21 @@ class WayIn:
         """What was ``Meter.of`` probe ``k`` in the last period: of the length inspected [m], in seconds of motion."""
         self.detection[k].add(inspected, *heard)
 
-    def count(self, period: Period) -> Counted:
+    def count(self, period: StepRecord) -> Counted:
         """Add a period."""
         length = travel(self.config, period.before, period.after, period.feed_speed)
         inspected = np.where(period.good, length, 0.0)
         within = np.where(period.within, inspected, 0.0)
         return Counted(inspected, inspected * period.squares, within, inspected[:, None] * period.measures)
 
-    def ended(self, end: Ending, period: Period) -> Ending:
+    def ended(self, end: Ending, period: StepRecord) -> Ending:
         """How episodes end, where ``end`` tells who is at the helix's end."""
         return end
 
-    def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
+    def uninspected(self, period: StepRecord, inspected: FloatArray) -> FloatArray:
         """(N,) what is left to inspect [m], where the length grows; ``inspected`` so far."""
         # what passed in a period that diverged was not inspected
-        return helix_length - np.where(period.good, period.after, period.before)
+        return period.helix_length - np.where(period.good, period.after, period.before)
 
 
 class BothWays:
@@ -131,7 +141,7 @@ class BothWays:
         self._since_turn[k] = 0.0
         self.detection[k] = EitherTally(self.config.sensor, self.config.inspects)
 
-    def count(self, period: Period) -> Counted:
+    def count(self, period: StepRecord) -> Counted:
         """Add a period."""
         sums = np.zeros((len(self.way), self._columns))
         for k in np.flatnonzero(period.good).tolist():
@@ -162,19 +172,19 @@ class BothWays:
         if self.way[k] < 0.0:
             self._since_turn[k] += passed
 
-    def ended(self, end: Ending, period: Period) -> Ending:
+    def ended(self, end: Ending, period: StepRecord) -> Ending:
         """How episodes end, where ``end`` tells who is at the helix's end: those are sent back."""
         self.way[end.complete] = -1.0
         is_back = (self.way < 0.0) & (period.after <= self.begun + END_TOLERANCE)
         return end._replace(complete=is_back & period.good)
 
-    def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
+    def uninspected(self, period: StepRecord, inspected: FloatArray) -> FloatArray:
         """(N,) what is left of both ways [m], whatever counts: a probe that stays in the tube is not done either.
 
         Without the way back one that loses its drive just before the turn would save the time of it.
         """
-        to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), helix_length) - self.begun
-        return np.asarray(helix_length - self.reached + to_draw_back)
+        to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), period.helix_length) - self.begun
+        return np.asarray(period.helix_length - self.reached + to_draw_back)
 
     def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
         """(N,) what the way back is still to pass of what was reached [m], and the squares that the way in had there.
