@@ -229,12 +229,6 @@ def test_an_overloaded_load_cell_shows_its_end():
     assert config.observations["root_tension"][:2] == (-LOAD_CELL / 20.0, LOAD_CELL / 20.0)
 
 
-def test_every_accepted_feed_and_air_is_within_the_space():
-    config = TaskConfig(feed_speeds=(1e-6, 2.0), air_supply_rates=(0.0, 0.2))
-    assert config.observations["feed_speed"][1] > 2.0 / 0.4
-    assert config.observations["air_supply_rate"][1] > 0.2 * 3600.0 / 130.0
-
-
 def hostile(rng):
     """A valid context far from the tubes of the task, evenly over the orders of magnitude."""
     return {

@@ -14,7 +14,6 @@ from probe_env.envs.task import (
     action_of,
     capped_square,
     cost_terms,
-    drive_counts,
     metre_cost,
     metre_reward,
     reward_terms,
@@ -53,10 +52,6 @@ def test_leaving_a_metre_out_never_pays():
     slowest, most = CONFIG.feed_speeds[0], CONFIG.air_supply_rates[1]
     worst = metre_cost(CONFIG, CONFIG.ratio_cap**2, slowest, most) + CONFIG.jerk_weight * 8.0 / slowest / CONFIG.period
     assert CONFIG.uninspected_weight == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
-
-
-def test_drive_counts_from_the_length_on_that_the_task_names():
-    assert drive_counts(CONFIG, np.array([0.0, 14.99, 15.0, 60.0])).tolist() == [False, False, True, True]
 
 
 RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)

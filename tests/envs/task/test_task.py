@@ -95,19 +95,6 @@ def test_no_context_makes_crawling_pay():
     assert best_crawl < worst_study - 100.0
 
 
-def test_no_early_end_pays():
-    """Each metre left costs at least what a metre can cost at worst: ending anywhere loses against going on."""
-    config = TaskConfig()
-    slow, most_air = config.feed_speeds[0], config.air_supply_rates[1]
-    worst_metre = (
-        config.vibration_weight * config.ratio_cap**2
-        + config.time_weight / slow
-        + config.air_weight * most_air / slow
-        + config.jerk_weight * 8.0 / slow / config.period
-    )
-    assert config.uninspected_weight >= worst_metre
-
-
 def test_observations_stay_within_their_bounds(insertions):
     _, _, observations = insertions
     low, high = np.array([bounds[:2] for bounds in OBSERVATIONS.values()]).T

@@ -40,25 +40,25 @@ def test_sections_are_spread_over_what_the_longest_guide_leaves(helix_length, po
         assert end - near == pytest.approx(far - end)
 
 
-@pytest.mark.parametrize("helix_length", [40.0])
-def test_the_last_section_is_the_simulator_s_own_run(helix_length):
-    """In a bore of its own, with the plant's damping and at the nearest feed that its device gives."""
+def test_the_last_section_is_the_simulator_s_own_run():
+    """Of the second of two probes, in its own bore, with the plant's damping, at the nearest feed of its device."""
+    helix_length = 40.0
     plant = Plant(
         tube={"helix_length": helix_length, "inner_diameter": 22.1e-3}, probe={"damping_time": 8e-5},
         feed={"feed_speeds": [0.03, 0.15]}, air={"air_supply_step": 5.0 / 3600.0},
     )  # fmt: skip
     config, tube = plant.configured(), Context(friction=0.2, helix_diameter=1.4)
-    trial = try_sections([Candidate(IMPROVED, tube, STUDY_FEED, 6)], config)
+    trial = try_sections([Candidate(Design(), tube, STUDY_FEED, 5), Candidate(IMPROVED, tube, STUDY_FEED, 6)], config)
     changes = {"probe": IMPROVED.probe(plant.probe), "carrier_length": helix_length - 10.0, "feed_speed": 0.15}
     scene = tube.apply(plant.scene).model_copy(update=changes | {"air_supply_rate": GENTLE})
     assert scene.probe.damping_time == 8e-5
     alone = SimulatorBatch([scene], Fidelity().method, seeds=[6], perturbation=PERTURBATION, air_lag=AIR_LAG)
     alone.advance(None, 65.0 / 3600.0, SETTLE)  # 63 in steps of 5
     window = alone.advance(None, None, MEASURE)
-    assert trial.radial_rms[0, -1] == window.statistics["radial_rms_m"][0]
-    assert trial.root_tension[0, -1] == window.statistics["tension_mean_n"][0]
-    _, kpis = judge([IMPROVED], trial, config)
-    assert kpis["inspected_m"][0] + kpis["missed_m"][0] == pytest.approx(helix_length - 10.0 - SENSOR_START)
+    assert trial.radial_rms[1, -1] == window.statistics["radial_rms_m"][0]
+    assert trial.root_tension[1, -1] == window.statistics["tension_mean_n"][0]
+    _, kpis = judge([Design(), IMPROVED], trial, config)
+    assert kpis["inspected_m"][1] + kpis["missed_m"][1] == pytest.approx(helix_length - 10.0 - SENSOR_START)
 
 
 @pytest.mark.parametrize("full", [False, True])
