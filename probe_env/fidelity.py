@@ -294,10 +294,7 @@ def outputs() -> tuple[str, ...]:
 
 
 def choose_fidelity(
-    scene: Scene,
-    tolerance: float = TOLERANCE,
-    needed: Sequence[str] = ("radial_rms_m",),
-    growing: bool = False,
+    scene: Scene, tolerance: float = TOLERANCE, needed: Sequence[str] = ("radial_rms_m",), growing: bool = False
 ) -> Choice:
     """The cheapest setting whose measured error is within the tolerance for all needed outputs.
 

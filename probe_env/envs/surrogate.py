@@ -21,7 +21,6 @@ from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
     FAILURES,
-    Ending,
     Outcome,
     TaskConfig,
     air_used,
@@ -34,6 +33,7 @@ from probe_env.envs.task import (
 )
 from probe_env.envs.task.observations import observe
 from probe_env.envs.task.passes import passes_of
+from probe_env.envs.task.rules import Ending
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
@@ -58,22 +58,13 @@ class Scatter(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What the map leaves out of a second of an insertion.
+    """What the map leaves out of a second of an insertion, in decades."""
 
-    Attributes:
-        bias: of a second's rms against that of a metre, which the map predicts [decades].
-        slow: vibration that lasts: tubes and stretches louder or quieter than the map says [decades].
-        quick: standard deviation of the radial rms from one second to the next [decades].
-        tension: of the natural logarithm of the root tension over that of steady sliding.
-        radial, axial: coefficients of log10 of the accelerations' rms [m/s2], see ``features``.
-        radial_scatter, axial_scatter: around these [decades].
-    """
-
-    bias: float = 0.0
-    slow: Scatter = Scatter()
-    quick: float = 0.0
-    tension: Scatter = Scatter()
-    radial: tuple[float, ...] = (1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+    bias: float = 0.0  # of a second's rms against that of a metre, which the map predicts
+    slow: Scatter = Scatter()  # tubes and stretches louder or quieter than the map says
+    quick: float = 0.0  # standard deviation of the radial rms from one second to the next
+    tension: Scatter = Scatter()  # natural logarithm of the root tension over that of steady sliding
+    radial: tuple[float, ...] = (1.0, 0.7, 0.0, 0.0, 0.0, 0.0)  # of log10 of the rms acceleration, see ``features``
     radial_scatter: Scatter = Scatter()
     axial: tuple[float, ...] = (1.0, 0.4, 0.0, 0.0, 0.0, 0.0)
     axial_scatter: Scatter = Scatter()
@@ -93,14 +84,7 @@ MEASURED: Final = Noise(
 
 
 def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes: FloatArray) -> FloatArray:
-    """(n, 6) inputs of the accelerations.
-
-    Args:
-        vibration: (n,) log10(radial rms / 0.1 mm).
-        feed: (n,) [m/s].
-        length: (n,) inserted [m].
-        tubes: (n, 4) in the order of ``CONTEXT``.
-    """
+    """(n, 6) inputs of the accelerations, by log10(radial rms / 0.1 mm), feed [m/s], inserted length [m] and tubes."""
     one = np.ones_like(vibration)
     friction, diameter = tubes[:, 0] / 0.175, 1.0 / tubes[:, 3]
     return np.column_stack([one, vibration, np.log10(np.maximum(feed, 1e-3)), length / 60.0, friction, diameter])

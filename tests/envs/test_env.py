@@ -92,10 +92,7 @@ def test_options_fix_the_context_and_the_rest_is_drawn_alike():
         (lambda: gym.make("probe_env/Insertion-v1", fidelity="best"), "fidelity = 'best'"),
         (lambda: gym.make("probe_env/Insertion-v1", contexts="exam"), "contexts = 'exam'"),
         (lambda: gym.make("probe_env/Insertion-v1", feed_speed=3.0), "feed_speed = 3.0"),
-        (
-            lambda: gym.make("probe_env/Insertion-v1", config={"bogus": 1}),
-            "bogus: there is no such field; accepted",
-        ),
+        (lambda: gym.make("probe_env/Insertion-v1", config={"bogus": 1}), "bogus: there is no such field; accepted"),
         (
             lambda: gym.make_vec("probe_env/Insertion-v1", config={"bogus": 1}),
             "bogus: there is no such field; accepted",

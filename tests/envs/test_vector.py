@@ -33,10 +33,7 @@ def single(env_id):
 @IDS
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_the_native_batch_conforms(env_id, mode):
-    check_vector_env(
-        lambda n: gym.make_vec(env_id, num_envs=n, **CASES[env_id], autoreset_mode=mode),
-        single(env_id),
-    )
+    check_vector_env(lambda n: gym.make_vec(env_id, num_envs=n, **CASES[env_id], autoreset_mode=mode), single(env_id))
 
 
 @IDS

@@ -74,20 +74,14 @@ BROKEN = {
     "hole": (HEAD + "5,,63\n", "line 2, feed_speed_m_per_s = '' is not a number"),
     "nan": (HEAD + "5,nan,63\n", "line 2, feed_speed_m_per_s = 'nan' is not finite"),
     "infinite": (HEAD + "5,0.2,inf\n", "line 2, air_supply_m3_per_h = 'inf' is not finite"),
-    "negative feed": (
-        HEAD + "5,-0.1,63\n",
-        "line 2, feed_speed_m_per_s = -0.1 is outside the accepted range",
-    ),
+    "negative feed": (HEAD + "5,-0.1,63\n", "line 2, feed_speed_m_per_s = -0.1 is outside the accepted range"),
     "air in m3/s by a thousand": (HEAD + "5,0.2,63000\n", "air_supply_m3_per_h = 63000.0 is outside"),
     "negative position": (HEAD + "-5,0.2,63\n", "inserted_length_m = -5.0 is outside"),
     "not ascending": (HEAD + "5,0.2,63\n4,0.2,63\n", "line 3, inserted_length_m = 4.0 must be greater than 5.0"),
     "same place twice": (HEAD + "5,0.2,63\n5,0.1,63\n", "line 3, inserted_length_m = 5.0 must be greater than 5.0"),
     "decimal comma": (HEAD + '5,"0,2",63\n', "line 2, feed_speed_m_per_s = '0,2' is not a number"),
     "bad quote": (HEAD + '5,"0.2"x,63\n', "not CSV"),
-    "unknown interpolation": (
-        "# interpolation: cubic\n" + HEAD + "5,0.2,63\n",
-        "interpolation = 'cubic'",
-    ),
+    "unknown interpolation": ("# interpolation: cubic\n" + HEAD + "5,0.2,63\n", "interpolation = 'cubic'"),
     "other comment": ("# by hand\n" + HEAD + "5,0.2,63\n", "line 1: a comment must be"),
 }
 BROKEN_TOML = {

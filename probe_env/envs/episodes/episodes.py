@@ -19,7 +19,7 @@ from probe_env.envs.episodes.gauges import Gauges
 from probe_env.envs.episodes.judge import Judge, Score
 from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import MEASURES, TaskConfig, air_used, capped_square
+from probe_env.envs.task import FAILURES, MEASURES, TaskConfig, air_used, capped_square
 from probe_env.envs.task.passes import StepRecord
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import buckling_load
@@ -267,7 +267,7 @@ class Episodes:
             "cost_terms": costs,
             "target_feed_speed": float(targets[k, 0]),
             "target_air_supply_rate": float(targets[k, 1]),
-            **score.end.failed(k),
+            **{name: bool(getattr(score.end, name)[k]) for name in FAILURES},
         }
         if not self.running[k]:
             info["episode_kpis"] = self.judge.kpis(k, float(self.gauges.helix_length()[k]), score.end)

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import COSTS, Ending, Outcome, TaskConfig, cost_terms, ending, reward_terms, slack
+from probe_env.envs.task import COSTS, Outcome, TaskConfig, cost_terms, ending, reward_terms, slack
 from probe_env.envs.task.passes import Counted, StepRecord, passes_of
+from probe_env.envs.task.rules import Ending
 from probe_env.inspection.meter import Meter
 from probe_env.inspection.tally import DetectionTally, EitherTally
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD

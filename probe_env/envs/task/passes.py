@@ -22,46 +22,29 @@ BIN: Final = 1.0
 
 
 class StepRecord(NamedTuple):
-    """What happened to N probes in a control period, (N,) each.
-
-    Attributes:
-        stepped: which were stepped.
-        good: which of them did not diverge.
-        before, after: inserted length around it [m].
-        helix_length: [m].
-        feed_speed: at its end [m/s].
-        air: used [m3].
-        seconds: of motion.
-        action_change: (N, 2) action less the one before.
-        squares: capped square of the vibration over its limit.
-        within: whether the vibration was within the limit.
-        measures: (N, m) what else is averaged over the length.
-    """
+    """What happened to N probes in a control period, (N,) each; SI units."""
 
     stepped: BoolArray
-    good: BoolArray
-    before: FloatArray
-    after: FloatArray
+    good: BoolArray  # stepped, and did not diverge
+    before: FloatArray  # inserted length at its beginning
+    after: FloatArray  # and at its end
     helix_length: FloatArray
-    feed_speed: FloatArray
-    air: FloatArray
-    seconds: FloatArray
-    action_change: FloatArray
-    squares: FloatArray
-    within: BoolArray
-    measures: FloatArray
+    feed_speed: FloatArray  # at its end
+    air: FloatArray  # used [m3]
+    seconds: FloatArray  # of motion
+    action_change: FloatArray  # (N, 2) action less the one before
+    squares: FloatArray  # capped square of the vibration over its limit
+    within: BoolArray  # whether the vibration was within the limit
+    measures: FloatArray  # (N, m) what else is averaged over the length
 
 
 class Counted(NamedTuple):
-    """What a period adds, (N,) each: length inspected [m], sums over it of squares and of what is within the limit.
-
-    ``measures`` (N, m) are sums over the length of what else is averaged over it.
-    """
+    """What a period adds, (N,) each: the length inspected [m] and sums over it."""
 
     inspected: FloatArray
     squares: FloatArray
     within: FloatArray
-    measures: FloatArray
+    measures: FloatArray  # (N, m)
 
 
 class WayIn:
@@ -179,18 +162,12 @@ class BothWays:
         return end._replace(complete=is_back & period.good)
 
     def uninspected(self, period: StepRecord, inspected: FloatArray) -> FloatArray:
-        """(N,) what is left of both ways [m], whatever counts: a probe that stays in the tube is not done either.
-
-        Without the way back one that loses its drive just before the turn would save the time of it.
-        """
+        """(N,) what is left of both ways [m], whatever counts: else losing the drive before the turn would pay."""
         to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), period.helix_length) - self.begun
         return np.asarray(period.helix_length - self.reached + to_draw_back)
 
     def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
-        """(N,) what the way back is still to pass of what was reached [m], and the squares that the way in had there.
-
-        The squares are sums over length, as in ``Counted``.
-        """
+        """(N,) length [m] that the way back is still to pass, and the sums of squares that the way in had there."""
         metres = np.maximum(np.minimum(self.left, self.reached) - self.begun, 0.0)
         squares = np.zeros(len(metres))
         for k, (low, length) in enumerate(zip(self.begun.tolist(), metres.tolist(), strict=True)):

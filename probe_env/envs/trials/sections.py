@@ -27,10 +27,7 @@ it at once sends a wave through the probe that is twice as high as its tension i
 
 
 def try_sections(
-    candidates: Sequence[Candidate],
-    config: TaskConfig,
-    fidelity: Fidelity | None = None,
-    threads: int | None = None,
+    candidates: Sequence[Candidate], config: TaskConfig, fidelity: Fidelity | None = None, threads: int | None = None
 ) -> Trial:
     """N probes at constant length, the sensor at the positions of the task's stretch, all in one batch.
 
