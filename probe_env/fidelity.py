@@ -97,14 +97,9 @@ class Fidelity(Model):
         return self.method != SURROGATE
 
     def time_lapse_of(self, feed_speed: npt.ArrayLike, target: npt.ArrayLike) -> FloatArray:
-        """How many times faster than the motion's clock the length changes in a period on the way in.
+        """(N,) how many times faster than the motion's clock the length changes in a period on the way in.
 
-        Args:
-            feed_speed: (N,) at its beginning [m/s].
-            target: (N,) of the period [m/s].
-
-        Returns:
-            (N,), 1 or more.
+        ``feed_speed`` (N,) is that at its beginning, ``target`` (N,) that of the period [m/s].
         """
         now, aim = np.asarray(feed_speed, dtype=float), np.asarray(target, dtype=float)
         if self.steady_feed is None:
@@ -157,8 +152,7 @@ def resolve_fidelity(
 
     Args:
         fidelity: name, settings, or a mapping of them.
-        scene: what is simulated; default: table 2's. "auto" chooses for it, and superelements give way to nodes where
-            it needs them, see ``with_nodes``.
+        scene: that "auto" chooses for, see also ``with_nodes``; default: table 2's.
         growing: whether the probe is fed in, for "auto".
         both_ways: whether it is drawn back, too.
 

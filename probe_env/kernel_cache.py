@@ -45,11 +45,7 @@ def ensure_kernel_cache() -> None:
 
 
 def forget_outdated(kept_in: Path) -> None:
-    """Delete compiled kernels, unless the stamp beside them says that they are of these sources.
-
-    Args:
-        kept_in: where numba keeps the compiled functions of this file.
-    """
+    """Delete compiled kernels, unless their stamp is that of these sources; numba keeps this file's in ``kept_in``."""
     beside_sources = kept_in.name == "__pycache__"
 
     def folder_of(sources: Path) -> Path:
@@ -119,15 +115,9 @@ def _folder() -> Path:
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
-        if not _is_private(folder):
+        entry = folder.lstat()  # a folder, not a link to one, that is the user's and closed to others?
+        private = not hasattr(os, "getuid") or (entry.st_uid == os.getuid() and not entry.st_mode & 0o077)
+        if not stat.S_ISDIR(entry.st_mode) or not private:
             folder = Path(tempfile.mkdtemp(prefix="probe_env-kernels-"))
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether a folder, not a link to one, is the user's and closed to others."""
-    entry = folder.lstat()
-    if not stat.S_ISDIR(entry.st_mode):
-        return False
-    return not hasattr(os, "getuid") or (entry.st_uid == os.getuid() and not entry.st_mode & 0o077)
