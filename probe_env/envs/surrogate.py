@@ -18,8 +18,10 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes.judge import Tally
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
+    COSTS,
     FAILURES,
     Outcome,
     TaskConfig,
@@ -98,10 +100,7 @@ def make_episodes(
     may_stand: bool = False,
     **settings: Unpack[EpisodeSettings],
 ) -> Episodes:
-    """Episodes of any fidelity: simulated ones, or ``SurrogateEpisodes``, which have the same methods.
-
-    Args, Raises: see ``Episodes`` and ``SurrogateEpisodes``.
-    """
+    """Episodes of any fidelity: ``Episodes``, or ``SurrogateEpisodes``, which have the same methods."""
     if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
         return cast(Episodes, SurrogateEpisodes(count, config, may_stand=may_stand, **settings))
     return Episodes(count, config, threads=threads, may_stand=may_stand, **settings)
@@ -279,7 +278,7 @@ class SurrogateEpisodes:
         added = {
             "reward": reward,
             "inspected": travel,
-            "within": np.where(ratio <= 1.0, travel, 0.0),
+            "within_limit": np.where(ratio <= 1.0, travel, 0.0),
             "air": used,
             "lost_drive_events": self.slack_periods == config.lost_drive_periods,
             **{f"cost_{name}": values for name, values in costs.items()},
@@ -351,24 +350,13 @@ class SurrogateEpisodes:
     def _kpis(self, k: int, ended: Ending) -> dict[str, float]:
         """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""
         sums = {name: float(values[k]) for name, values in self.sums.items()}
-        inspected, length = sums["inspected"], float(self.config.scene.tube.helix_length - self.start[k])
-        costs = {name: value for name, value in sums.items() if name.startswith("cost_")}
-        rms = {name: np.sqrt(sums[name] / max(inspected, 1e-9)) for name in ("radial", "acceleration")}
-        kpis = {
-            "inspection_time_s": self.time[k],
-            "inspected_m": inspected,
-            "inspected_share": inspected / length,
-            "share_within_limit": sums["within"] / length,
-            "air_m3": sums["air"],
-            "reward": sums["reward"],
-            "lost_drive_events": sums["lost_drive_events"],
-            **ended.kpis(k),
-            "cost": sum(costs.values()),
-            **costs,
-            "radial_rms_m": rms["radial"],
-            "radial_acceleration_rms_m_per_s2": rms["acceleration"],
+        radial, acceleration = sums.pop("radial"), sums.pop("acceleration")
+        tally = Tally(time=float(self.time[k]), costs={name: sums.pop(f"cost_{name}") for name in COSTS}, **sums)
+        length, inspected = float(self.config.scene.tube.helix_length - self.start[k]), max(tally.inspected, 1e-9)
+        return tally.totals(length, ended.kpis(k)) | {
+            "radial_rms_m": float(np.sqrt(radial / inspected)),
+            "radial_acceleration_rms_m_per_s2": float(np.sqrt(acceleration / inspected)),
         }
-        return {name: float(value) for name, value in kpis.items()}
 
 
 def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:

@@ -47,24 +47,14 @@ def feeds(config: TaskConfig) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class VibrationMap:
-    """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm.
+    """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm."""
 
-    Attributes:
-        layers: weights (inputs, outputs) and biases (outputs,) of three layers, tanh between them.
-        scene: bore, length, probe and air of its insertions.
-        ranges: (2, 4) least and greatest of each of ``CONTEXT`` in them.
-        scaling: (2, 7) centre and spread of its inputs; None: they are scaled as table 2's tubes are, see
-            ``features_of``.
-        digest: of its file.
-        measure: "displacement", radial rms, or "snr", the noise in the band of a flaw as radial rms.
-    """
-
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
-    scene: Scene = field(default_factory=Scene)
-    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)
-    scaling: FloatArray | None = None
-    digest: str = ""
-    measure: str = "displacement"
+    layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights (inputs, outputs) and biases of three, tanh between
+    scene: Scene = field(default_factory=Scene)  # bore, length, probe and air of its insertions
+    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)  # (2, 4) of each of ``CONTEXT`` in them
+    scaling: FloatArray | None = None  # (2, 7) centre and spread of its inputs; None: see ``features_of``
+    digest: str = ""  # of its file
+    measure: str = "displacement"  # radial rms, or "snr": the noise in the band of a flaw as radial rms
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, VibrationMap) and self.digest == other.digest != "")

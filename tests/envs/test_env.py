@@ -19,9 +19,12 @@ SHORT = {
     "probe_env/Inspection-v0": {"fidelity": "fast"},
 }
 SNAPSHOT = {"scene": {"carrier_length": 8.0}}
-CHECKED = [(env_id, given) for env_id, given in SHORT.items() if given] + [
-    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": variant})
-    for variant in ({}, {"observe_root_tension": False}, {"privileged": True}, {"observe_probe": True})
+CHECKED = [
+    pytest.param("probe_env/Insertion-v1", {"fidelity": "fast"}, marks=pytest.mark.slow),
+    pytest.param("probe_env/Inspection-v0", {"fidelity": "fast"}, marks=pytest.mark.slow),
+    ("probe_env/Snapshot-v1", SNAPSHOT),
+    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": {"observe_root_tension": False, "privileged": True}}),
+    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": {"observe_probe": True}}),
 ]
 
 

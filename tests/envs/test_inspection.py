@@ -1,7 +1,5 @@
 """In and back: what a metre counts for, when the probe turns and ends, and policies of both passes."""
 
-import copy
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -153,6 +151,7 @@ def test_the_probe_turns_at_the_end_and_ends_where_it_began(played):
     assert (values["root_tension"][(way < 0.0) & steady][2:] < -1.0).all()  # pressed out
 
 
+@pytest.mark.slow
 def test_both_ways_find_what_either_finds():
     """With half of the false calls for each alone: at least what the better one finds, at most the sum of both."""
     curves = {}
@@ -197,21 +196,13 @@ def test_policies_of_the_way_in_come_back_as_fast_as_they_can(tmp_path):
 
 def test_columns_of_the_way_back_go_together(tmp_path):
     path = tmp_path / "half.csv"
-    path.write_text(
-        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s\n5,0.4,63,0.1\n60,0.2,100,0.3\n"
-    )
-    with pytest.raises(
-        FileError, match=r"half\.csv: return_feed_speed_m_per_s and return_air_supply_m3_per_h go together"
-    ):
+    head = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s"
+    path.write_text(f"{head}\n5,0.4,63,0.1\n60,0.2,100,0.3\n")
+    with pytest.raises(FileError, match=r"half\.csv: return_feed_speed_m_per_s and return_air_supply_m3_per_h go"):
         Schedule.read_back(path)
     assert Schedule.read_back("configs/schedules/example.csv") is None
-    path.write_text(
-        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s,return_air_supply_m3_per_h\n"
-        "5,0.4,63,9,63\n"
-    )
-    with pytest.raises(
-        FileError, match=r"line 2, return_feed_speed_m_per_s = 9\.0 is outside the accepted range 0 to 2"
-    ):
+    path.write_text(f"{head},return_air_supply_m3_per_h\n5,0.4,63,9,63\n")
+    with pytest.raises(FileError, match=r"line 2, return_feed_speed_m_per_s = 9\.0 is outside the accepted"):
         Schedule.read_back(path)
 
 
@@ -247,27 +238,19 @@ class TestTimeLapse:
     def test_side_by_side_as_alone(self):
         """Bit for bit, where some probes are on the way back and others on the way in, for other times of motion."""
         config = TaskConfig(passes="both", scene=SHORT, time_limit=1800.0)
-        actions = config.actions(np.array([0.4, 0.15, 0.4]), np.full(3, 63.0 / 3600.0))
-        rngs = [np.random.default_rng(k) for k in range(3)]
-        options = {k: {"context": HARD.model_copy(update={"friction": 0.1 + 0.05 * k})} for k in range(3)}
-        many = Episodes(3, config, fidelity="fast")
-        many.reset([0, 1, 2], dict(enumerate(copy.deepcopy(rngs))), options)
-        alone = []
-        for k in range(3):
-            alone.append(Episodes(1, config, fidelity="fast"))
-            alone[k].reset([0], {0: copy.deepcopy(rngs[k])}, {0: options[k]})
-        ways = set()
-        while many.running.any():
+        actions = config.actions(np.array([0.4, 0.15]), np.full(2, 63.0 / 3600.0))
+        many, alone, mixed = Episodes(2, config, fidelity="fast"), Episodes(1, config, fidelity="fast"), 0
+        options = {0: {"context": HARD}, 1: {"context": HARD.model_copy(update={"friction": 0.1})}}
+        many.reset([0, 1], {k: np.random.default_rng(k) for k in range(2)}, options)
+        alone.reset([0], {0: np.random.default_rng(1)}, {0: options[1]})
+        while many.running[1]:
             active = many.running.copy()
-            step = many.step(actions, active)
-            ways.add(tuple(many.passes.way[active]))
-            for k in np.flatnonzero(active).tolist():
-                single = alone[k].step(actions[k : k + 1])
-                assert np.array_equal(single.observation[0], step.observation[k])
-                assert single.reward[0] == step.reward[k]
-                assert single.infos[0] == step.infos[k]
-                assert np.array_equal(alone[k].window.radial_of(0), many.window.radial_of(k))
-        assert any(len(set(way)) == 2 for way in ways)  # there were periods with probes both ways
+            step, single = many.step(actions, active), alone.step(actions[1:])
+            mixed += bool(active.all() and np.ptp(many.passes.way))
+            assert np.array_equal(single.observation[0], step.observation[1])
+            assert single.infos[0] == step.infos[1]
+            assert np.array_equal(alone.window.radial_of(0), many.window.radial_of(1))
+        assert mixed
 
     def test_period_must_fit_both_ways(self):
         fidelity = {"method": "imex", "time_step": 2e-4, "time_lapse": 2.5}

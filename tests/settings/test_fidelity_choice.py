@@ -70,22 +70,17 @@ def test_time_lapse_is_for_growing_probes():
     assert choose_fidelity(Scene(), 0.5, growing=True).fidelity.time_lapse == MOST_TIME_LAPSE
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_what_cannot_be_chosen_is_said():
+    stiff = Scene.model_validate({"contact": {"stiffness": 1e7}})
+    for arguments, message in (
         ({"tolerance": 1e-6}, "tolerance = 1e-06 is not kept by any setting for this scene: the least measured is"),
         ({"tolerance": -1.0}, "tolerance = -1.0 is outside the accepted range above 0"),
         ({"needed": ("colour",)}, "must be some of axial_peak_hz, axial_rms_m"),
         ({"needed": ()}, "must be some of axial_peak_hz, axial_rms_m"),
-        (
-            {"scene": Scene.model_validate({"contact": {"stiffness": 1e7}})},
-            "contact.stiffness = 1e\\+07 is outside what was measured, 10000 to 1e\\+06",
-        ),
-    ],
-)
-def test_what_cannot_be_chosen_is_said(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        choose_fidelity(**({"scene": Scene()} | arguments))
+        ({"scene": stiff}, "contact.stiffness = 1e\\+07 is outside what was measured, 10000 to 1e\\+06"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            choose_fidelity(**({"scene": Scene()} | arguments))
 
 
 def test_names():

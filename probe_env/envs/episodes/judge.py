@@ -72,15 +72,9 @@ class Tally:
             self.greatest[name] = max(self.greatest[name], float(np.abs(values).max()))
             self.samples[name].add(values)
 
-    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, float]:
-        """The episode's figures.
-
-        Args:
-            length: all that was to be inspected [m].
-            tube_length: of the tube that it is in [m].
-            ended: how it ended, see ``Ending.kpis``.
-        """
-        values: dict[str, float] = {
+    def totals(self, length: float, ended: Mapping[str, float]) -> dict[str, float]:
+        """Figures that need no samples; ``length`` was to be inspected [m], ``ended`` as from ``Ending.kpis``."""
+        return {
             "inspection_time_s": self.time,
             "inspected_m": self.inspected,
             "inspected_share": self.inspected / length if length > 0.0 else 0.0,
@@ -92,6 +86,10 @@ class Tally:
             "cost": sum(self.costs.values()),
             **{f"cost_{name}": value for name, value in self.costs.items()},
         }
+
+    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, float]:
+        """All figures of the episode, in a tube of a length [m]; see ``totals``."""
+        values = self.totals(length, ended)
         for name, unit in SIGNALS.items():
             mean_square = max(self.squares[name] / self.inspected, 0.0) if self.inspected > 0.0 else 0.0
             values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))

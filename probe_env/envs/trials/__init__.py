@@ -1,8 +1,4 @@
-"""Probes tried: designs, tubes and feeds enter, how loud, slow and hard to drive each probe is leaves.
-
-In sections of constant length or in whole insertions, over the tube that all designs reach. Imports episodes, contexts
-and the task of ``envs``, the physics and what is below it; knows no environment.
-"""
+"""Trials of probe designs, in sections of constant length or in whole insertions."""
 
 from probe_env.envs.trials.candidates import Candidate, Stretch, Trial, check_measure, judge, stretch_of
 from probe_env.envs.trials.insertions import try_insertions

@@ -61,8 +61,7 @@ def test_the_last_section_is_the_simulator_s_own_run():
     assert kpis["inspected_m"][1] + kpis["missed_m"][1] == pytest.approx(helix_length - 10.0 - SENSOR_START)
 
 
-@pytest.mark.parametrize("full", [False, True])
-@pytest.mark.parametrize("helix_length", [40.0, 80.0])
+@pytest.mark.parametrize(("helix_length", "full"), [(40.0, True), (80.0, False)])
 def test_the_environment_tries_probes_in_the_whole_helix_of_a_tube(helix_length, full):
     tube = {"tube": {"helix_length": helix_length, "helix_diameter": [1.0, 2.0]}, "contact": {"friction": 0.12}}
     tube["feed"] = {"feed_speeds": [0.05, 0.1]}
