@@ -14,7 +14,6 @@ from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.episodes.limits import check_simulable, softest_wall, steady_sliding
 from probe_env.envs.episodes.starts import Starts
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import LOAD_CELL, observe
 from probe_env.envs.trials import sections_of
 from probe_env.envs.trials.sections import HARDEST
 from probe_env.fidelity import PRESETS
@@ -185,18 +184,6 @@ def test_the_softest_wall_buckles_where_the_cable_between_floats_does():
     foundation = softest_wall(probe) / probe.float_pitch
     euler = math.pi**2 * probe.flexural_rigidity / probe.float_pitch**2
     assert 2.0 * math.sqrt(probe.flexural_rigidity * foundation) == pytest.approx(euler, rel=1e-12)
-
-
-def test_an_overloaded_load_cell_shows_its_end():
-    names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "radial_rms_m", "tension_mean_n",
-             "feed_action", "air_action", "inserted_length", "remaining_length", "feed_speed", "air_supply_rate",
-             "helix_diameter")  # fmt: skip
-    measured = {name: np.array([1.0, 1.0, 1.0]) for name in names} | {"tension_mean_n": np.array([5e3, 2e4, -2e4])}
-    config = TaskConfig()
-    column = list(config.observations).index("root_tension")
-    shown = observe(config, measured, np.zeros((3, 2)))[:, column]
-    assert shown.tolist() == [250.0, LOAD_CELL / 20.0, -LOAD_CELL / 20.0]
-    assert config.observations["root_tension"][:2] == (-LOAD_CELL / 20.0, LOAD_CELL / 20.0)
 
 
 def hostile(rng):

@@ -71,17 +71,14 @@ def test_a_look_ahead_is_in_time_lapse_throughout():
     assert outlook.inserted[0, 0] - begun == pytest.approx(3.0 * CONFIG.period * 0.4, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
+def test_what_is_not_valid_is_refused_by_name():
+    for given, message in (
         ({"steady_feed": 0.2}, "^steady_feed needs a time_lapse above 1"),
         ({"time_lapse": 4.0, "steady_feed": 0.0}, "^steady_feed: 0.0 m/s is outside the accepted range 0.001 to 2 m/s"),
         ({"time_lapse": 4.0, "steady_feed": float("nan")}, "^steady_feed: nan m/s is outside"),
-    ],
-)
-def test_what_is_not_valid_is_refused_by_name(given, message):
-    with pytest.raises(ValueError, match=message):
-        resolve_fidelity(given)
+    ):
+        with pytest.raises(ValueError, match=message):
+            resolve_fidelity(given)
 
 
 def test_a_period_without_time_lapse_is_a_whole_number_of_steps():
