@@ -38,7 +38,21 @@ def ensure_kernel_cache() -> None:
         return
     kept_in = _numbas_folder()
     if kept_in is None:
-        _use_temporary_folder()
+        try:
+            folder = _folder()
+        except OSError as error:
+            raise RuntimeError(
+                "no folder can be written to keep compiled kernels in: set NUMBA_CACHE_DIR to one that can"
+            ) from error
+        given = os.environ.get("NUMBA_CACHE_DIR", "")
+        given = given and f"NUMBA_CACHE_DIR = {given} nor "
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        numba.config.reload_config()  # type: ignore[no-untyped-call]
+        warnings.warn(
+            f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
+            " can be written; set NUMBA_CACHE_DIR to choose another",
+            stacklevel=3,
+        )
         kept_in = _numbas_folder()
     if kept_in is not None:
         forget_outdated(kept_in)
@@ -53,7 +67,10 @@ def forget_outdated(kept_in: Path) -> None:
             return sources / "__pycache__"
         return kept_in.parent / f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"  # as numba has it
 
-    stamp, now = folder_of(SOURCES) / STAMP, _hash_of_sources()
+    hashed = hashlib.sha256()
+    for path in sorted(_sources()):
+        hashed.update(f"{path.relative_to(SOURCES).as_posix()}\n".encode() + path.read_bytes())
+    stamp, now = folder_of(SOURCES) / STAMP, hashed.hexdigest()
     with suppress(OSError):  # somebody else's, or another process does the same
         if stamp.exists() and stamp.read_text() == now:
             return
@@ -70,13 +87,6 @@ def _sources() -> Iterator[Path]:
     yield from (SOURCES / "methods").rglob("*.py")
 
 
-def _hash_of_sources() -> str:
-    hashed = hashlib.sha256()
-    for path in sorted(_sources()):
-        hashed.update(f"{path.relative_to(SOURCES).as_posix()}\n".encode() + path.read_bytes())
-    return hashed.hexdigest()
-
-
 def _numbas_folder() -> Path | None:
     """Where numba keeps the compiled functions of this file, if anywhere; nothing is compiled."""
     try:
@@ -85,24 +95,6 @@ def _numbas_folder() -> Path | None:
         if "locator" not in str(error):
             raise
         return None
-
-
-def _use_temporary_folder() -> None:
-    try:
-        folder = _folder()
-    except OSError as error:
-        raise RuntimeError(
-            "no folder can be written to keep compiled kernels in: set NUMBA_CACHE_DIR to one that can"
-        ) from error
-    given = os.environ.get("NUMBA_CACHE_DIR", "")
-    given = given and f"NUMBA_CACHE_DIR = {given} nor "
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    numba.config.reload_config()  # type: ignore[no-untyped-call]
-    warnings.warn(
-        f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
-        " can be written; set NUMBA_CACHE_DIR to choose another",
-        stacklevel=4,
-    )
 
 
 def _folder() -> Path:

@@ -209,8 +209,7 @@ class InspectionEnv(ProbeEnv):
     pressed and lies on the outer wall, where it hardly rings. What a metre counts for is the better of both passes.
 
     ## Action Space
-    As `Insertion-v1`: how fast and how much air, on the way that the probe is on. The feed goes through zero within its
-    ramp where the probe turns.
+    As `Insertion-v1`: how fast and how much air, on the way that the probe is on.
 
     ## Observation Space
     As `Insertion-v1`; feed speed and air supply are below 0 on the way back, and `way` comes before what is privileged:
@@ -230,9 +229,8 @@ class InspectionEnv(ProbeEnv):
     ## Arguments
     As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate the way back, with nodes between the
     floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in
-    alone: on the way back the motion is what the turn or a change of the feed has left, and time-lapse would spread it
-    over as many times as many metres. The cable touches the walls in every scene. A change of the feed shakes a probe
-    on the way back, a constant feed does not.
+    alone: on the way back the motion is what the turn or a change of the feed has left. The cable touches the walls in
+    every scene.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}

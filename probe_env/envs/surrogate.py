@@ -249,9 +249,9 @@ class SurrogateEpisodes:
         self.actions = given
         air_before = self.air.copy()
         steps, before = max(round(dt / DRIVE_STEP), 1), self.length
-        moved = moved_on(steps, dt / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before)
+        drives = moved_on(steps, dt / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before)
         self.feed, self.air, length = (
-            np.where(chosen, after, now) for after, now in zip(moved, (self.feed, self.air, before), strict=True)
+            np.where(chosen, after, now) for after, now in zip(drives, (self.feed, self.air, before), strict=True)
         )
         self.length = np.minimum(length, config.scene.tube.helix_length)
         travel = self.length - before
@@ -351,7 +351,9 @@ class SurrogateEpisodes:
         """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""
         sums = {name: float(values[k]) for name, values in self.sums.items()}
         radial, acceleration = sums.pop("radial"), sums.pop("acceleration")
-        tally = Tally(time=float(self.time[k]), costs={name: sums.pop(f"cost_{name}") for name in COSTS}, **sums)
+        costs = {name: sums.pop(f"cost_{name}") for name in COSTS}
+        values: dict[str, Any] = sums | {"time": float(self.time[k]), "costs": costs}
+        tally = Tally(**values)
         length, inspected = float(self.config.scene.tube.helix_length - self.start[k]), max(tally.inspected, 1e-9)
         return tally.totals(length, ended.kpis(k)) | {
             "radial_rms_m": float(np.sqrt(radial / inspected)),
