@@ -137,15 +137,3 @@ def test_a_step_after_the_end_is_refused():
     assert env.step(np.zeros(2, dtype=np.float32))[3]
     with pytest.raises(RuntimeError, match="call reset before step"):
         env.step(np.zeros(2, dtype=np.float32))
-
-
-def test_rendering_needs_no_display_and_shows_the_probe_moving():
-    env = gym.make("probe_env/Insertion-v1", fidelity="fast", render_mode="rgb_array")
-    env.reset(seed=0)
-    first = env.render()
-    env.step(np.ones(2, dtype=np.float32))
-    second = env.render()
-    assert first.shape == second.shape == (600, 1000, 3)
-    assert first.dtype == np.uint8
-    assert (first != second).any()
-    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
