@@ -110,9 +110,8 @@ def test_lost_drive_ends_an_episode():
     assert terms[0][TERMS.index("uninspected")] == pytest.approx(-config.uninspected_weight * left)
 
 
-def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch):
-    env = gym.make("probe_env/Snapshot-v1").unwrapped
-    before, _ = env.reset(seed=0)
+def diverge(monkeypatch):
+    """Make the first simulator of every batch diverge from now on."""
     advance = SimulatorBatch.advance
 
     def broken(self, *arguments, **options):
@@ -120,6 +119,12 @@ def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch
         return advance(self, *arguments, **options)
 
     monkeypatch.setattr(SimulatorBatch, "advance", broken)
+
+
+def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch):
+    env = gym.make("probe_env/Snapshot-v1").unwrapped
+    before, _ = env.reset(seed=0)
+    diverge(monkeypatch)
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, dtype=np.float32))
     assert terminated
     assert not truncated
@@ -132,14 +137,8 @@ def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch
 
 def test_what_diverges_while_settling_ends_in_its_first_step(monkeypatch):
     """Not with an error: a vector environment would stop the training of all."""
-    advance = SimulatorBatch.advance
-
-    def broken(self, *arguments, **options):
-        self.simulators[0].state.d[4, 1] = np.nan
-        return advance(self, *arguments, **options)
-
     episodes = Episodes(2, TaskConfig())
-    monkeypatch.setattr(SimulatorBatch, "advance", broken)
+    diverge(monkeypatch)
     rngs = {k: np.random.default_rng(k) for k in range(2)}
     observation, infos = episodes.reset([0, 1], rngs)
     assert np.isfinite(observation).all()
