@@ -97,14 +97,9 @@ class Fidelity(Model):
         return self.method != SURROGATE
 
     def time_lapse_of(self, feed_speed: npt.ArrayLike, target: npt.ArrayLike) -> FloatArray:
-        """How many times faster than the motion's clock the length changes in a period on the way in.
+        """(N,) how many times faster than the motion's clock the length changes in a period on the way in.
 
-        Args:
-            feed_speed: (N,) at its beginning [m/s].
-            target: (N,) of the period [m/s].
-
-        Returns:
-            (N,), 1 or more.
+        ``feed_speed`` (N,) is that at its beginning, ``target`` (N,) that of the period [m/s].
         """
         now, aim = np.asarray(feed_speed, dtype=float), np.asarray(target, dtype=float)
         if self.steady_feed is None:
@@ -157,8 +152,7 @@ def resolve_fidelity(
 
     Args:
         fidelity: name, settings, or a mapping of them.
-        scene: what is simulated; default: table 2's. "auto" chooses for it, and superelements give way to nodes where
-            it needs them, see ``with_nodes``.
+        scene: that "auto" chooses for, see also ``with_nodes``; default: table 2's.
         growing: whether the probe is fed in, for "auto".
         both_ways: whether it is drawn back, too.
 
@@ -294,10 +288,7 @@ def outputs() -> tuple[str, ...]:
 
 
 def choose_fidelity(
-    scene: Scene,
-    tolerance: float = TOLERANCE,
-    needed: Sequence[str] = ("radial_rms_m",),
-    growing: bool = False,
+    scene: Scene, tolerance: float = TOLERANCE, needed: Sequence[str] = ("radial_rms_m",), growing: bool = False
 ) -> Choice:
     """The cheapest setting whose measured error is within the tolerance for all needed outputs.
 
@@ -324,11 +315,18 @@ def choose_fidelity(
         row for row in measured() if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
     ]
     most = MOST_TIME_LAPSE if growing else 1.0
-    candidates = dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most)
+    places = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
     rated = []
-    for fidelity in candidates:
+    for fidelity in dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most):
+        try:
+            holds = fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
+        except ValueError:  # its contact asks for more modes than a superelement has room for
+            continue
         own = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]
-        if _holds(fidelity, scene) and _complete(own, relevant, fidelity):
+        # measured wherever any was; with time-lapse also in the insertions
+        complete = places <= {(row.length, row.stiffness, row.output) for row in own}
+        inserted = any(row.length is None and row.fidelity == fidelity for row in own)
+        if holds and complete and (fidelity.time_lapse == 1.0 or inserted):
             rated.append((max(row.error for row in own), max(row.cost for row in own) / fidelity.time_lapse, fidelity))
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
@@ -342,14 +340,6 @@ def choose_fidelity(
     )
     LOGGER.info("fidelity auto: %s", reason)
     return Choice(chosen, error, cost, reason)
-
-
-def _holds(fidelity: Fidelity, scene: Scene) -> bool:
-    """Whether a setting's step is known to hold, and its method can take the scene at all."""
-    try:
-        return fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
-    except ValueError:  # its contact asks for more modes than a superelement has room for
-        return False
 
 
 def _stiffnesses(scene: Scene) -> list[float]:
@@ -381,11 +371,3 @@ def _around(known: Sequence[float], value: float) -> list[float]:
     """The measured value itself or the two around it; beyond the ends the nearest."""
     value = min(max(value, known[0]), known[-1])
     return sorted({max(v for v in known if v <= value), min(v for v in known if v >= value)})
-
-
-def _complete(own: Sequence[Measured], relevant: Sequence[Measured], fidelity: Fidelity) -> bool:
-    """Whether a setting was measured wherever any was; with time-lapse also in the insertions."""
-    places = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
-    covered = places <= {(row.length, row.stiffness, row.output) for row in own}
-    inserted = any(row.length is None and row.fidelity == fidelity for row in own)
-    return covered and (fidelity.time_lapse == 1.0 or inserted)

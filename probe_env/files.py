@@ -32,17 +32,11 @@ DEEP_KEY: Final = re.compile(
 
 
 ENDLESS_NUMBER: Final = re.compile(r"(?<![0-9])[0-9]{4301}")
-"""More digits than Python reads of a whole number, which it says without the file's name; looked for where a number
-begins alone, or long ones would be read over and over."""
+"""More digits than Python reads of a whole number; Python's own error has no file name."""
 
 
 class FileError(ValueError):
-    """A file is not what it should be; nothing in it was run or changed.
-
-    Args:
-        path: the file.
-        problem: place in it and what is wrong there.
-    """
+    """A file is not what it should be: ``problem`` says where in it and why; nothing in it was run or changed."""
 
     def __init__(self, path: str | Path, problem: str) -> None:
         self.path, self.problem = str(path), problem
@@ -153,9 +147,7 @@ _BROKEN = (zipfile.BadZipFile, zlib.error, ValueError, KeyError, OSError, EOFErr
 def read_arrays(path: Path, expected: Callable[[str], str]) -> dict[str, Array]:
     """The arrays of a .npz file by name.
 
-    Args:
-        path: of the file.
-        expected: kind ("f": float32 or float64, "U": text) of the array of a name; "" if there must be none.
+    ``expected`` is the kind of the array of a name ("f": float32 or float64, "U": text), "" if there must be none.
 
     Raises:
         FileNotFoundError: no such file.

@@ -38,18 +38,28 @@ def ensure_kernel_cache() -> None:
         return
     kept_in = _numbas_folder()
     if kept_in is None:
-        _use_temporary_folder()
+        try:
+            folder = _folder()
+        except OSError as error:
+            raise RuntimeError(
+                "no folder can be written to keep compiled kernels in: set NUMBA_CACHE_DIR to one that can"
+            ) from error
+        given = os.environ.get("NUMBA_CACHE_DIR", "")
+        given = given and f"NUMBA_CACHE_DIR = {given} nor "
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        numba.config.reload_config()  # type: ignore[no-untyped-call]
+        warnings.warn(
+            f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
+            " can be written; set NUMBA_CACHE_DIR to choose another",
+            stacklevel=3,
+        )
         kept_in = _numbas_folder()
     if kept_in is not None:
         forget_outdated(kept_in)
 
 
 def forget_outdated(kept_in: Path) -> None:
-    """Delete compiled kernels, unless the stamp beside them says that they are of these sources.
-
-    Args:
-        kept_in: where numba keeps the compiled functions of this file.
-    """
+    """Delete compiled kernels, unless their stamp is that of these sources; numba keeps this file's in ``kept_in``."""
     beside_sources = kept_in.name == "__pycache__"
 
     def folder_of(sources: Path) -> Path:
@@ -57,7 +67,10 @@ def forget_outdated(kept_in: Path) -> None:
             return sources / "__pycache__"
         return kept_in.parent / f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"  # as numba has it
 
-    stamp, now = folder_of(SOURCES) / STAMP, _hash_of_sources()
+    hashed = hashlib.sha256()
+    for path in sorted(_sources()):
+        hashed.update(f"{path.relative_to(SOURCES).as_posix()}\n".encode() + path.read_bytes())
+    stamp, now = folder_of(SOURCES) / STAMP, hashed.hexdigest()
     with suppress(OSError):  # somebody else's, or another process does the same
         if stamp.exists() and stamp.read_text() == now:
             return
@@ -74,13 +87,6 @@ def _sources() -> Iterator[Path]:
     yield from (SOURCES / "methods").rglob("*.py")
 
 
-def _hash_of_sources() -> str:
-    hashed = hashlib.sha256()
-    for path in sorted(_sources()):
-        hashed.update(f"{path.relative_to(SOURCES).as_posix()}\n".encode() + path.read_bytes())
-    return hashed.hexdigest()
-
-
 def _numbas_folder() -> Path | None:
     """Where numba keeps the compiled functions of this file, if anywhere; nothing is compiled."""
     try:
@@ -89,24 +95,6 @@ def _numbas_folder() -> Path | None:
         if "locator" not in str(error):
             raise
         return None
-
-
-def _use_temporary_folder() -> None:
-    try:
-        folder = _folder()
-    except OSError as error:
-        raise RuntimeError(
-            "no folder can be written to keep compiled kernels in: set NUMBA_CACHE_DIR to one that can"
-        ) from error
-    given = os.environ.get("NUMBA_CACHE_DIR", "")
-    given = given and f"NUMBA_CACHE_DIR = {given} nor "
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    numba.config.reload_config()  # type: ignore[no-untyped-call]
-    warnings.warn(
-        f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
-        " can be written; set NUMBA_CACHE_DIR to choose another",
-        stacklevel=4,
-    )
 
 
 def _folder() -> Path:
@@ -119,15 +107,9 @@ def _folder() -> Path:
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
-        if not _is_private(folder):
+        entry = folder.lstat()  # a folder, not a link to one, that is the user's and closed to others?
+        private = not hasattr(os, "getuid") or (entry.st_uid == os.getuid() and not entry.st_mode & 0o077)
+        if not stat.S_ISDIR(entry.st_mode) or not private:
             folder = Path(tempfile.mkdtemp(prefix="probe_env-kernels-"))
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether a folder, not a link to one, is the user's and closed to others."""
-    entry = folder.lstat()
-    if not stat.S_ISDIR(entry.st_mode):
-        return False
-    return not hasattr(os, "getuid") or (entry.st_uid == os.getuid() and not entry.st_mode & 0o077)

@@ -126,10 +126,7 @@ class Scene(Model):
                     f"probe.{name} = {diameter:g} m must be greater than probe.cable_diameter ="
                     f" {probe.cable_diameter:g} m"
                 )
-        for name, length in (
-            ("carrier_length", self.carrier_length),
-            ("probe.guide_length", probe.guide_length),
-        ):
+        for name, length in (("carrier_length", self.carrier_length), ("probe.guide_length", probe.guide_length)):
             pitches = round(length / probe.float_pitch)
             if abs(length - pitches * probe.float_pitch) > LENGTH_TOLERANCE:
                 raise _impossible(

@@ -223,7 +223,13 @@ def _validated(
     over, most, unit = POSITIONS[column]
     ranges = {columns[name]: range_ for name, range_ in RANGES.items()}
     values: dict[str, list[float]] = {column: [], columns[FEED]: [], columns[AIR]: []}
-    start = _start_length(path, *rows[0]) if over == "time" else None
+    start, length = None, "inserted_length_m"
+    if over == "time" and length in rows[0][1]:  # where a log begins, if it says so
+        start, (_, longest, metres) = _number(path, rows[0][0], length, rows[0][1][length]), POSITIONS[length]
+        if not 0.0 <= start <= longest:
+            raise FileError(
+                path, f"{rows[0][0]}, {length} = {start!r} is outside the accepted range 0 to {longest:g} {metres}"
+            )
     for place, row in rows:
         for name in values:
             low, high, its_unit = ranges.get(name, (0.0, most, unit))
@@ -238,17 +244,6 @@ def _validated(
             raise FileError(path, f"{place}, {column} = {now!r} must be greater than {before!r} before it")
     air = tuple(value / 3600.0 for value in values[columns[AIR]])
     return Schedule(over, interpolation, tuple(values[column]), tuple(values[columns[FEED]]), air, start)
-
-
-def _start_length(path: Path, place: str, row: Mapping[str, Any]) -> float | None:
-    """Where a log begins, if it says so."""
-    column = "inserted_length_m"
-    if column not in row:
-        return None
-    value, (_, most, unit) = _number(path, place, column, row[column]), POSITIONS[column]
-    if not 0.0 <= value <= most:
-        raise FileError(path, f"{place}, {column} = {value!r} is outside the accepted range 0 to {most:g} {unit}")
-    return value
 
 
 def _number(path: Path, place: str, name: str, given: Any) -> float:

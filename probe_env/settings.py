@@ -92,11 +92,7 @@ class Model(BaseModel):
 
 
 def range_of(model: type[Model], field: str) -> Range | None:
-    """The accepted range of a field, as its metadata says; None if it has none.
-
-    Args:
-        model: the field is in.
-        field: its name, with dots for fields of sub-models, such as "contact.friction".
+    """The accepted range of a field, such as "contact.friction", by its metadata; None if it has none.
 
     Raises:
         KeyError: there is no such field.

@@ -23,7 +23,16 @@ from probe_env.envs.episodes.starts import (
 )
 from probe_env.envs.task import TaskConfig, action_of, share_of
 from probe_env.envs.task.observations import OBSERVATIONS, PRIVILEGED, UNITS
-from probe_env.envs.trials import Candidate, Controller, check_space, judge, stretch_of, try_insertions, try_sections
+from probe_env.envs.trials import (
+    Candidate,
+    Controller,
+    check_candidate,
+    judge,
+    stretch_of,
+    try_insertions,
+    try_sections,
+)
+from probe_env.envs.trials.sections import HARDEST
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
@@ -79,13 +88,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
     ## Arguments
     * `config`, `scene`, `contexts`, `tube`: as for `Insertion-v1`.
     * `fidelity`: preset or settings; time-lapse counts for whole insertions only. Default "standard".
-    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h, or the nearest
-      that the task gives. For whole insertions also a
-      policy with SB3's `predict`.
+    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h, or the nearest that the task
+      gives. For whole insertions also a policy with SB3's `predict`.
     * `full`: whole insertions, some 5 s each, instead of sections.
-
-    ## Version History
-    * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -128,8 +133,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
     @staticmethod
     def action_of(design: Design) -> Observation:
         """(7,) the action that builds a design."""
-        action: Observation = action_of(design.to_unit()).astype(np.float32)
-        return action
+        return action_of(design.to_unit()).astype(np.float32)
 
     @staticmethod
     def design_of(action: Observation) -> Design:
@@ -156,7 +160,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         trial = copy.deepcopy(self.np_random)  # the generator itself moves on only if all is valid
         context = drawn_context(self.contexts, trial, dict(options or {}))
-        check_space([context], self.config, self.fidelity, self._sections_feed)
+        sections = None if self.full else cast(Schedule, self.feed)
+        for design in HARDEST:  # then all of the design space, cut to the bore, can be tried
+            check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
         drawn_context(self.contexts, self.np_random, {})
         self.context = context
         return self._observation(), {"context": self.context.model_dump()}
@@ -187,10 +193,6 @@ class DesignEnv(gym.Env[Observation, Observation]):
         observation = self._observation()
         self.context = None
         return observation, float(sum(info["reward_terms"].values())), True, False, info
-
-    @property
-    def _sections_feed(self) -> Schedule | None:
-        return self.feed if not self.full and isinstance(self.feed, Schedule) else None
 
     def _observation(self) -> Observation:
         assert self.context is not None

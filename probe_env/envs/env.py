@@ -177,9 +177,6 @@ class InsertionEnv(ProbeEnv):
       agent serves many probes; it shows in the reset's `info["probe"]` and, with `config={"observe_probe": True}`, in
       the observation; a constant length is cut to whole pitches.
     * `render_mode`: "rgb_array" or "human".
-
-    ## Version History
-    * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
     """
 
 
@@ -191,26 +188,13 @@ class SnapshotEnv(ProbeEnv):
     `carrier_length`): what is fed in counts as inspected and does not lengthen the probe. Control period 0.1 s,
     truncated after 8 s; the probe starts from rest and settles for one period.
 
-    ## Action Space
-    As `Insertion-v1`.
-
-    ## Observation Space
-    As `Insertion-v1`.
-
-    ## Rewards
-    As `Insertion-v1`; nothing is left uninspected.
+    Actions, observations, rewards and arguments are those of `Insertion-v1`; nothing is left uninspected.
 
     ## Starting State
     At rest, then one period at the settling's feed and air.
 
     ## Episode End
     Truncated after 8 s; terminated on lost drive and when the simulation diverges.
-
-    ## Arguments
-    As `Insertion-v1`.
-
-    ## Version History
-    * v1: the converged mesh by default (`superelement32`); four nodes a pitch ring too little.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"growing": False, "period": 0.1, "time_limit": 8.0, "settle_time": 0.1}
@@ -225,8 +209,7 @@ class InspectionEnv(ProbeEnv):
     pressed and lies on the outer wall, where it hardly rings. What a metre counts for is the better of both passes.
 
     ## Action Space
-    As `Insertion-v1`: how fast and how much air, on the way that the probe is on. The feed goes through zero within its
-    ramp where the probe turns.
+    As `Insertion-v1`: how fast and how much air, on the way that the probe is on.
 
     ## Observation Space
     As `Insertion-v1`; feed speed and air supply are below 0 on the way back, and `way` comes before what is privileged:
@@ -239,9 +222,6 @@ class InspectionEnv(ProbeEnv):
     either way calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both ways
     when the episode ends: a probe that stays in the tube owes the metres that it was not drawn back.
 
-    ## Starting State
-    As `Insertion-v1`.
-
     ## Episode End
     Terminated when the probe is back where it began, on lost drive on the way in, and when the simulation diverges;
     truncated after 1,800 s.
@@ -249,17 +229,8 @@ class InspectionEnv(ProbeEnv):
     ## Arguments
     As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate the way back, with nodes between the
     floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in
-    alone: on the way back the motion is what the turn or a change of the feed has left, and time-lapse would spread it
-    over as many times as many metres. The cable touches the walls in every scene. A change of the feed shakes a probe
-    on the way back, a constant feed does not.
-
-    `info["episode_kpis"]` also says what the same motion would have come to had something else counted: `in_reward`,
-    `back_a90_percent_wall` and so on.
-
-    ## Version History
-    * v0: first version. Until commit 8dd1a4e (November 2026) `fast` had time-lapse on the way back as well, which made
-      the turn hide four times as many metres: results of it do not compare with later ones. Until November 27, 2026
-      a probe that stayed in the tube was charged for what it had not inspected alone; others earn what they earned.
+    alone: on the way back the motion is what the turn or a change of the feed has left. The cable touches the walls in
+    every scene.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}

@@ -18,22 +18,24 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes.judge import Tally
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
 from probe_env.envs.task import (
+    COSTS,
     FAILURES,
-    Ending,
     Outcome,
     TaskConfig,
     air_used,
     capped_square,
     cost_terms,
     ending,
-    observe,
-    passes_of,
     reward_terms,
     slack,
     slack_in_a_row,
 )
+from probe_env.envs.task.observations import observe
+from probe_env.envs.task.passes import passes_of
+from probe_env.envs.task.rules import Ending
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
@@ -58,22 +60,13 @@ class Scatter(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What the map leaves out of a second of an insertion.
+    """What the map leaves out of a second of an insertion, in decades."""
 
-    Attributes:
-        bias: of a second's rms against that of a metre, which the map predicts [decades].
-        slow: vibration that lasts: tubes and stretches louder or quieter than the map says [decades].
-        quick: standard deviation of the radial rms from one second to the next [decades].
-        tension: of the natural logarithm of the root tension over that of steady sliding.
-        radial, axial: coefficients of log10 of the accelerations' rms [m/s2], see ``features``.
-        radial_scatter, axial_scatter: around these [decades].
-    """
-
-    bias: float = 0.0
-    slow: Scatter = Scatter()
-    quick: float = 0.0
-    tension: Scatter = Scatter()
-    radial: tuple[float, ...] = (1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+    bias: float = 0.0  # of a second's rms against that of a metre, which the map predicts
+    slow: Scatter = Scatter()  # tubes and stretches louder or quieter than the map says
+    quick: float = 0.0  # standard deviation of the radial rms from one second to the next
+    tension: Scatter = Scatter()  # natural logarithm of the root tension over that of steady sliding
+    radial: tuple[float, ...] = (1.0, 0.7, 0.0, 0.0, 0.0, 0.0)  # of log10 of the rms acceleration, see ``features``
     radial_scatter: Scatter = Scatter()
     axial: tuple[float, ...] = (1.0, 0.4, 0.0, 0.0, 0.0, 0.0)
     axial_scatter: Scatter = Scatter()
@@ -93,14 +86,7 @@ MEASURED: Final = Noise(
 
 
 def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes: FloatArray) -> FloatArray:
-    """(n, 6) inputs of the accelerations.
-
-    Args:
-        vibration: (n,) log10(radial rms / 0.1 mm).
-        feed: (n,) [m/s].
-        length: (n,) inserted [m].
-        tubes: (n, 4) in the order of ``CONTEXT``.
-    """
+    """(n, 6) inputs of the accelerations, by log10(radial rms / 0.1 mm), feed [m/s], inserted length [m] and tubes."""
     one = np.ones_like(vibration)
     friction, diameter = tubes[:, 0] / 0.175, 1.0 / tubes[:, 3]
     return np.column_stack([one, vibration, np.log10(np.maximum(feed, 1e-3)), length / 60.0, friction, diameter])
@@ -114,10 +100,7 @@ def make_episodes(
     may_stand: bool = False,
     **settings: Unpack[EpisodeSettings],
 ) -> Episodes:
-    """Episodes of any fidelity: simulated ones, or ``SurrogateEpisodes``, which have the same methods.
-
-    Args, Raises: see ``Episodes`` and ``SurrogateEpisodes``.
-    """
+    """Episodes of any fidelity: ``Episodes``, or ``SurrogateEpisodes``, which have the same methods."""
     if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
         return cast(Episodes, SurrogateEpisodes(count, config, may_stand=may_stand, **settings))
     return Episodes(count, config, threads=threads, may_stand=may_stand, **settings)
@@ -173,7 +156,11 @@ class SurrogateEpisodes:
         zeros = np.zeros(count)
         self.length, self.start, self.time = zeros.copy(), zeros.copy(), zeros.copy()
         self.feed, self.air = zeros.copy(), zeros.copy()
-        self.scatter = {name: zeros.copy() for name in ("slow", "tension", "radial", "axial")}
+        self.processes = {
+            "slow": (0, noise.slow), "tension": (2, noise.tension),
+            "radial": (3, noise.radial_scatter), "axial": (4, noise.axial_scatter),
+        }  # fmt: skip
+        self.scatter = {name: zeros.copy() for name in self.processes}
         self.slack_periods, self.running = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
         self.actions = np.tile(self.start_action, (count, 1))
         self.sums: dict[str, FloatArray] = {}
@@ -235,8 +222,8 @@ class SurrogateEpisodes:
         every = np.zeros(len(self), dtype=bool)
         every[chosen] = True
         normal = self._draw(every)
-        for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
-            self.scatter[name] = np.where(every, self._scatter(name).deviation * normal[:, row], self.scatter[name])
+        for name, (row, process) in self.processes.items():
+            self.scatter[name] = np.where(every, process.deviation * normal[:, row], self.scatter[name])
         measured = self._measured(normal)
         self.observed[every] = observe(self.config, measured, normal[:, 5:])[every, None]
         infos = self._infos(measured, {})
@@ -261,10 +248,16 @@ class SurrogateEpisodes:
         change = given.astype(float) - self.actions
         self.actions = given
         air_before = self.air.copy()
-        travel = self._move(targets, chosen)
+        steps, before = max(round(dt / DRIVE_STEP), 1), self.length
+        drives = moved_on(steps, dt / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before)
+        self.feed, self.air, length = (
+            np.where(chosen, after, now) for after, now in zip(drives, (self.feed, self.air, before), strict=True)
+        )
+        self.length = np.minimum(length, config.scene.tube.helix_length)
+        travel = self.length - before
         normal = self._draw(chosen)
-        for name, row in (("slow", 0), ("tension", 2), ("radial", 3), ("axial", 4)):
-            moved = self._scatter(name).next(self.scatter[name], normal[:, row])
+        for name, (row, process) in self.processes.items():
+            moved = process.next(self.scatter[name], normal[:, row])
             self.scatter[name] = np.where(chosen, moved, self.scatter[name])
         measured = self._measured(normal)
         ratio = measured["radial_rms_m"] / self.limit
@@ -282,19 +275,18 @@ class SurrogateEpisodes:
         terms = reward_terms(config, outcome, change)
         reward = np.where(chosen, sum(terms.values()), 0.0)
         self.running &= ~over
-        self._count(
-            chosen,
-            {
-                "reward": reward,
-                "inspected": travel,
-                "within": np.where(ratio <= 1.0, travel, 0.0),
-                "air": used,
-                "lost_drive_events": self.slack_periods == config.lost_drive_periods,
-                **{f"cost_{name}": values for name, values in costs.items()},
-                "radial": travel * measured["radial_rms_m"] ** 2,
-                "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
-            },
-        )
+        added = {
+            "reward": reward,
+            "inspected": travel,
+            "within_limit": np.where(ratio <= 1.0, travel, 0.0),
+            "air": used,
+            "lost_drive_events": self.slack_periods == config.lost_drive_periods,
+            **{f"cost_{name}": values for name, values in costs.items()},
+            "radial": travel * measured["radial_rms_m"] ** 2,
+            "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
+        }
+        for name, values in added.items():
+            self.sums.setdefault(name, np.zeros(len(self)))[chosen] += values[chosen]
         latest = observe(config, measured, normal[:, 5:])[:, None]
         self.observed[chosen] = np.concatenate([self.observed[:, 1:], latest], axis=1)[chosen]
         infos = self._infos(
@@ -314,29 +306,12 @@ class SurrogateEpisodes:
             infos[k]["episode_kpis"] = self._kpis(k, ended)
         return Step(self.observation.copy(), reward, ended.terminated, ended.truncated, infos)
 
-    def _move(self, targets: FloatArray, chosen: BoolArray) -> FloatArray:
-        """Move drives on by a period towards targets (N, 2); (N,) length fed [m], up to the helix's end."""
-        config, before = self.config, self.length
-        steps = max(round(config.period / DRIVE_STEP), 1)
-        moved = moved_on(
-            steps, config.period / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before
-        )
-        self.feed, self.air, length = (
-            np.where(chosen, after, now) for after, now in zip(moved, (self.feed, self.air, before), strict=True)
-        )
-        self.length = np.minimum(length, config.scene.tube.helix_length)
-        return self.length - before
-
     def _draw(self, which: BoolArray) -> FloatArray:
         """(N, DRAWS) standard normal draws of each probe's own generator; 0 for the others."""
         normal = np.zeros((len(self), DRAWS))
         for k in np.flatnonzero(which).tolist():
             normal[k] = self.rng[k].normal(size=DRAWS)
         return normal
-
-    def _scatter(self, name: str) -> Scatter:
-        scatter: Scatter = getattr(self.noise, f"{name}_scatter" if name.endswith("ial") else name)
-        return scatter
 
     def _measured(self, normal: FloatArray) -> dict[str, FloatArray]:
         """Predicted values where the probes are, (N,) each, see ``observe``."""
@@ -365,42 +340,25 @@ class SurrogateEpisodes:
     def _infos(self, measured: Mapping[str, FloatArray], more: Mapping[str, FloatArray]) -> list[dict[str, Any]]:
         """Physical values of every probe, SI units; the noise in a flaw's band only where the map is of it."""
         names = (
-            "inserted_length",
-            "feed_speed",
-            "air_supply_rate",
-            "radial_rms_m",
-            "radial_acceleration_rms_m_per_s2",
-            "tension_mean_n",
-        )
+            "inserted_length", "feed_speed", "air_supply_rate",
+            "radial_rms_m", "radial_acceleration_rms_m_per_s2", "tension_mean_n",
+        )  # fmt: skip
         noise = {"noise_rms_m": measured["radial_rms_m"]} if self.map.measure == "snr" else {}
         inspected = {"time": self.time, "inspected_length": self.length - self.start}
         return _rows(inspected | {name: measured[name] for name in names} | noise | dict(more))
 
-    def _count(self, chosen: BoolArray, values: Mapping[str, npt.NDArray[Any]]) -> None:
-        for name, value in values.items():
-            self.sums.setdefault(name, np.zeros(len(self)))[chosen] += value[chosen]
-
     def _kpis(self, k: int, ended: Ending) -> dict[str, float]:
         """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""
         sums = {name: float(values[k]) for name, values in self.sums.items()}
-        inspected, length = sums["inspected"], float(self.config.scene.tube.helix_length - self.start[k])
-        costs = {name: value for name, value in sums.items() if name.startswith("cost_")}
-        rms = {name: np.sqrt(sums[name] / max(inspected, 1e-9)) for name in ("radial", "acceleration")}
-        kpis = {
-            "inspection_time_s": self.time[k],
-            "inspected_m": inspected,
-            "inspected_share": inspected / length,
-            "share_within_limit": sums["within"] / length,
-            "air_m3": sums["air"],
-            "reward": sums["reward"],
-            "lost_drive_events": sums["lost_drive_events"],
-            **ended.kpis(k),
-            "cost": sum(costs.values()),
-            **costs,
-            "radial_rms_m": rms["radial"],
-            "radial_acceleration_rms_m_per_s2": rms["acceleration"],
+        radial, acceleration = sums.pop("radial"), sums.pop("acceleration")
+        costs = {name: sums.pop(f"cost_{name}") for name in COSTS}
+        values: dict[str, Any] = sums | {"time": float(self.time[k]), "costs": costs}
+        tally = Tally(**values)
+        length, inspected = float(self.config.scene.tube.helix_length - self.start[k]), max(tally.inspected, 1e-9)
+        return tally.totals(length, ended.kpis(k)) | {
+            "radial_rms_m": float(np.sqrt(radial / inspected)),
+            "radial_acceleration_rms_m_per_s2": float(np.sqrt(acceleration / inspected)),
         }
-        return {name: float(value) for name, value in kpis.items()}
 
 
 def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:

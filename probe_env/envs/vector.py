@@ -88,7 +88,13 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(f"options['reset_mask'] must be {self.num_envs} booleans, at least one of them true")
         which = np.flatnonzero(mask).tolist()
-        self._seed(seed, which)
+        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
+        for k in which:
+            given = None if seeds is None else seeds[k]
+            if given is not None or k not in self._rngs:  # else its generator goes on
+                self._rngs[k] = gym.utils.seeding.np_random(given)[0]
         observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
         self._ended[mask], self._steps[mask] = False, 0
         merged: dict[str, Any] = {}
@@ -135,16 +141,6 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
     def _start(self, which: list[int]) -> tuple[Observation, dict[int, dict[str, Any]]]:
         self._steps[which] = 0
         return self.episodes.reset(which, self._rngs)
-
-    def _seed(self, seed: int | Sequence[int | None] | None, which: list[int]) -> None:
-        """One generator an environment: seed + i, a seed each, or on as before."""
-        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
-        for k in which:
-            given = None if seeds is None else seeds[k]
-            if given is not None or k not in self._rngs:
-                self._rngs[k] = gym.utils.seeding.np_random(given)[0]
 
 
 class InsertionVectorEnv(ProbeVectorEnv):

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import io
-import re
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from pydantic import ValidationError
@@ -48,24 +47,14 @@ def feeds(config: TaskConfig) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class VibrationMap:
-    """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm.
+    """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm."""
 
-    Attributes:
-        layers: weights (inputs, outputs) and biases (outputs,) of three layers, tanh between them.
-        scene: bore, length, probe and air of its insertions.
-        ranges: (2, 4) least and greatest of each of ``CONTEXT`` in them.
-        scaling: (2, 7) centre and spread of its inputs; None: they are scaled as table 2's tubes are, see
-            ``features_of``.
-        digest: of its file.
-        measure: "displacement", radial rms, or "snr", the noise in the band of a flaw as radial rms.
-    """
-
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
-    scene: Scene = field(default_factory=Scene)
-    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)
-    scaling: FloatArray | None = None
-    digest: str = ""
-    measure: str = "displacement"
+    layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights (inputs, outputs) and biases of three, tanh between
+    scene: Scene = field(default_factory=Scene)  # bore, length, probe and air of its insertions
+    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)  # (2, 4) of each of ``CONTEXT`` in them
+    scaling: FloatArray | None = None  # (2, 7) centre and spread of its inputs; None: see ``features_of``
+    digest: str = ""  # of its file
+    measure: str = "displacement"  # radial rms, or "snr": the noise in the band of a flaw as radial rms
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, VibrationMap) and self.digest == other.digest != "")
@@ -107,7 +96,9 @@ class VibrationMap:
             FileNotFoundError: no such file.
             FileError: not a map: other arrays, or shapes that do not follow on each other.
         """
-        arrays = read_arrays(path, _expected)
+        kinds = dict.fromkeys(("scene", "measure"), "U") | dict.fromkeys(SHAPES, "f")
+        kinds |= {f"{part}{k}": "f" for part in ("weights", "biases") for k in range(3)}
+        arrays = read_arrays(path, lambda name: kinds.get(name, ""))
         sizes = [len(CONTEXT) + 3]
         for k in range(3):
             weights, biases = (arrays.get(f"{part}{k}", np.zeros(())) for part in ("weights", "biases"))
@@ -143,33 +134,18 @@ class VibrationMap:
         return buffer.getvalue()
 
 
-def _expected(name: str) -> str:
-    if name in ("scene", "measure"):
-        return "U"
-    return "f" if name in SHAPES or re.fullmatch(r"(weights|biases)[0-2]", name, re.ASCII) else ""
-
-
 def equivalent_air(air: FloatArray, feed: FloatArray, scene: Scene, known: Scene) -> FloatArray:
-    """Air supply (n,) [m3/s] that pulls a metre of probe in one scene as ``air`` does in another.
+    """Air supply (n,) [m3/s] that pulls a metre of probe in the ``known`` scene as ``air`` does in ``scene``.
 
-    Drag goes with the square of the wind relative to the probe, (10).
-
-    Args:
-        air: (n,) air supply in ``scene`` [m3/s].
-        feed: (n,) feed speed [m/s].
-        scene: where it is blown.
-        known: where its equal is looked for.
+    Drag goes with the square of the wind relative to the probe, (10), which is fed at ``feed`` (n,) [m/s].
     """
-    if _pulled(scene) == _pulled(known):
+    if all(getattr(scene, name) == getattr(known, name) for name in ("air", "probe")) and (
+        scene.tube.inner_diameter == known.tube.inner_diameter
+    ):
         return air
     wind = air * air_speed(scene, 1.0) - feed
     stronger = np.sqrt(drag_per_metre(scene) / drag_per_metre(known))
     return np.asarray((feed + wind * stronger) / air_speed(known, 1.0))
-
-
-def _pulled(scene: Scene) -> tuple[Any, ...]:
-    """What drag depends on besides air supply and feed."""
-    return scene.tube.inner_diameter, scene.air, scene.probe
 
 
 @lru_cache
@@ -179,14 +155,7 @@ def stored_map() -> VibrationMap:
 
 
 def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray) -> FloatArray:
-    """(n, 7) inputs of the map, each within some -2 to 2.
-
-    Args:
-        length: (n,) inserted length [m].
-        feed: (n,) feed speed [m/s].
-        air: (n,) air supply [m3/s].
-        context: (n, 4) in the order of ``CONTEXT``, SI units.
-    """
+    """(n, 7) inputs of the map, each within some -2 to 2; arguments as ``VibrationMap.tells``."""
     return np.column_stack(
         [
             length / 30.0 - 1.0,
@@ -203,14 +172,9 @@ def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: 
 def expected_cost(
     mean: FloatArray, deviation: FloatArray, feed: FloatArray, air: FloatArray, config: TaskConfig
 ) -> FloatArray:
-    """Expected cost (n,) of a metre (progress left out): vibration, time and air, by the task's weights.
+    """Expected cost (n,) of a metre, without progress: vibration, time and air, by the task's weights.
 
-    Args:
-        mean: (n,) of log10(radial rms / 0.1 mm), which is normal.
-        deviation: (n,) of the same.
-        feed: (n,) feed speed [m/s].
-        air: (n,) air supply [m3/s].
-        config: the task; its vibration measure must be one of ``PROFILED``, that of the map.
+    ``mean`` and ``deviation`` (n,) are those of ``VibrationMap.tells``; feed in m/s, air in m3/s.
     """
     limit = rms_limit(config)
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
@@ -241,12 +205,7 @@ def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
 
 
 def load_for(path: Path, plant: str, scene: Scene) -> VibrationMap:
-    """The map in a plant's file, if it was made of the tubes and the probe that the plant has now.
-
-    Args:
-        path: of the map.
-        plant: name of the plant's file, for errors.
-        scene: of the plant.
+    """The map in a file, if it was made of the tubes and the probe of a scene; ``plant`` is its name for errors.
 
     Raises:
         FileNotFoundError: no such file.

@@ -1,4 +1,1 @@
-"""What the sensor shows and what is found: motion of the sensor enters, signals, signal-to-noise and detection leave.
-
-Equations, conventions and assumptions: docs/inspection/signal.md. Imports settings and arrays; knows no simulator.
-"""
+"""Sensor model: what motion does to the signals, and what flaws are found; see docs/signal.md."""

@@ -22,37 +22,22 @@ FLAW_REACH: Final = 1.5
 
 @dataclass(frozen=True)
 class Flaw:
-    """A flaw that is put into the tube.
+    """A flaw that is put into the tube."""
 
-    Attributes:
-        place: of its middle, from the helix's entrance [m].
-        depth: share of the wall.
-    """
-
-    place: float
-    depth: float
+    place: float  # of its middle, from the helix's entrance [m]
+    depth: float  # share of the wall
 
 
 @dataclass(frozen=True)
 class Passage:
-    """What a sensor went through, k samples.
+    """What a sensor went through, k samples; SI units."""
 
-    Attributes:
-        time: (k,) [s], evenly spaced.
-        place: (k,) of the sensor from the helix's entrance [m].
-        feed: (k,) feed speed [m/s].
-        radial: (k,) displacement [m].
-        spectrum: (p, m) density of the motion by whose inverse the filter of each of p stretches weighs, at
-            ``spectrum.FREQUENCY`` [m2/Hz].
-        stretch: samples in one of them.
-    """
-
-    time: FloatArray
-    place: FloatArray
-    feed: FloatArray
-    radial: FloatArray
-    spectrum: FloatArray
-    stretch: int
+    time: FloatArray  # (k,) evenly spaced
+    place: FloatArray  # (k,) of the sensor from the helix's entrance
+    feed: FloatArray  # (k,) feed speed
+    radial: FloatArray  # (k,) displacement
+    spectrum: FloatArray  # (p, m) density by which the filter of each of p stretches weighs, at ``meter.FREQUENCY``
+    stretch: int  # samples in one of them
 
     @property
     def sample_period(self) -> float:
@@ -94,23 +79,9 @@ def support_signal(sensor: Sensor, place: FloatArray, supports: FloatArray) -> F
 
 
 def channels(
-    sensor: Sensor,
-    passage: Passage,
-    bore: float,
-    flaws: Sequence[Flaw],
-    supports: FloatArray,
-    rng: np.random.Generator,
+    sensor: Sensor, passage: Passage, bore: float, flaws: Sequence[Flaw], supports: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """(k, 2) voltages X and Y of a run [V], balanced: without their means.
-
-    Args:
-        sensor: its constants.
-        passage: how the sensor went and moved.
-        bore: inner diameter of the tube [m].
-        flaws: in it.
-        supports: places of its supports [m].
-        rng: of the electronic noise.
-    """
+    """(k, 2) voltages X and Y of a run [V], without their means; bore and places of supports in m."""
     moved = passage.radial - passage.radial.mean()
     voltages = sensor.gain * np.outer(moved, looks(sensor, 0.0))
     voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]

@@ -52,11 +52,7 @@ def pod_gaussian(snr: FloatArray, z: float) -> FloatArray:
 def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray) -> FloatArray:
     """(n, d) the same with the motion's part of the noise distributed as it was seen.
 
-    Args:
-        snr: (n, d) at n places and d depths.
-        z: threshold.
-        share: (n,) of the noise's variance that is motion.
-        counts: (len(MIDDLES),) of its excursions, over their expected deviation.
+    ``share`` (n,) of the noise's variance is motion, ``counts`` (len(MIDDLES),) are those of its excursions.
     """
     seen = counts > 0
     weights, motion = counts[seen] / counts.sum(), MIDDLES[seen]
@@ -70,13 +66,8 @@ def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray
 def threshold_as_seen(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
     """The threshold that noise as it was seen exceeds over as much of the length as Gaussian noise does ``z``.
 
-    Never below ``z``: what the few excursions of one tube do not show may come in the next.
-
-    Args:
-        z: threshold for Gaussian noise.
-        lengths: (n,) of the places [m].
-        share: (n,) of the noise's variance that is motion.
-        counts: (len(MIDDLES),) of its excursions.
+    Never below ``z``: what the few excursions of one tube do not show may come in the next. ``lengths`` (n,) are those
+    of the places [m]; the rest as in ``pod_as_seen``.
     """
     weights = lengths / lengths.sum()
 

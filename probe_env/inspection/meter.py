@@ -47,13 +47,10 @@ def _tapers() -> FloatArray:
 
 @lru_cache
 def kept(passed: float) -> float:
-    """The weight r that a mean of spectra keeps when the next one is taken.
+    """The weight r that a mean of spectra keeps when the next one is taken, after ``passed`` [s] of motion.
 
     Spectra overlap: the last second is wholly in the newest, and 1 - j passed / SPAN of the j-th before it is of that
     second, too. So (1 - r) sum over j >= 0 of r^j (1 - j passed / SPAN) = ``OWN``, which falls with r from 1 to 0.
-
-    Args:
-        passed: between two spectra [s] of the motion.
     """
     if passed >= SPAN:
         return 1.0 - OWN
@@ -68,9 +65,6 @@ def inverse(passed: float) -> float:
     A spectrum has ``TAPERS`` complex estimates of two degrees of freedom each. The next one has a part of them in
     common, so that the mean is worth (1 + r)/(1 - r) / (1 + 2 sum over j > 0 of r^j (correlation after j passed))
     spectra, and S is nearly chi-squared.
-
-    Args:
-        passed: between two spectra [s] of the motion.
     """
     r = kept(passed)
     shared = sum(r**j * _correlation(round(j * passed / STEP)) for j in range(1, math.ceil(SPAN / passed)))
@@ -84,11 +78,9 @@ def _correlation(steps: int) -> float:
     return float(((tapers[:, steps:] @ tapers[:, : COUNT - steps].T) ** 2).sum() / TAPERS)
 
 
-@lru_cache
-def _line() -> FloatArray:
-    """(COUNT,) a slope of unit energy and no mean."""
-    place = np.arange(COUNT) - 0.5 * (COUNT - 1)
-    return np.asarray(place / np.sqrt((place**2).sum()))
+_PLACE: Final = np.arange(COUNT) - 0.5 * (COUNT - 1)
+SLOPE: Final = _PLACE / np.sqrt((_PLACE**2).sum())
+"""(COUNT,) of unit energy and no mean."""
 
 
 def straightened(samples: FloatArray, sample_period: float) -> FloatArray:
@@ -97,9 +89,8 @@ def straightened(samples: FloatArray, sample_period: float) -> FloatArray:
     # sums: ``mean`` costs as much again as its sum
     means = samples[:, -COUNT * each :].reshape(len(samples), COUNT, each).sum(axis=2) / each
     level = means - means.sum(axis=1, keepdims=True) / COUNT
-    slope = _line()
     # no matrix product: it would round a row otherwise in another company
-    return np.asarray(level - (level * slope).sum(axis=1, keepdims=True) * slope)
+    return np.asarray(level - (level * SLOPE).sum(axis=1, keepdims=True) * SLOPE)
 
 
 def density(motion: FloatArray) -> FloatArray:
@@ -118,36 +109,26 @@ LINE: Final = 1.0 / SPAN
 
 
 class Heard(NamedTuple):
-    """What N probes would have shown of a groove of 20 % in a period.
+    """What N probes would have shown of a groove of 20 % in a period."""
 
-    Attributes:
-        snr: (N,) signal-to-noise of the groove.
-        share: (N,) of the filtered noise's variance that is the sensor's motion.
-        peak_to_peak: (N,) of the motion signal [V].
-        excursions: (N, COUNT) filtered motion over its expected deviation.
-    """
-
-    snr: FloatArray
-    share: FloatArray
-    peak_to_peak: FloatArray
-    excursions: FloatArray
+    snr: FloatArray  # (N,) signal-to-noise of the groove
+    share: FloatArray  # (N,) of the filtered noise's variance that is the sensor's motion
+    peak_to_peak: FloatArray  # (N,) of the motion signal [V]
+    excursions: FloatArray  # (N, COUNT) filtered motion over its expected deviation
 
 
 def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> FloatArray:
-    """(N,) signal-to-noise of the 20 % groove.
+    """(N,) signal-to-noise of the 20 % groove at feeds (N,) [m/s] of any sign.
 
-    Args:
-        sensor: its constants.
-        feed: (N,) feed speed [m/s]; its sign does not matter.
-        motion: (N, m) one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
+    ``motion`` (N, m) is the one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
     """
     passing = _passing(sensor, feed)
     noise = sensor.seen_gain**2 * motion + sensor.noise_density
     return _snr(sensor, passing, power(FREQUENCY * passing[:, None]) / noise)
 
 
-def _passing(sensor: Sensor, feed: FloatArray) -> FloatArray:
-    """(N,) time in which a flaw is passed [s]."""
+def _passing(sensor: Sensor, feed: FloatArray | float) -> FloatArray:
+    """Time in which a flaw is passed [s]."""
     return np.asarray(sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))
 
 
@@ -159,16 +140,11 @@ def _snr(sensor: Sensor, passing: FloatArray, weights: FloatArray) -> FloatArray
 
 
 def unbiased(sensor: Sensor, spectrum: FloatArray, inverse: float) -> FloatArray:
-    """(..., m) density of the motion [m2/Hz] with which 1/(all noise) is right in the mean.
+    """(..., m) density of the motion [m2/Hz], from its mean density, with which 1/(all noise) is right in the mean.
 
     A density S from few seconds scatters, and the mean of 1/S is ``inverse``, c, times 1/(mean of S). With the
     electronics' S_e the mean of 1/(S + S_e) is, to second order, (1 + (c - 1) s^2) / (S + S_e), s = S/(S + S_e), where
     S times 1 + (c - 1) s takes that back.
-
-    Args:
-        sensor: its constants.
-        spectrum: (..., m) mean density of the motion [m2/Hz].
-        inverse: c, see ``spectrum.inverse``.
     """
     moved = sensor.seen_gain**2 * spectrum
     return np.asarray(spectrum * (1.0 + (inverse - 1.0) * moved / (moved + sensor.noise_density)))
@@ -180,9 +156,9 @@ def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatA
     Args:
         sensor: its constants.
         feed: (N,) feed speed [m/s].
-        motion: (N, COUNT) of the last second [m], see ``spectrum.straightened``.
+        motion: (N, COUNT) of the last second [m], see ``straightened``.
         spectrum: (N, m) its mean density [m2/Hz].
-        inverse: the mean of its inverse over the inverse of its mean, see ``spectrum.inverse``.
+        inverse: the mean of its inverse over the inverse of its mean, see ``inverse``.
     """
     gain, electronics, passing = sensor.seen_gain, sensor.noise_density, _passing(sensor, feed)
     noise = gain**2 * unbiased(sensor, spectrum, inverse) + electronics
@@ -205,14 +181,9 @@ def response_of(
 ) -> FloatArray:
     """(n,) a signal (n,) [V] behind the matched filter, over its noise's deviation.
 
-    Args:
-        sensor: its constants.
-        feed: feed speed [m/s].
-        spectrum: (m,) density of the motion at ``FREQUENCY`` [m2/Hz].
-        signal: (n,) along the direction of the flaw.
-        sample_period: [s].
+    ``spectrum`` (m,) is the density of the motion at ``FREQUENCY`` [m2/Hz]; feed in m/s, sample period in s.
     """
-    passing = sensor.flaw_width / max(abs(feed), SLOWEST)
+    passing = _passing(sensor, feed)
     frequency = np.fft.rfftfreq(len(signal), sample_period)
     noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
     gain = np.sqrt(power(frequency * passing)) / noise

@@ -38,7 +38,7 @@ MIDDLE: Final = slice(3 * COUNT // 8, 5 * COUNT // 8)
 POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in DEPTHS)
 """KPIs: the probability of detection at each of ``DEPTHS``."""
 Reading = tuple[float, float, float, FloatArray]
-"""What is heard of one probe in a period, see ``matched.Heard``: one row of each."""
+"""What is heard of one probe in a period, see ``meter.Heard``: one row of each."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class DetectionTally:
     counts: FloatArray = field(default_factory=lambda: np.zeros(len(EDGES) - 1))
 
     def add(self, length: float, snr: float, share: float, peak_to_peak: float, excursions: FloatArray) -> None:
-        """A period: metres inspected, and what was ``matched.heard`` in it."""
+        """A period: metres inspected, and the ``Reading`` of it."""
         self.lengths.append(length)
         self.snr.append(snr)
         self.shares.append(share)
@@ -107,17 +107,7 @@ def curve(lengths: FloatArray, pod: FloatArray, length: float) -> FloatArray:
 def figures(
     lengths: FloatArray, snr: FloatArray, peaks: FloatArray, pod: FloatArray, length: float, z: float, gaussian: bool
 ) -> dict[str, float]:
-    """KPIs by name.
-
-    Args:
-        lengths: (n,) of the places [m].
-        snr: (n,) of the 20 % groove.
-        peaks: (n,) peak to peak of the motion signal [V].
-        pod: (n, d) probability of detection at ``DEPTHS``.
-        length: all that was to be inspected [m].
-        z: threshold, deviations of the noise.
-        gaussian: whether the motion passed for Gaussian.
-    """
+    """KPIs by name, of n places as in a ``Pass``; ``length`` is all that was to be inspected [m], z the threshold."""
     mean = curve(lengths, pod, length)
     inspected = float(lengths.sum())
     return {
@@ -140,20 +130,13 @@ WAY_BACK: Final[tuple[Stretch, ...]] = ("turn", "back")
 
 
 class Pass(NamedTuple):
-    """Places (n,) of one pass in the order of their lengths, which do not overlap.
+    """Places (n,) of one pass in the order of their lengths, which do not overlap."""
 
-    Attributes:
-        low, high: inserted length at their ends [m].
-        snr: of the 20 % groove.
-        peak_to_peak: of the motion signal [V].
-        pod: (n, d) probability of detection at ``DEPTHS``.
-    """
-
-    low: FloatArray
+    low: FloatArray  # inserted length at their ends [m]
     high: FloatArray
-    snr: FloatArray
-    peak_to_peak: FloatArray
-    pod: FloatArray
+    snr: FloatArray  # of the 20 % groove
+    peak_to_peak: FloatArray  # of the motion signal [V]
+    pod: FloatArray  # (n, d) probability of detection at ``DEPTHS``
 
     def at(self, lengths: FloatArray) -> Pass:
         """The places in which lengths (m,) lie; nothing is found and S/N is 0 where there is none."""
@@ -166,12 +149,7 @@ class Pass(NamedTuple):
 
 
 class EitherTally:
-    """Places of one inspection.
-
-    Args:
-        sensor: its constants.
-        inspects: the pass that is looked at, or ``best``: both.
-    """
+    """Places of one inspection; ``inspects`` is the pass that is looked at, or ``best``: both."""
 
     def __init__(self, sensor: Sensor, inspects: Literal["in", "back", "best"]) -> None:
         stretches: dict[str, tuple[Stretch, ...]] = {"in": ("in",), "back": WAY_BACK, "best": get_args(Stretch)}

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -20,9 +19,12 @@ SHORT = {
     "probe_env/Inspection-v0": {"fidelity": "fast"},
 }
 SNAPSHOT = {"scene": {"carrier_length": 8.0}}
-CHECKED = [(env_id, given) for env_id, given in SHORT.items() if given] + [
-    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": variant})
-    for variant in ({}, {"observe_root_tension": False}, {"privileged": True}, {"observe_probe": True})
+CHECKED = [
+    pytest.param("probe_env/Insertion-v1", {"fidelity": "fast"}, marks=pytest.mark.slow),
+    pytest.param("probe_env/Inspection-v0", {"fidelity": "fast"}, marks=pytest.mark.slow),
+    ("probe_env/Snapshot-v1", SNAPSHOT),
+    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": {"observe_root_tension": False, "privileged": True}}),
+    ("probe_env/Snapshot-v1", SNAPSHOT | {"config": {"observe_probe": True}}),
 ]
 
 
@@ -47,23 +49,23 @@ def test_a_spec_goes_through_json(env_id):
 
 
 @IDS
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_bit_for_bit(env_id, duplicate):
+def test_a_copy_goes_on_bit_for_bit(env_id):
     env = gym.make(env_id, **SHORT[env_id])
     env.reset(seed=4)
     action = np.array([0.3, -0.2], dtype=np.float32)
     env.step(action)
-    other = duplicate(env)
+    others = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
     for _ in range(2):
-        a, b = env.step(action), other.step(action)
-        assert (a[0] == b[0]).all()
-        assert a[1:4] == b[1:4]
-    assert (env.reset()[0] == other.reset()[0]).all()  # the generator was copied too
+        a = env.step(action)
+        for b in (other.step(action) for other in others):
+            assert (a[0] == b[0]).all()
+            assert a[1:4] == b[1:4]
+    begun = env.reset()[0]
+    assert all((begun == other.reset()[0]).all() for other in others)  # the generator was copied too
 
 
-@IDS
-def test_wrappers_work(env_id, tmp_path):
-    env = gym.make(env_id, render_mode="rgb_array", **SHORT[env_id])
+def test_wrappers_work(tmp_path):
+    env = gym.make("probe_env/Insertion-v1", render_mode="rgb_array", fidelity="fast")
     env = RecordVideo(env, str(tmp_path / "films"), disable_logger=True)  # a folder that is not there yet
     env = RecordEpisodeStatistics(TimeLimit(FlattenObservation(env), 3))
     env.reset(seed=1)
@@ -93,7 +95,11 @@ def test_options_fix_the_context_and_the_rest_is_drawn_alike():
         (lambda: gym.make("probe_env/Insertion-v1", fidelity="best"), "fidelity = 'best'"),
         (lambda: gym.make("probe_env/Insertion-v1", contexts="exam"), "contexts = 'exam'"),
         (lambda: gym.make("probe_env/Insertion-v1", feed_speed=3.0), "feed_speed = 3.0"),
-        (lambda: gym.make("probe_env/Insertion-v1", config={"time_weigth": 1.0}), "time_weigth"),
+        (lambda: gym.make("probe_env/Insertion-v1", config={"bogus": 1}), "bogus: there is no such field; accepted"),
+        (
+            lambda: gym.make_vec("probe_env/Insertion-v1", config={"bogus": 1}),
+            "bogus: there is no such field; accepted",
+        ),
         (lambda: gym.make("probe_env/Insertion-v1", scene={"tubes": {}}), "tubes"),
         (lambda: gym.make("probe_env/Insertion-v1", config={"ratio_cap": 0.0}), "0.0 is outside"),
         (lambda: gym.make("probe_env/Insertion-v1", config={"feed_speeds": (0.4, 0.1)}), "must ascend"),
@@ -108,6 +114,7 @@ def test_bad_arguments_are_named(call, message):
     with pytest.raises(ValueError, match=message) as caught:
         call()
     assert "\n" not in str(caught.value)
+    assert "pydantic" not in str(caught.value)
 
 
 def test_bad_actions_are_named_and_nothing_is_advanced():
@@ -130,33 +137,3 @@ def test_a_step_after_the_end_is_refused():
     assert env.step(np.zeros(2, dtype=np.float32))[3]
     with pytest.raises(RuntimeError, match="call reset before step"):
         env.step(np.zeros(2, dtype=np.float32))
-
-
-def test_rendering_needs_no_display_and_shows_the_probe_moving():
-    env = gym.make("probe_env/Insertion-v1", fidelity="fast", render_mode="rgb_array")
-    env.reset(seed=0)
-    first = env.render()
-    env.step(np.ones(2, dtype=np.float32))
-    second = env.render()
-    assert first.shape == second.shape == (600, 1000, 3)
-    assert first.dtype == np.uint8
-    assert (first != second).any()
-    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
-
-
-@pytest.mark.parametrize(
-    ("settings", "problem"),
-    [
-        ({"config": {"bogus": 1}}, "bogus: there is no such field; accepted: scene, sensor, "),
-        (
-            {"tube": {"tube": {"bore": 1}}},
-            "tube.bore: there is no such field; accepted: helix_diameter, inner_diameter",
-        ),
-    ],
-)
-@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)], ids=["one", "many"])
-def test_what_is_not_known_is_said_in_one_line_with_what_is(make, settings, problem):
-    with pytest.raises(ValueError, match=problem) as caught:
-        make("probe_env/Insertion-v1", **settings)
-    assert "\n" not in str(caught.value)
-    assert "pydantic" not in str(caught.value)

@@ -8,24 +8,16 @@ from probe_env import Plant, TaskConfig
 from probe_env.inspection.sensor import Sensor
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"flaw_width": 0.0}, "flaw_width: 0.0 m is outside the accepted range 0.001 to 0.5 m"),
-        ({"quiet_snr": -1.0}, "quiet_snr: -1.0 is outside the accepted range 0.1 to 1000"),
-        ({"false_calls": float("nan")}, "false_calls: nan is outside the accepted range 1e-06 to 100"),
-        ({"shaken_snr": 8.0}, "shaken_snr = 8.0 must be below quiet_snr = 7.5"),
-        ({"angle": 7.0}, "angle: 7.0 rad is outside the accepted range"),
-        ({"depth_exponent": 0.0}, "depth_exponent: 0.0 is outside the accepted range 0.2 to 4"),
-        ({"gain": 3.0}, "gain: there is no such field; accepted: flaw_width, groove_signal"),
-    ],
-)
-def test_what_is_out_of_range_is_named(fields, message, tmp_path):
+def test_what_is_out_of_range_is_named(tmp_path):
     path = tmp_path / "tube.toml"
-    path.write_text("[sensor]\n" + "".join(f"{name} = {value}\n" for name, value in fields.items()))
-    place = "" if message.startswith("shaken") else "sensor."
-    with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(place + message)):
-        Plant.from_toml(path)
+    for text, message in (
+        ("flaw_width = 0.0", "sensor.flaw_width: 0.0 m is outside the accepted range 0.001 to 0.5 m"),
+        ("shaken_snr = 8.0", "shaken_snr = 8.0 must be below quiet_snr = 7.5"),
+        ("gain = 3.0", "sensor.gain: there is no such field; accepted: flaw_width, groove_signal"),
+    ):
+        path.write_text(f"[sensor]\n{text}\n")
+        with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(message)):
+            Plant.from_toml(path)
 
 
 def test_a_plant_carries_its_sensor_to_the_task():

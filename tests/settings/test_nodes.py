@@ -57,7 +57,7 @@ def test_it_is_said_once(caplog):
     assert "imex32 at 0.000125 s, 8 nodes a pitch is taken" in line
 
 
-@pytest.mark.parametrize("env_id", ["Insertion", "Design"])
+@pytest.mark.parametrize("env_id", ["Insertion", pytest.param("Design", marks=pytest.mark.slow)])
 def test_environments_simulate_such_a_scene_by_default(env_id):
     """Digit by digit as with the settings that are taken."""
     taken, tube = resolve_fidelity("standard", Scene.model_validate(CABLE)), SHORT | CABLE

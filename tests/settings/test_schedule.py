@@ -65,43 +65,26 @@ BROKEN = {
     "no rows": (HEAD, "no rows"),
     "no position": ("feed_speed_m_per_s,air_supply_m3_per_h\n0.2,63\n", "one of the columns time_s"),
     "no feed": ("time_s,air_supply_m3_per_h\n0,63\n", "column feed_speed_m_per_s is missing"),
-    "no air": ("time_s,feed_speed_m_per_s\n0,0.2\n", "column air_supply_m3_per_h is missing"),
-    "wrong unit": ("time_s,feed_speed_mm_per_s,air_supply_m3_per_h\n0,200,63\n", "feed_speed_m_per_s is missing"),
     "column twice": ("time_s,time_s,feed_speed_m_per_s,air_supply_m3_per_h\n0,0,1,63\n", "'time_s' appears 2 times"),
     "short row": (HEAD + "5,0.2\n", "line 2 has 2 values for 3 columns"),
-    "long row": (HEAD + "5,0.2,63\n6,0.2,63,1\n", "line 3 has 4 values for 3 columns"),
     "text": (HEAD + "5,fast,63\n", "line 2, feed_speed_m_per_s = 'fast' is not a number"),
     "hole": (HEAD + "5,,63\n", "line 2, feed_speed_m_per_s = '' is not a number"),
     "nan": (HEAD + "5,nan,63\n", "line 2, feed_speed_m_per_s = 'nan' is not finite"),
-    "infinite": (HEAD + "5,0.2,inf\n", "line 2, air_supply_m3_per_h = 'inf' is not finite"),
-    "negative feed": (
-        HEAD + "5,-0.1,63\n",
-        "line 2, feed_speed_m_per_s = -0.1 is outside the accepted range",
-    ),
+    "negative feed": (HEAD + "5,-0.1,63\n", "line 2, feed_speed_m_per_s = -0.1 is outside the accepted range"),
     "air in m3/s by a thousand": (HEAD + "5,0.2,63000\n", "air_supply_m3_per_h = 63000.0 is outside"),
-    "negative position": (HEAD + "-5,0.2,63\n", "inserted_length_m = -5.0 is outside"),
     "not ascending": (HEAD + "5,0.2,63\n4,0.2,63\n", "line 3, inserted_length_m = 4.0 must be greater than 5.0"),
-    "same place twice": (HEAD + "5,0.2,63\n5,0.1,63\n", "line 3, inserted_length_m = 5.0 must be greater than 5.0"),
     "decimal comma": (HEAD + '5,"0,2",63\n', "line 2, feed_speed_m_per_s = '0,2' is not a number"),
     "bad quote": (HEAD + '5,"0.2"x,63\n', "not CSV"),
-    "unknown interpolation": (
-        "# interpolation: cubic\n" + HEAD + "5,0.2,63\n",
-        "interpolation = 'cubic'",
-    ),
+    "unknown interpolation": ("# interpolation: cubic\n" + HEAD + "5,0.2,63\n", "interpolation = 'cubic'"),
     "other comment": ("# by hand\n" + HEAD + "5,0.2,63\n", "line 1: a comment must be"),
 }
 BROKEN_TOML = {
     "not toml": ("points = [", "not a TOML file"),
     "no points": ("interpolation = 'linear'", "points must be a list of tables"),
-    "empty points": ("points = []", "points must be a list of tables"),
     "unknown key": ("pionts = []", "unknown key 'pionts'"),
     "missing value": (
         "points=[{time_s=0,feed_speed_m_per_s=0.2,air_supply_m3_per_h=63},{time_s=1,feed_speed_m_per_s=0.2}]",
         "point 2, air_supply_m3_per_h = None is not a number",
-    ),
-    "a truth": (
-        "points=[{time_s=0,feed_speed_m_per_s=true,air_supply_m3_per_h=63}]",
-        "point 1, feed_speed_m_per_s = True is not a number",
     ),
 }
 

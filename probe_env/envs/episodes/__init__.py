@@ -1,9 +1,4 @@
-"""Episodes of N probes: simulator and task put together, once for single environments and for many.
-
-Tubes, probes and actions enter, observations, rewards, endings and the figures of an episode leave. ``starts`` draws
-what an episode begins with, ``limits`` refuses what cannot be simulated. Imports the task, plants,
-contexts, the physics, the sensor, designs and fidelities.
-"""
+"""Episodes of N probes: simulator and task together, for single environments and batches."""
 
 from probe_env.envs.episodes.episodes import START_PERTURBATION, Episodes, Step
 

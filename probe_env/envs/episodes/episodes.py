@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Unpack, get_args
+from typing import Any, Final, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,11 @@ import numpy.typing as npt
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.gauges import Gauges
-from probe_env.envs.episodes.judge import Judge, Motion, Verdict, judged_beside, judges_of
+from probe_env.envs.episodes.judge import Judge, Score
 from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import Inspects, TaskConfig
+from probe_env.envs.task import FAILURES, MEASURES, TaskConfig, air_used, capped_square
+from probe_env.envs.task.passes import StepRecord
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulation.batch import SimulatorBatch
@@ -95,7 +96,6 @@ class Episodes:
         self.context = [Context()] * count
         self.gauges = Gauges(config, self.batch)
         self.judge = Judge(count, config)
-        self.beside = judges_of(count, config, get_args(Inspects))
         self.tally, self.passes = self.judge.tally, self.judge.passes
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.actions = np.tile(self.start_action, (count, 1))
@@ -134,7 +134,7 @@ class Episodes:
         """
         new = copy.copy(self)
         new.batch = self.batch.branch(which)
-        new.gauges, new.judge, new.beside = self.gauges.fork(which, new.batch), self.judge.fork(which), {}
+        new.gauges, new.judge = self.gauges.fork(which, new.batch), self.judge.fork(which)
         new.tally, new.passes = new.judge.tally, new.judge.passes
         new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
         new.actions, new.running, new.window = self.actions[list(which)], self.running[list(which)], None
@@ -170,8 +170,7 @@ class Episodes:
                 seed=seed, **self._options(),
             )  # fmt: skip
             self.batch.replace(k, simulator)
-            for judge in self._judges():
-                judge.begin(k, simulator.inserted_length, scene.tube.helix_length)
+            self.judge.begin(k, simulator.inserted_length, scene.tube.helix_length)
             self.gauges.meter.forget(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
@@ -182,8 +181,7 @@ class Episodes:
         infos = {}
         for k in which:
             self.batch.simulators[k].feed_length()
-            for judge in self._judges():
-                judge.settled(k, window.radial_of(k)[-2:])
+            self.tally[k].last_radial = window.radial_of(k)[-2:].copy()
             self.running[k] = True  # one that diverged while settling ends in its first step
         self.gauges.begin(self._measured(window), active, self.rng)
         for k in which:
@@ -201,9 +199,15 @@ class Episodes:
             ValueError: an action is not valid; nothing has been advanced then.
             RuntimeError: an active episode has ended and was not reset.
         """
-        chosen, actions = self._decided(actions, active)
+        count = len(self)
+        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        given = np.asarray(actions, dtype=np.float32)
+        if given.shape != (count, 2):
+            raise ValueError(f"actions have shape {given.shape}; accepted is ({count}, 2): feed speed, air supply")
+        actions = np.where(chosen[:, None], given, self.actions).astype(np.float32)
         targets = self.config.targets(actions, self.may_stand) * self.passes.way[:, None]
-        self._check_running(chosen)
+        if (chosen & ~self.running).any():
+            raise RuntimeError(f"episode {np.flatnonzero(chosen & ~self.running)[0]} has ended: call reset before step")
         change = np.where(chosen[:, None], actions.astype(float) - self.actions, 0.0)
         self.actions = actions
         before, air_before = self.gauges.inserted(), self.gauges.air_supply_rate()
@@ -213,34 +217,14 @@ class Episodes:
             simulator = self.batch.simulators[k]
             (simulator.feed_length if lapse[k] > 1.0 else simulator.follow_length)()
         seconds = self.config.period / lapse
-        window = self._advance(targets, seconds, chosen)
-        motion = self._motion(chosen, before, air_before, seconds, change, window)
-        verdict = self.judge.judge(motion)
-        for judge in self.beside.values():
-            judge.judge(motion)
-        self.gauges.read(self._measured(window), motion.good, self.rng)
-        self.running &= ~verdict.end.over
-        self.window = window
-        infos = [self._step_info(k, window, verdict, targets) if chosen[k] else {} for k in range(len(self))]
-        end = verdict.end
-        return Step(self.observation.copy(), verdict.reward, end.terminated, end.truncated, infos)
-
-    def _judges(self) -> tuple[Judge, ...]:
-        return self.judge, *self.beside.values()
-
-    def _decided(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
-        """Which probes are stepped, and the actions (N, 2); of those that are not, the last ones."""
-        count = len(self)
-        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        given = np.asarray(actions, dtype=np.float32)
-        if given.shape != (count, 2):
-            raise ValueError(f"actions have shape {given.shape}; accepted is ({count}, 2): feed speed, air supply")
-        return chosen, np.where(chosen[:, None], given, self.actions).astype(np.float32)
-
-    def _check_running(self, chosen: BoolArray) -> None:
-        ended = np.flatnonzero(chosen & ~self.running)
-        if len(ended):
-            raise RuntimeError(f"episode {ended[0]} has ended: call reset before step")
+        self.window = window = self._advance(targets, seconds, chosen)
+        record = self._record(chosen, before, air_before, seconds, change, window)
+        load = np.array([buckling_load(s.scene.probe) for s in self.batch.simulators])
+        score = self.judge.judge(record, window, self.gauges.meter, load)
+        self.gauges.read(self._measured(window), record.good, self.rng)
+        self.running &= ~score.end.over
+        infos = [self._step_info(k, window, score, targets) if chosen[k] else {} for k in range(count)]
+        return Step(self.observation.copy(), score.reward, score.end.terminated, score.end.truncated, infos)
 
     def _advance(self, targets: FloatArray | None, seconds: FloatArray, which: BoolArray) -> Window:
         """Advance some probes by (N,) seconds towards targets (N, 2), or on as they are, and hear their motion."""
@@ -252,7 +236,7 @@ class Episodes:
             parts.append((part, self.gauges.listen(window, part & ~window.diverged)))
         return joined(parts)
 
-    def _motion(
+    def _record(
         self,
         chosen: BoolArray,
         before: FloatArray,
@@ -260,19 +244,22 @@ class Episodes:
         seconds: FloatArray,
         change: FloatArray,
         window: Window,
-    ) -> Motion:
-        load = np.array([buckling_load(s.scene.probe) for s in self.batch.simulators])
-        return Motion(
-            chosen, chosen & ~window.diverged, before, self.gauges.inserted(), self.gauges.helix_length(), air_before,
-            seconds, change, load, window, self.gauges.meter,
+    ) -> StepRecord:
+        config, statistics, good = self.config, window.statistics, chosen & ~window.diverged
+        ratio = statistics[MEASURES[config.vibration_measure][0]] / config.limit
+        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
+        air = np.where(good, air_used(config, air_before, window.air_supply_rate), 0.0)
+        return StepRecord(
+            chosen, good, before, self.gauges.inserted(), self.gauges.helix_length(), window.feed_speed, air, seconds,
+            change, capped_square(config, ratio), ratio <= 1.0, rms**2,
         )  # fmt: skip
 
     def _measured(self, window: Window) -> dict[str, FloatArray]:
         return self.gauges.measured(window, self.context, self.actions) | {"way": self.passes.way.copy()}
 
-    def _step_info(self, k: int, window: Window, verdict: Verdict, targets: FloatArray) -> dict[str, Any]:
+    def _step_info(self, k: int, window: Window, score: Score, targets: FloatArray) -> dict[str, Any]:
         terms, costs = (
-            {name: float(values[k]) for name, values in part.items()} for part in (verdict.rewards, verdict.costs)
+            {name: float(values[k]) for name, values in part.items()} for part in (score.rewards, score.costs)
         )
         info = self._info(k, window) | {
             "reward_terms": terms,
@@ -280,13 +267,10 @@ class Episodes:
             "cost_terms": costs,
             "target_feed_speed": float(targets[k, 0]),
             "target_air_supply_rate": float(targets[k, 1]),
-            **verdict.end.failed(k),
+            **{name: bool(getattr(score.end, name)[k]) for name in FAILURES},
         }
         if not self.running[k]:
-            tube = float(self.gauges.helix_length()[k])
-            info["episode_kpis"] = self.judge.kpis(k, tube, verdict.end)
-            for look, judge in self.beside.items():
-                info["episode_kpis"] |= judged_beside(look, judge.kpis(k, tube, verdict.end))
+            info["episode_kpis"] = self.judge.kpis(k, float(self.gauges.helix_length()[k]), score.end)
         return info
 
     def check_tube(self, context: Context) -> None:

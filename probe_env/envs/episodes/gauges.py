@@ -1,4 +1,4 @@
-"""What a rig's instruments tell of N probes: lengths, signal-to-noise, and observations, late and with noise."""
+"""Sensor model: observations of N probes with noise and delay."""
 
 from __future__ import annotations
 
@@ -28,14 +28,10 @@ SHOWN: Final = (
 
 
 class Gauges:
-    """Instruments of N probes.
-
-    Args:
-        config: the task: sensors, noise, delays, and what is observed.
-        batch: the probes.
+    """Sensor model: observations of the N probes of a batch, with noise and delay.
 
     Attributes:
-        meter: hears their signal-to-noise.
+        meter: estimates their signal-to-noise.
         observed: (N, delay + 1, d) last observations, the one that is shown first.
     """
 

@@ -43,13 +43,9 @@ class Sliding(NamedTuple):
 
 
 def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float) -> None:
-    """Raise ValueError if a fidelity cannot simulate an episode; fields are named as in a ``Context``.
+    """Raise ValueError if a fidelity cannot simulate an episode that begins at rest in a scene.
 
-    Args:
-        scene: as the episode starts, at rest with its air supply.
-        fidelity: method, step and mesh.
-        longest: the inserted length at its end [m].
-        most_air: the greatest air supply [m3/s].
+    ``longest`` is the inserted length at its end [m], ``most_air`` the greatest air supply [m3/s].
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
@@ -106,17 +102,13 @@ def softest_wall(probe: Probe) -> float:
 def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction: float) -> Sliding:
     """How far drag alone stretches ``length`` metres of probe and presses them into the wall, at no feed.
 
-    Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / D), with the drag q of the guide's floats, then of
-    the carrier's; an element of it gives T / EA, and as much as its floats sink in, T p / (k r^2).
+    dT/ds = q - mu' T / r from the tip on, mu' = mu (1 - d_f / D); an element gives T / EA and T p / (k r^2).
     """
     probe, radius = scene.probe, scene.tube.helix_diameter / 2.0
     pressure = 0.5 * scene.air.drag_coefficient * scene.air.density * air_speed(scene, air_supply_rate) ** 2
     guide = min(probe.guide_length, length)
     tension = greatest = whole = 0.0
-    for diameter, section in (
-        (probe.guide_float_diameter, guide),
-        (probe.carrier_float_diameter, length - guide),
-    ):
+    for diameter, section in ((probe.guide_float_diameter, guide), (probe.carrier_float_diameter, length - guide)):
         drag = pressure * math.pi / 4.0 * (diameter**2 - probe.cable_diameter**2) / probe.float_pitch
         decay = friction * (1.0 - diameter / scene.tube.helix_diameter) / radius
         if decay * section < 1e-6:  # the limit, where the other form cancels
@@ -132,7 +124,7 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
 
 
 def _longest_step(method: str, scene: Scene, nodes_per_pitch: int) -> float:
-    """The longest step known to hold [s]; where none is known, the longest that contact allows."""
+    """The longest step known to hold [s], or else that contact allows."""
     known = METHODS[method]
     return known.stable_step(scene, nodes_per_pitch) or known.contact_step(scene, nodes_per_pitch)
 
@@ -148,10 +140,7 @@ def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
 
 
 def _that_holds(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
-    """Settings that hold, the step a round one: by the same method, in double precision, on nodes.
-
-    ``start`` and ``end`` are tensions [N], see ``_pulled_step``.
-    """
+    """Settings that hold, the step a round one: by the same method, in double precision, on nodes."""
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
         nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else MESH_NODES

@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import GivenPlant, map_beside, plant_of
-from probe_env.envs.task import TaskConfig, scene_of
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene, whole_pitches
@@ -34,16 +35,7 @@ RANDOM_TUBES: Final = 1024
 
 
 class PlaceSettings(TypedDict, total=False):
-    """Where something is tried and how closely it is simulated.
-
-    Attributes:
-        tube: a plant, its file or its fields, see ``plants.Plant``: sets the scene, what is not given of the task, and
-            what random contexts are drawn from. None (default): table 2's.
-        scene: what contexts and options change, a mapping of what differs from table 2's, or None for that (default).
-        fidelity: preset name (default "standard"), settings or a mapping of them, see ``fidelity.PRESETS``.
-        contexts: "random" (default), the shipped list ("train", "validation", "test") that every reset draws from, a
-            list of one's own, or ranges.
-    """
+    """Where something is tried and how closely it is simulated; see ``InsertionEnv`` for what each means."""
 
     tube: GivenPlant
     scene: Scene | Mapping[str, Any] | None
@@ -52,15 +44,7 @@ class PlaceSettings(TypedDict, total=False):
 
 
 class EpisodeSettings(PlaceSettings, total=False):
-    """What episodes share besides the task: keyword arguments of everything that plays them.
-
-    Attributes:
-        feed_speed: of the settling before an episode [m/s], default 0.2 or the nearest in the task's range.
-        air_supply_rate: of the settling [m3/s], default 63 m3/h, alike.
-        probes: "scene" (default), or "random": every reset draws a ``Design``.
-        surrogate_map: what fidelity "surrogate" predicts with, a map or its file; default: the file beside the tube's
-            (NAME-map.npz), if there is one, else the shipped map.
-    """
+    """What episodes share besides the task; see ``InsertionEnv`` for what each means. SI units."""
 
     feed_speed: float
     air_supply_rate: float
@@ -84,17 +68,7 @@ def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, floa
 
 @dataclass(frozen=True)
 class Starts:
-    """What episodes begin from.
-
-    Attributes:
-        config: the task, with the scene that contexts and options change.
-        contexts: "random", the shipped list that is drawn from, a list of one's own, or ranges.
-        probes: "scene", or "random": a ``Design`` is drawn.
-        feed_speed, air_supply_rate: of the settling before an episode [m/s], [m3/s].
-
-    Raises:
-        ValueError: no such list of contexts or of probes.
-    """
+    """What episodes begin from, see ``EpisodeSettings``; ValueError for contexts or probes that there are not."""
 
     config: TaskConfig
     contexts: Contexts
@@ -122,11 +96,7 @@ class Starts:
             lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
             probe = Design.model_validate(lightest).cut_to(self.scene).probe(self.scene.probe)
             update |= {"probe": probe, "carrier_length": whole_pitches(self.scene.carrier_length, probe)}
-        return self._pressed(self.scene.model_copy(update=update))
-
-    def _pressed(self, scene: Scene) -> Scene:
-        """The scene with what the way back needs."""
-        return scene.model_copy(update=WAY_BACK) if self.config.returns else scene
+        return self.scene.model_copy(update=update | (WAY_BACK if self.config.returns else {}))
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
         """Context and scene of an episode, see ``Episodes.reset`` for the options; whatever they fix is drawn as well.
@@ -143,7 +113,7 @@ class Starts:
 
     def build(self, context: Context, changes: Mapping[str, Any]) -> Scene:
         """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
-        scene = context.apply(self._pressed(self.scene))
+        scene = context.apply(self.scene.model_copy(update=WAY_BACK) if self.config.returns else self.scene)
         if self.config.growing and "carrier_length" in changes:
             raise ValueError("carrier_length is not an option here: the probe starts short and is fed in")
         probe = scene.probe.model_copy(update=changes.get("probe", {}))
@@ -153,13 +123,8 @@ class Starts:
         if self.config.growing:
             start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
             carrier = round((start - probe.guide_length) / probe.float_pitch) * probe.float_pitch
-        update: dict[str, Any] = {
-            "probe": probe,
-            "carrier_length": carrier,
-            "feed_speed": self.feed_speed,
-            "air_supply_rate": self.air_supply_rate,
-        }
-        return scene.model_copy(update=update)
+        settled = {"feed_speed": self.feed_speed, "air_supply_rate": self.air_supply_rate}
+        return scene.model_copy(update={"probe": probe, "carrier_length": carrier} | settled)
 
 
 def placed(
@@ -174,8 +139,17 @@ def placed(
 
     Raises:
         ValueError: a field that is not known or not valid, or settings that exclude each other.
+        TypeError: a field of the task among the settings.
     """
-    check_settings(settings)
+    for name in settings:
+        if name in TaskConfig.model_fields and name != "scene":
+            raise TypeError(f"{name} is a field of the task: give config={{{name!r}: ...}}")
+    contexts = settings.get("contexts")
+    if settings.get("tube") is not None and isinstance(contexts, str) and contexts in SPLIT_SIZES:
+        raise ValueError(
+            f"contexts = {contexts!r} are table 2's tubes: beside a tube leave it out, and they are drawn from what is"
+            " known of it, or give Contexts of your own"
+        )
     left = settings.copy()
     file = left.get("tube")
     if isinstance(file, str | Path) and map_beside(Path(file)).exists():
@@ -194,19 +168,6 @@ def placed(
     if left.get("contexts", "random") == "random":
         left["contexts"] = plant.contexts(RANDOM_TUBES)
     return plant.configured(defaults, config), left
-
-
-def check_settings(settings: Mapping[str, Any]) -> None:
-    """Raise TypeError for a field of the task among the settings, ValueError for tubes that are not the plant's."""
-    for name in settings:
-        if name in TaskConfig.model_fields and name != "scene":
-            raise TypeError(f"{name} is a field of the task: give config={{{name!r}: ...}}")
-    contexts = settings.get("contexts")
-    if settings.get("tube") is not None and isinstance(contexts, str) and contexts in SPLIT_SIZES:
-        raise ValueError(
-            f"contexts = {contexts!r} are table 2's tubes: beside a tube leave it out, and they are drawn from what is"
-            " known of it, or give Contexts of your own"
-        )
 
 
 def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:

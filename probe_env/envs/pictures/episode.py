@@ -11,19 +11,7 @@ from matplotlib.figure import Figure
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.pictures.plate import (
-    BLUE,
-    DPI,
-    GREEN,
-    QUIET_MM,
-    RED,
-    SIZE,
-    Picture,
-    Plate,
-    Screen,
-    label_of,
-    limits_around,
-)
+from probe_env.envs.pictures.plate import BLUE, DPI, GREEN, QUIET_MM, RED, SIZE, Picture, Plate, label_of, limits_around
 from probe_env.envs.task import TaskConfig
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
@@ -158,23 +146,23 @@ class Renderer:
         self.history: list[tuple[float, ...]] = []
         self._felt: Window | None = None  # of the last period
         self._drawn: tuple[Plate, Helix, Traces] | None = None
-        self._screen = Screen()
+        self._window: tuple[Any, Any] | None = None  # figure and image
 
     def begin(self, info: dict[str, Any]) -> None:
         """Begin with the info of a reset; the last episode is forgotten, and its tube may have been another."""
-        self.history, self._drawn, self._felt = [], None, None
-        self._note(info, 0.0, np.zeros(1))
+        self.history, self._drawn, self._felt = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
 
     def add(self, info: dict[str, Any], reward: float) -> None:
         """Note a period's info and reward."""
         self._felt = self.episodes.window
         assert self._felt is not None
         assert self._felt.radial is not None
-        self._note(info, reward, self._felt.radial[:, self.index])
+        radial = self._felt.radial[:, self.index]
+        self.history.append((*self._values(info), reward, float(radial.min()), float(radial.max())))
 
-    def _note(self, info: dict[str, Any], reward: float, radial: FloatArray) -> None:
-        row = (*(float(info[name]) for name in COLUMNS), reward, float(radial.min()), float(radial.max()))
-        self.history.append(row)
+    @staticmethod
+    def _values(info: dict[str, Any]) -> tuple[float, ...]:
+        return tuple(float(info[name]) for name in COLUMNS)
 
     def picture(self) -> Picture:
         """(h, w, 3) RGB picture; needs no display."""
@@ -186,11 +174,26 @@ class Renderer:
 
     def show(self) -> None:
         """Show the picture in a window (needs a display and an interactive matplotlib backend)."""
-        self._screen.show(self.picture())
+        import matplotlib.pyplot as plt
+
+        picture = self.picture()
+        if self._window is None or not plt.fignum_exists(self._window[0].number):  # or the user closed it
+            plt.ion()
+            figure = plt.figure(figsize=SIZE, dpi=DPI)
+            axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+            axes.axis("off")
+            self._window = figure, axes.imshow(picture)
+        else:
+            self._window[1].set_data(picture)
+        plt.pause(1e-3)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        self._screen.close()
+        if self._window is not None:
+            import matplotlib.pyplot as plt
+
+            plt.close(self._window[0])
+            self._window = None
 
     def _draw(self) -> tuple[Plate, Helix, Traces]:
         """Everything that stays for an episode."""
@@ -206,4 +209,4 @@ class Renderer:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies draw anew: neither pixels nor windows are copied."""
-        return self.__dict__ | {"_drawn": None, "_screen": Screen()}
+        return self.__dict__ | {"_drawn": None, "_window": None}

@@ -69,35 +69,6 @@ class Plate:
         self._extent[axes] = axes.get_tightbbox(renderer)
 
 
-class Screen:
-    """Shows pictures in a window; needs a display and an interactive matplotlib backend."""
-
-    def __init__(self) -> None:
-        self._figure: Any = None
-
-    def show(self, picture: Picture) -> None:
-        """Show a picture in place of the last one."""
-        import matplotlib.pyplot as plt
-
-        if self._figure is None or not plt.fignum_exists(self._figure.number):  # or it was closed by hand
-            plt.ion()
-            self._figure = plt.figure(figsize=SIZE, dpi=DPI)
-            axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
-            axes.axis("off")
-            self._image = axes.imshow(picture)
-        else:
-            self._image.set_data(picture)
-        plt.pause(1e-3)
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._figure is not None:
-            import matplotlib.pyplot as plt
-
-            plt.close(self._figure)
-            self._figure = None
-
-
 def label_of(scene: Scene) -> str:
     """Tube and floats in a few words."""
     floats = sorted({scene.probe.carrier_float_diameter, scene.probe.guide_float_diameter})

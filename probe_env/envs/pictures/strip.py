@@ -39,35 +39,25 @@ EVERY: Final = round(FRAME_PERIOD / SAMPLE_PERIOD)
 
 @dataclass(frozen=True)
 class Motion:
-    """The n nodes nearest to the tip at k times on the dynamics clock; the tip first.
-
-    Attributes:
-        scene: tube and probe.
-        sensor: its node.
-        distance: (n,) of the unstretched probe from the tip [m].
-        lever: (n,) half the diameter of a float there [m].
-        outer_gap: (n,) radial displacement at which a float touches the outer wall [m]; infinite without that wall.
-        floats: (n,) which nodes are floats.
-        time: (k,) since the first look, ``FRAME_PERIOD`` apart [s].
-        inserted_length: (k,) [m].
-        axial, radial: (k, n) displacement [m]; radial 0 touches the inner wall, less presses on it.
-        signal_time: (m,) of the sensor's signals, ``SAMPLE_PERIOD`` apart [s]; less than 0 before the first look.
-        signal_axial, signal_radial: (m,) displacement of the sensor [m].
-    """
+    """The n nodes nearest to the tip at k times on the dynamics clock; the tip first."""
 
     scene: Scene
-    sensor: int
-    distance: FloatArray
-    lever: FloatArray
-    outer_gap: FloatArray
-    floats: BoolArray
-    time: FloatArray
-    inserted_length: FloatArray
+    sensor: int  # Its node
+    distance: FloatArray  # (n,) of the unstretched probe from the tip [m]
+    lever: FloatArray  # (n,) half the diameter of a float there [m]
+    outer_gap: (
+        FloatArray  # (n,) radial displacement at which a float touches the outer wall [m]; infinite without that wall
+    )
+    floats: BoolArray  # (n,) which nodes are floats
+    time: FloatArray  # (k,) since the first look, ``FRAME_PERIOD`` apart [s]
+    inserted_length: FloatArray  # (k,) [m]
     axial: FloatArray
-    radial: FloatArray
-    signal_time: FloatArray
+    radial: FloatArray  # (k, n) displacement [m]; radial 0 touches the inner wall, less presses on it
+    signal_time: (
+        FloatArray  # (m,) of the sensor's signals, ``SAMPLE_PERIOD`` apart [s]; less than 0 before the first look
+    )
     signal_axial: FloatArray
-    signal_radial: FloatArray
+    signal_radial: FloatArray  # (m,) displacement of the sensor [m]
 
     @property
     def on_inner_wall(self) -> BoolArray:

@@ -25,7 +25,6 @@ from probe_env.envs.plants.tables import (
     FRICTION,
     STIFFNESS,
     FeedDevice,
-    Figure,
     Normal,
     Supply,
     Tubes,
@@ -39,50 +38,10 @@ from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Probe, Scene
 from probe_env.settings import Model, explain, tuples
 
-STEPS: Final = (
-    ("feed", "feed_speed_step", "feed_speeds", "m/s"),
-    ("air", "air_supply_step", "air_supply_rates", "m3/s"),
-)
-"""Table, step, range that it divides, unit."""
-
-
-def check_device(config: TaskConfig) -> None:
-    """Raise ValueError unless feed device and air supply have a whole step within their ranges."""
-    for table, name, of, unit in STEPS:
-        step, (low, high) = getattr(config, name), getattr(config, of)
-        if step > 0.0 and step * math.floor(high / step * (1.0 + 1e-9)) < low * (1.0 - 1e-9):
-            raise ValueError(
-                f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; give 0"
-                " for any, or a smaller one"
-            )
-
-
-def check_limit(config: TaskConfig) -> None:
-    """Raise ValueError if a displacement is allowed that no float has room for."""
-    scene = config.scene
-    floats = min(scene.probe.guide_float_diameter, scene.probe.carrier_float_diameter)
-    clearance = scene.tube.clear_diameter - floats
-    if config.vibration_measure == "displacement" and config.limit > clearance:
-        raise ValueError(
-            f"task.vibration_limit = {config.limit:g} m is more than the {clearance:.3g} m that the floats have in the"
-            " tube: give it in metres, 0.1 mm as 1e-4"
-        )
-
-
-def check_scatter(name: str, figure: Figure) -> None:
-    """Raise ValueError if a quantity that cannot be negative scatters by more than its mean."""
-    if isinstance(figure, Normal) and figure.std > figure.mean:
-        raise ValueError(
-            f"{name}.std = {figure.std:g} is more than the mean, {figure.mean:g}: of what is hardly known give low and"
-            " high"
-        )
-
-
 MOST_TUBES: Final = 4096
 FACTORS: Final = (0.1, 10.0)
 """Accepted drag of a ``Context`` over the scene's."""
 RARE: Final = 1e-6
-MAP_SUFFIX: Final = "-map.npz"
 LONGEST: Final = 60.0  # [m], of a helix that the task's own time limit is for
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
 """Fields of the task that stand in the tables of the feed device and of the air."""
@@ -122,12 +81,9 @@ class Plant(Model):
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
-        misplaced = {
-            **dict.fromkeys(OF_FEED, "feed"),
-            **dict.fromkeys(OF_AIR, "air"),
-            "scene": "tube",
-            "sensor": "sensor",
-        }
+        misplaced = (
+            dict.fromkeys(OF_FEED, "feed") | dict.fromkeys(OF_AIR, "air") | {"scene": "tube", "sensor": "sensor"}
+        )
         for name in self.task:
             if name in misplaced or name in SHOWN:
                 place = f"stands in [{misplaced[name]}]" if name in misplaced else "is set by who looks at it"
@@ -146,7 +102,8 @@ class Plant(Model):
             table = "task" if field in TaskConfig.model_fields or field in self.task else ""
             text = explain(error, "feed" if field in OF_FEED else "air" if field in OF_AIR else table)
             raise PydanticCustomError("plant", "{text}", {"text": text}) from error
-        check_plausible(self)
+        if problem := implausible(self):
+            raise PydanticCustomError("plausible", "{text}", {"text": problem})
         return self
 
     def _middle(self, name: str) -> float:
@@ -183,10 +140,7 @@ class Plant(Model):
                 "walls": self.contact.walls,
                 "cable": self.contact.cable,
             },
-            "air": {
-                "density": self.air.density,
-                "drag_coefficient": self._middle("drag_coefficient"),
-            },
+            "air": {"density": self.air.density, "drag_coefficient": self._middle("drag_coefficient")},
         }
         return [Scene.fitted({"tube": tube | {"helix_diameter": diameter}, **rest}) for diameter in self.diameters]
 
@@ -256,20 +210,37 @@ class Plant(Model):
         )
 
 
-def check_plausible(plant: Plant) -> None:
-    """Raise PydanticCustomError if a field is within its range and cannot be meant."""
-    config = plant.configured()
-    try:
-        check_device(config)
-        check_limit(config)
-        for name, figure in (
-            ("contact.friction", plant.contact.friction),
-            ("contact.stiffness", plant.contact.stiffness),
-            ("air.drag_coefficient", plant.air.drag_coefficient),
-        ):
-            check_scatter(name, figure)
-    except ValueError as error:
-        raise PydanticCustomError("plausible", "{text}", {"text": str(error)}) from None
+def implausible(plant: Plant) -> str:
+    """What of a plant is within its range and cannot be meant; empty if nothing."""
+    config, scene = plant.configured(), plant.scene
+    for table, name, of, unit in (
+        ("feed", "feed_speed_step", "feed_speeds", "m/s"),
+        ("air", "air_supply_step", "air_supply_rates", "m3/s"),
+    ):
+        step, (low, high) = getattr(config, name), getattr(config, of)
+        if step > 0.0 and step * math.floor(high / step * (1.0 + 1e-9)) < low * (1.0 - 1e-9):
+            return (
+                f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; give 0"
+                " for any, or a smaller one"
+            )
+    floats = min(scene.probe.guide_float_diameter, scene.probe.carrier_float_diameter)
+    clearance = scene.tube.clear_diameter - floats
+    if config.vibration_measure == "displacement" and config.limit > clearance:
+        return (
+            f"task.vibration_limit = {config.limit:g} m is more than the {clearance:.3g} m that the floats have in the"
+            " tube: give it in metres, 0.1 mm as 1e-4"
+        )
+    for name, figure in (
+        ("contact.friction", plant.contact.friction),
+        ("contact.stiffness", plant.contact.stiffness),
+        ("air.drag_coefficient", plant.air.drag_coefficient),
+    ):
+        if isinstance(figure, Normal) and figure.std > figure.mean:
+            return (
+                f"{name}.std = {figure.std:g} is more than the mean, {figure.mean:g}: of what is hardly known give low"
+                " and high"
+            )
+    return ""
 
 
 def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
@@ -294,7 +265,7 @@ def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
 
 def map_beside(tube: Path) -> Path:
     """Where the vibration map of a plant is kept: beside its file, NAME-map.npz."""
-    return tube.with_name(f"{tube.stem}{MAP_SUFFIX}")
+    return tube.with_name(f"{tube.stem}-map.npz")
 
 
 GivenPlant = Plant | str | Path | Mapping[str, Any] | None

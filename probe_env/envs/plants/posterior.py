@@ -19,12 +19,6 @@ from probe_env.settings import Model, explain, tuples, within
 
 MOST_FILE: Final = 16 * MEBI
 MOST_DRAWS: Final = 4096
-OF: Final = {
-    "contact": {"friction": "friction", "stiffness": "contact_stiffness"},
-    "air": {"drag_coefficient": "drag_coefficient"},
-    "probe": {"damping_time": "damping_time"},
-}
-"""Table and field of a plant -> draws of a calibration."""
 Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MOST_DRAWS)]
 
 
@@ -70,15 +64,16 @@ class Posterior(Model):
         draws = content.get("draws") if isinstance(content, dict) else None
         if not isinstance(draws, dict):
             raise FileError(path, "draws: missing, so it is not a calibration (probe-env calibrate writes one)")
-        check_usable(path, content)
+        if content.get("misspecified") is True:
+            warnings.warn(
+                f"{path}: the calibration is misspecified: the model cannot have made its logs, whatever friction, and"
+                " what is computed with its figures means nothing",
+                stacklevel=5,
+            )
         try:
             return cls.model_validate(tuples(draws))
         except ValidationError as error:
             raise FileError(path, explain(error, "draws")) from error
-
-    def of(self, names: frozenset[str]) -> Self:
-        """What it tells of some quantities alone."""
-        return type(self).model_validate({name: getattr(self, name) for name in names})
 
     def rows(self, shares: FloatArray) -> dict[str, FloatArray]:
         """Draws (n,) at shares (n,) in (0, 1) of their order by the first quantity; those of a row belong together."""
@@ -90,16 +85,6 @@ class Posterior(Model):
     def middle(self, name: str) -> float:
         """Median of a quantity."""
         return float(np.median(self.draws[name]))
-
-
-def check_usable(path: Path, content: Mapping[str, Any]) -> None:
-    """Warn of a calibration that calls itself misspecified."""
-    if content.get("misspecified") is True:
-        warnings.warn(
-            f"{path}: the calibration is misspecified: the model cannot have made its logs, whatever friction, and what"
-            " is computed with its figures means nothing",
-            stacklevel=6,
-        )
 
 
 def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
@@ -117,36 +102,14 @@ def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
 
 
 def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
-    """A plant's tables with the draws in them that ``posterior = "calibration.json"`` stands for.
-
-    It may stand above all tables, in one of them, or for one figure, and tells of what stands there; a path is
-    relative to ``folder``, or to the present one.
+    """A plant's tables with the draws that ``posterior = "calibration.json"`` names, relative to ``folder`` or here.
 
     Raises:
         FileNotFoundError, FileError: see ``Posterior.read``.
-        ValueError: two different files.
     """
-    tables = {name: dict(v) if isinstance(v, Mapping) else v for name, v in given.items()}
-    named: dict[str, set[str]] = {}
-    above = tables.get("posterior")
-    if isinstance(above, str | Path):
-        del tables["posterior"]
-        named[str(above)] = {quantity for fields in OF.values() for quantity in fields.values()}
-    for table, fields in OF.items():
-        here = tables.get(table)
-        if not isinstance(here, dict):
-            continue
-        if isinstance(here.get("posterior"), str | Path):
-            named.setdefault(str(here.pop("posterior")), set()).update(fields.values())
-        for field, quantity in fields.items():
-            figure = here.get(field)
-            if isinstance(figure, Mapping) and set(figure) == {"posterior"}:
-                named.setdefault(str(figure["posterior"]), set()).add(quantity)
-                del here[field]
-    if len(named) > 1:
-        raise ValueError(f"posterior: {' and '.join(map(repr, named))}, and only one file can be told of")
-    for file, names in named.items():
-        posterior = Posterior.read((folder or Path()) / file)
-        check_draws(posterior, (folder or Path()) / file)  # of all that it tells, used or not
-        tables["posterior"] = posterior.of(frozenset(names) & posterior.draws.keys())
+    tables, named = dict(given), given.get("posterior")
+    if isinstance(named, str | Path):
+        path = (folder or Path()) / named
+        tables["posterior"] = Posterior.read(path)
+        check_draws(tables["posterior"], path)
     return tables

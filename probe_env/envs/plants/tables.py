@@ -50,25 +50,6 @@ def _described(value: Any) -> Any:
 Figure = Annotated[float | Between | Normal, BeforeValidator(_described)]
 
 
-def checked(figure: Figure, low: float, high: float, unit: str) -> Figure:
-    """The figure, if all its values (the mean of a normal one) are within [low, high] ``unit``.
-
-    Raises:
-        ValueError: they are not; names the value and the range.
-    """
-    values = (
-        {name: value for name, value in figure.model_dump().items() if name != "std"}
-        if isinstance(figure, Between | Normal)
-        else {"": figure}
-    )
-    for name, value in values.items():
-        try:
-            within(name or "value", value, low, high, unit)
-        except ValueError as error:
-            raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
-    return figure
-
-
 def quantiles(figure: Figure, shares: npt.ArrayLike, low: float, high: float) -> FloatArray:
     """Values of a figure at shares in (0, 1), of their shape; ``low`` and ``high`` are what is accepted of it."""
     shares = np.asarray(shares, dtype=float)
@@ -92,29 +73,31 @@ FRICTION, STIFFNESS, DRAG = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0)
 
 
 class _Figure(Quantity):
-    """Range of a figure that may be unknown."""
+    """Range of a figure that may be unknown (of a normal one, of its mean), or of each of some numbers."""
+
+    name = "value"
 
     def check(self, value: Any) -> Any:
-        return checked(value, self.low, self.high, self.unit)
-
-
-class _Numbers(Quantity):
-    """Range of a number, or of each of some."""
-
-    def check(self, value: Any) -> Any:
-        for number in value if isinstance(value, tuple) else (value,):
+        named = [(self.name, number) for number in (value if isinstance(value, tuple) else (value,))]
+        if isinstance(value, Between | Normal):
+            named = [(name, number) for name, number in value.model_dump().items() if name != "std"]
+        for name, number in named:
             try:
-                within("helix_diameter", number, self.low, self.high, self.unit)
+                within(name, number, self.low, self.high, self.unit)
             except ValueError as error:
                 raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
         return value
+
+
+class _Diameters(_Figure):
+    name = "helix_diameter"
 
 
 class Tubes(Model):
     """Of a plant: one bore and one length, helices of one diameter or of some."""
 
     helix_diameter: Annotated[
-        float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], _Numbers(0.3, 50.0, "m")
+        float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], _Diameters(0.3, 50.0, "m")
     ] = Tube().helix_diameter
     """Of the tube's axis [m], a number or a list."""
     inner_diameter: Annotated[float, range_of(Tube, "inner_diameter")] = Tube().inner_diameter

@@ -1,34 +1,12 @@
 """The control task: actions, observations, rewards, costs and endings of N probes; no simulator."""
 
-from probe_env.envs.task.config import (
-    MEASURES,
-    SHOWN,
-    Inspects,
-    Measure,
-    TaskConfig,
-    describe,
-    scene_of,
-)
-from probe_env.envs.task.observations import (
-    action_in,
-    action_of,
-    in_si_units,
-    observe,
-    share_between,
-    share_of,
-    value_at,
-)
-from probe_env.envs.task.passes import (
-    BothWays,
-    WayIn,
-    passes_of,
-)
+from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe
+from probe_env.envs.task.observations import action_in, action_of, share_between, share_of, value_at
 from probe_env.envs.task.rules import (
     COSTS,
     END_TOLERANCE,
     ENDINGS,
     FAILURES,
-    Ending,
     Outcome,
     air_used,
     capped_square,
@@ -51,13 +29,10 @@ __all__ = [
     "FAILURES",
     "MEASURES",
     "SHOWN",
-    "BothWays",
-    "Ending",
     "Inspects",
     "Measure",
     "Outcome",
     "TaskConfig",
-    "WayIn",
     "action_in",
     "action_of",
     "air_used",
@@ -67,13 +42,9 @@ __all__ = [
     "describe",
     "drive_counts",
     "ending",
-    "in_si_units",
     "metre_cost",
     "metre_reward",
-    "observe",
-    "passes_of",
     "reward_terms",
-    "scene_of",
     "share_between",
     "share_of",
     "slack",

@@ -21,37 +21,30 @@ BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""
 
 
-class Period(NamedTuple):
-    """A control period of N probes, (N,) each.
+class StepRecord(NamedTuple):
+    """What happened to N probes in a control period, (N,) each; SI units."""
 
-    Attributes:
-        good: whose period counts: those that were advanced and did not diverge.
-        before, after: inserted length around it [m].
-        feed_speed: at its end [m/s].
-        squares: capped square of the vibration over its limit.
-        within: whether it was within the limit.
-        measures: (N, m) what else is averaged over the length.
-    """
-
-    good: BoolArray
-    before: FloatArray
-    after: FloatArray
-    feed_speed: FloatArray
-    squares: FloatArray
-    within: BoolArray
-    measures: FloatArray
+    stepped: BoolArray
+    good: BoolArray  # stepped, and did not diverge
+    before: FloatArray  # inserted length at its beginning
+    after: FloatArray  # and at its end
+    helix_length: FloatArray
+    feed_speed: FloatArray  # at its end
+    air: FloatArray  # used [m3]
+    seconds: FloatArray  # of motion
+    action_change: FloatArray  # (N, 2) action less the one before
+    squares: FloatArray  # capped square of the vibration over its limit
+    within: BoolArray  # whether the vibration was within the limit
+    measures: FloatArray  # (N, m) what else is averaged over the length
 
 
 class Counted(NamedTuple):
-    """What a period adds, (N,) each: length inspected [m], sums over length of squares and of what is within the limit.
-
-    ``measures`` (N, m) are sums over length of what else is averaged over it.
-    """
+    """What a period adds, (N,) each: the length inspected [m] and sums over it."""
 
     inspected: FloatArray
     squares: FloatArray
     within: FloatArray
-    measures: FloatArray
+    measures: FloatArray  # (N, m)
 
 
 class WayIn:
@@ -79,21 +72,21 @@ class WayIn:
         """What was ``Meter.of`` probe ``k`` in the last period: of the length inspected [m], in seconds of motion."""
         self.detection[k].add(inspected, *heard)
 
-    def count(self, period: Period) -> Counted:
+    def count(self, period: StepRecord) -> Counted:
         """Add a period."""
         length = travel(self.config, period.before, period.after, period.feed_speed)
         inspected = np.where(period.good, length, 0.0)
         within = np.where(period.within, inspected, 0.0)
         return Counted(inspected, inspected * period.squares, within, inspected[:, None] * period.measures)
 
-    def ended(self, end: Ending, period: Period) -> Ending:
+    def ended(self, end: Ending, period: StepRecord) -> Ending:
         """How episodes end, where ``end`` tells who is at the helix's end."""
         return end
 
-    def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
+    def uninspected(self, period: StepRecord, inspected: FloatArray) -> FloatArray:
         """(N,) what is left to inspect [m], where the length grows; ``inspected`` so far."""
         # what passed in a period that diverged was not inspected
-        return helix_length - np.where(period.good, period.after, period.before)
+        return period.helix_length - np.where(period.good, period.after, period.before)
 
 
 class BothWays:
@@ -131,7 +124,7 @@ class BothWays:
         self._since_turn[k] = 0.0
         self.detection[k] = EitherTally(self.config.sensor, self.config.inspects)
 
-    def count(self, period: Period) -> Counted:
+    def count(self, period: StepRecord) -> Counted:
         """Add a period."""
         sums = np.zeros((len(self.way), self._columns))
         for k in np.flatnonzero(period.good).tolist():
@@ -162,25 +155,19 @@ class BothWays:
         if self.way[k] < 0.0:
             self._since_turn[k] += passed
 
-    def ended(self, end: Ending, period: Period) -> Ending:
+    def ended(self, end: Ending, period: StepRecord) -> Ending:
         """How episodes end, where ``end`` tells who is at the helix's end: those are sent back."""
         self.way[end.complete] = -1.0
         is_back = (self.way < 0.0) & (period.after <= self.begun + END_TOLERANCE)
         return end._replace(complete=is_back & period.good)
 
-    def uninspected(self, period: Period, helix_length: FloatArray, inspected: FloatArray) -> FloatArray:
-        """(N,) what is left of both ways [m], whatever counts: a probe that stays in the tube is not done either.
-
-        Without the way back one that loses its drive just before the turn would save the time of it.
-        """
-        to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), helix_length) - self.begun
-        return np.asarray(helix_length - self.reached + to_draw_back)
+    def uninspected(self, period: StepRecord, inspected: FloatArray) -> FloatArray:
+        """(N,) what is left of both ways [m], whatever counts: else losing the drive before the turn would pay."""
+        to_draw_back = np.where(self.way < 0.0, np.minimum(self.left, self.reached), period.helix_length) - self.begun
+        return np.asarray(period.helix_length - self.reached + to_draw_back)
 
     def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
-        """(N,) what the way back is still to pass of what was reached [m], and the squares that the way in had there.
-
-        The squares are sums over length, as in ``Counted``.
-        """
+        """(N,) length [m] that the way back is still to pass, and the sums of squares that the way in had there."""
         metres = np.maximum(np.minimum(self.left, self.reached) - self.begun, 0.0)
         squares = np.zeros(len(metres))
         for k, (low, length) in enumerate(zip(self.begun.tolist(), metres.tolist(), strict=True)):

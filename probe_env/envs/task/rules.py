@@ -21,7 +21,7 @@ END_TOLERANCE: Final = 1e-6
 
 
 class Ending(NamedTuple):
-    """Which of N episodes end with a period and how, (N,) each: the only list of how an episode can end."""
+    """Which of N episodes end with a period and how, (N,) each."""
 
     complete: BoolArray
     lost_drive: BoolArray
@@ -43,13 +43,9 @@ class Ending(NamedTuple):
         """Ended either way."""
         return self.terminated | self.out_of_time
 
-    def failed(self, k: int) -> dict[str, bool]:
-        """Whether the episode of probe ``k`` failed, by each of ``FAILURES``."""
-        return {name: bool(getattr(self, name)[k]) for name in FAILURES}
-
     def kpis(self, k: int) -> dict[str, float]:
         """How the episode of probe ``k`` ended: 1 for what ended it, else 0."""
-        return {name: float(value) for name, value in self.failed(k).items()} | {"complete": float(self.complete[k])}
+        return {name: float(getattr(self, name)[k]) for name in (*FAILURES, "complete")}
 
 
 ENDINGS: Final = tuple(name for name in Ending._fields if name != "out_of_time")
@@ -67,16 +63,9 @@ def ending(
     stepped: BoolArray,
     diverged: BoolArray,
 ) -> Ending:
-    """When an episode ends: the helix's end is reached, drive is lost, the simulation diverged, or time is up.
+    """Which of N episodes end with a period, and how; only those that were stepped do. Lengths in m, times in s.
 
-    Args:
-        config: the task.
-        inserted: cable in the helix [m].
-        helix_length: [m].
-        slack_periods: periods in a row that were ``slack``, see ``slack_in_a_row``.
-        time: since the episode began [s].
-        stepped: whether the episode was stepped in this period; others end in nothing.
-        diverged: whether the simulation diverged in it.
+    ``slack_periods`` (N,) is how many periods in a row were ``slack``.
     """
     good = stepped & ~diverged
     complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
@@ -84,13 +73,13 @@ def ending(
     return Ending(complete, lost, diverged & stepped, stepped & (time >= config.time_limit - 1e-9))
 
 
-def slack_in_a_row(before: npt.NDArray[np.integer[Any]], hanging: BoolArray) -> npt.NDArray[np.integer[Any]]:
-    """How many periods in a row the cable has hung slack, after so many ``before`` and one that it hung in or not."""
-    return np.where(hanging, before + 1, 0)
+def slack_in_a_row(before: npt.NDArray[np.integer[Any]], is_slack: BoolArray) -> npt.NDArray[np.integer[Any]]:
+    """Consecutive slack periods, after so many ``before`` and one that was slack or not."""
+    return np.where(is_slack, before + 1, 0)
 
 
 def drive_counts(config: TaskConfig, inserted: FloatArray) -> BoolArray:
-    """Whether a probe that is so far in [m] must be driven by its tension; near the entrance it need not be."""
+    """Whether tension must drive a probe at this inserted length [m]; near the entrance it need not."""
     return np.asarray(inserted >= config.lost_drive_from)
 
 
@@ -100,7 +89,7 @@ def slack(config: TaskConfig, tension: FloatArray, inserted: FloatArray) -> Bool
 
 
 def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed: FloatArray) -> FloatArray:
-    """Metres inspected in a period, by the inserted lengths [m] around it, or the feed speed at constant length."""
+    """Length inspected in a period [m]: that between two inserted lengths, or by the feed speed at constant length."""
     return after - before if config.growing else feed_speed * config.period
 
 
@@ -118,22 +107,21 @@ COSTS: Final = {
 
 
 def cost_terms(
-    config: TaskConfig, hanging: BoolArray, tension: FloatArray, greatest: FloatArray, buckling_load: FloatArray
+    config: TaskConfig, is_slack: BoolArray, tension: FloatArray, greatest: FloatArray, buckling_load: FloatArray
 ) -> dict[str, FloatArray]:
     """Named parts (N,) of a period's cost, 0 or 1 each; their sum is the cost.
 
-    Friction presses as it pulls, most at the root, so the root tells of the whole probe. A cable bears a pressure that
-    is shorter than its own sideways swing (10 ms for table 2's pitch), so the mean counts for buckling; what strains it
-    is the peak.
+    A cable bears pressure for a shorter time than its own sideways swing (10 ms for table 2's pitch), so the mean
+    counts for buckling; the peak strains it.
 
     Args:
         config: the limits.
-        hanging: (N,) whether the root tension is too little to drive the probe.
-        tension: (N,) mean root tension [N], below 0 where the root is pressed.
+        is_slack: (N,) whether the root tension is too little to drive the probe.
+        tension: (N,) mean root tension [N], below 0 under pressure.
         greatest: (N,) greatest root tension [N].
         buckling_load: (N,) of the cable between two floats [N].
     """
-    unsafe = hanging, greatest > config.tension_limit, -tension > buckling_load
+    unsafe = is_slack, greatest > config.tension_limit, -tension > buckling_load
     return {name: np.asarray(is_so, dtype=float) for name, is_so in zip(COSTS, unsafe, strict=True)}
 
 
@@ -149,21 +137,14 @@ def costs(
 
 
 def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
-    """What vibration costs a metre, for a ratio of vibration to its limit; beyond ``ratio_cap`` no more."""
+    """Vibration cost of a metre by the ratio of vibration to its limit, capped at ``ratio_cap``."""
     return np.asarray(np.minimum(ratio, config.ratio_cap) ** 2)
 
 
 def metre_cost(
     config: TaskConfig, squares: FloatArray | float, feed: FloatArray | float, air: FloatArray | float
 ) -> FloatArray:
-    """Cost (N,) of a metre (progress left out): its vibration, and what the seconds that it takes cost.
-
-    Args:
-        config: weights.
-        squares: ``capped_square`` of the vibration, or its mean.
-        feed: feed speed [m/s].
-        air: air supply [m3/s].
-    """
+    """Cost (N,) of a metre, without progress, by its (mean) ``capped_square``, feed speed [m/s] and air [m3/s]."""
     vibration, *each_second = costs(config, squares, 1.0, air).values()
     return np.asarray(sum((cost / feed for cost in each_second), start=vibration))
 
@@ -174,35 +155,20 @@ def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
 
 
 class Outcome(NamedTuple):
-    """What a period or a whole insertion came to, for each of N probes.
+    """What a period or a whole insertion came to, (N,) each."""
 
-    Attributes:
-        inspected: by the sensor [m].
-        squares: metres times ``capped_square`` of their vibration.
-        seconds: that it took.
-        air: used [m3].
-        uninspected: length left [m] where the episode ends, else 0.
-        diverged: whether the simulation diverged.
-    """
-
-    inspected: FloatArray
-    squares: FloatArray
+    inspected: FloatArray  # [m]
+    squares: FloatArray  # metres times ``capped_square`` of their vibration
     seconds: FloatArray
-    air: FloatArray
-    uninspected: FloatArray
+    air: FloatArray  # [m3]
+    uninspected: FloatArray  # [m] left where the episode ends, else 0
     diverged: BoolArray
 
 
 def reward_terms(
     config: TaskConfig, outcome: Outcome, action_change: FloatArray | None = None
 ) -> dict[str, FloatArray]:
-    """Named terms (N,) of the reward; their sum is the reward.
-
-    Args:
-        config: weights.
-        outcome: what is rewarded.
-        action_change: (N, 2) action minus the one before; None where no actions were taken.
-    """
+    """Named terms (N,) of the reward, which is their sum; ``action_change`` (N, 2): the action less the one before."""
     spent = costs(config, outcome.squares, outcome.seconds, outcome.air)
     terms = {"progress": config.progress_weight * outcome.inspected}
     terms |= {name: -np.asarray(cost) for name, cost in spent.items()}

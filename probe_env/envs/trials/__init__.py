@@ -1,15 +1,11 @@
-"""Probes tried: designs, tubes and feeds enter, how loud, slow and hard to drive each probe is leaves.
-
-In sections of constant length or in whole insertions, over the tube that all designs reach. Imports episodes, contexts
-and the task of ``envs``, the physics and what is below it; knows no environment.
-"""
+"""Trials of probe designs, in sections of constant length or in whole insertions."""
 
 from probe_env.envs.trials.candidates import Candidate, Stretch, Trial, check_measure, judge, stretch_of
 from probe_env.envs.trials.insertions import try_insertions
 from probe_env.envs.trials.players import Controller, Foresighted, Players, periods_of
-from probe_env.envs.trials.sections import check_candidate, check_space, sections_of, try_sections
+from probe_env.envs.trials.sections import check_candidate, sections_of, try_sections
 
 __all__ = [
     "Candidate", "Controller", "Foresighted", "Players", "Stretch", "Trial", "check_candidate", "check_measure",
-    "check_space", "judge", "periods_of", "sections_of", "stretch_of", "try_insertions", "try_sections",
+    "judge", "periods_of", "sections_of", "stretch_of", "try_insertions", "try_sections",
 ]  # fmt: skip

@@ -29,17 +29,11 @@ LEAST_SECTIONS: Final = 3
 
 
 class Stretch(NamedTuple):
-    """Where probes are compared.
+    """Where probes are compared [m]."""
 
-    Attributes:
-        end: greatest distance of the sensor from the entrance [m].
-        positions: of the sensor [m], simulated at constant length.
-        widths: of the tube that each position stands for [m].
-    """
-
-    end: float
-    positions: tuple[float, ...]
-    widths: tuple[float, ...]
+    end: float  # greatest distance of the sensor from the entrance
+    positions: tuple[float, ...]  # of the sensor, simulated at constant length
+    widths: tuple[float, ...]  # of the tube that each position stands for
 
     @property
     def span(self) -> float:
@@ -83,47 +77,30 @@ LEAST_SNR: Final = 1e-3
 
 @dataclass(frozen=True)
 class Candidate:
-    """A probe that is tried in a tube.
-
-    Attributes:
-        design: of the probe.
-        context: the tube.
-        feed: a schedule over inserted length, or for whole insertions a policy.
-        seed: of the start's perturbation; default: its place among the candidates.
-    """
+    """A probe that is tried in a tube."""
 
     design: Design
     context: Context
     feed: Schedule | Controller
+    """A schedule over inserted length, or for whole insertions a policy."""
     seed: int | None = None
+    """Of the start's perturbation; default: its place among the candidates."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What N probes did in p places; SI units.
+    """What N probes did in p places, (N, p) unless it says otherwise; SI units."""
 
-    Attributes:
-        widths: (N, p) length of tube that was inspected there; 0 where the probe did not get to.
-        feed_speed, air_supply_rate: (N, p) fed and blown there.
-        radial_rms, root_tension: (N, p).
-        deep: (N, p) whether so much is inserted that lost drive counts.
-        failed: (N,) whether it ended so, by each of ``FAILURES``.
-        inspected: (N,) what the sensor saw to the end, where that was simulated.
-        noise: (N, p) over the signal of a 20 % groove, where the task is judged by that.
-        detection: (N,) of each of ``FOUND_KPIS``, over all that its guide lets a probe inspect; sections are
-            too short to tell.
-    """
-
-    widths: FloatArray
+    widths: FloatArray  # length of tube that was inspected there; 0 where the probe did not get to
     feed_speed: FloatArray
     air_supply_rate: FloatArray
     radial_rms: FloatArray
     root_tension: FloatArray
-    deep: BoolArray
-    failed: Mapping[str, BoolArray]
-    inspected: FloatArray | None = None
-    noise: FloatArray | None = None
-    detection: Mapping[str, FloatArray] = field(default_factory=dict)
+    deep: BoolArray  # whether so much is inserted that lost drive counts
+    failed: Mapping[str, BoolArray]  # (N,) whether it ended so, by each of ``FAILURES``
+    inspected: FloatArray | None = None  # (N,) to the end, where that was simulated
+    noise: FloatArray | None = None  # over the signal of a 20 % groove, where the task is judged by that
+    detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``FOUND_KPIS``
 
 
 def seeds_of(candidates: Sequence[Candidate]) -> list[int]:

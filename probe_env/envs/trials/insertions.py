@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Final
+from collections.abc import Sequence
 
 import numpy as np
 
-from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts
 from probe_env.envs.trials.candidates import FOUND_KPIS, LEAST_SNR, SENSOR_START, Candidate, Trial, seeds_of, stretch_of
 from probe_env.envs.trials.players import periods_of
 from probe_env.fidelity import Fidelity
 from probe_env.schedule import Schedule
-
-SUMS: Final = ("travel", "seconds", "air", "square", "noise", "tension", "periods")
 
 
 def try_insertions(
@@ -37,16 +32,15 @@ def try_insertions(
         policies.append(candidate.feed)
     count, stretch = len(candidates), stretch_of(config)
     episodes = Episodes(count, config, threads=threads, may_stand=True, fidelity=fidelity)
-    options = {
-        k: {"context": candidate.context, "probe": candidate.design.built.model_dump()}
-        for k, candidate in enumerate(candidates)
-    }
+    designs = [candidate.design.built for candidate in candidates]
+    options = {k: {"context": c.context, "probe": designs[k].model_dump()} for k, c in enumerate(candidates)}
     rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds_of(candidates))}
     observation, _ = episodes.reset(range(count), rngs, options)
     places = int(np.ceil(stretch.span))
-    sums = {name: np.zeros((count, places)) for name in SUMS}
+    names = ("travel", "seconds", "air", "square", "noise", "tension", "periods")
+    sums = {name: np.zeros((count, places)) for name in names}
     failed = {name: np.zeros(count, dtype=bool) for name in FAILURES}
-    guides = np.array([candidate.design.built.guide_length for candidate in candidates])
+    guides = np.array([design.guide_length for design in designs])
     inspected, blown = np.zeros(count), np.zeros(count)
     for step, active in periods_of(episodes, policies, observation):
         before, inspected = inspected, np.array([tally.inspected for tally in episodes.tally])
@@ -66,50 +60,25 @@ def try_insertions(
                 sums["noise"][k, place] += travel / max(info["snr"], LEAST_SNR) ** 2
                 sums["tension"][k, place] += info["tension_mean_n"]
                 sums["periods"][k, place] += 1.0
-    trial = _gathered(sums, failed, guides, inspected, config)
-    return replace(trial, detection=_detection(episodes, config.scene.tube.helix_length, guides))
-
-
-def _detection(episodes: Episodes, tube_length: float, guides: FloatArray) -> dict[str, FloatArray]:
-    """What would be found where a probe gets to if nothing ends it: what it misses by its guide is not charged here.
-
-    Args:
-        episodes: that have ended.
-        tube_length: of the helix [m].
-        guides: (N,) lengths of the guides [m].
-    """
-    reach = tube_length - guides - SENSOR_START
-    kpis = [
-        t.detection.kpis(max(t.inspected, float(own)), tube_length)
-        for t, own in zip(episodes.tally, reach, strict=True)
-    ]
-    return {name: np.array([row[name] for row in kpis]) for name in FOUND_KPIS}
-
-
-def _gathered(
-    sums: Mapping[str, FloatArray],
-    failed: Mapping[str, BoolArray],
-    guides: FloatArray,
-    inspected: FloatArray,
-    config: TaskConfig,
-) -> Trial:
-    span, heard = stretch_of(config).span, config.vibration_measure == "snr"
     travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)
     seen = sums["periods"] > 0.0
-    metres = SENSOR_START + np.arange(travel.shape[1]) + 1.0
-    deep = seen & drive_counts(config, metres + guides[:, None])
     # the metres of a whole insertion add up to the span but for a part of a period at each end
     widths = np.where(seen, sums["travel"], 0.0)
-    complete = widths.sum(axis=1, keepdims=True) > span - 1.0
-    widths = np.where(complete, widths * span / np.maximum(widths.sum(axis=1, keepdims=True), 1e-12), widths)
+    covered = widths.sum(axis=1, keepdims=True)
+    widths = np.where(covered > stretch.span - 1.0, widths * stretch.span / np.maximum(covered, 1e-12), widths)
+    # what a probe misses by its guide is not charged to what it finds
+    tube = config.scene.tube.helix_length
+    reach = (tube - guides - SENSOR_START).tolist()
+    found = [t.detection.kpis(max(t.inspected, own), tube) for t, own in zip(episodes.tally, reach, strict=True)]
     return Trial(
-        widths,
-        np.where(seen, travel / seconds, 0.0),
-        np.where(seen, sums["air"] / seconds, 0.0),
-        np.sqrt(np.where(seen, sums["square"] / travel, 0.0)),
-        sums["tension"] / np.maximum(sums["periods"], 1.0),
-        deep,
-        failed,
-        inspected,
-        np.sqrt(np.where(seen, sums["noise"] / travel, 0.0)) if heard else None,
+        widths=widths,
+        feed_speed=np.where(seen, travel / seconds, 0.0),
+        air_supply_rate=np.where(seen, sums["air"] / seconds, 0.0),
+        radial_rms=np.sqrt(np.where(seen, sums["square"] / travel, 0.0)),
+        root_tension=sums["tension"] / np.maximum(sums["periods"], 1.0),
+        deep=seen & drive_counts(config, SENSOR_START + np.arange(places) + 1.0 + guides[:, None]),
+        failed=failed,
+        inspected=inspected,
+        noise=np.sqrt(np.where(seen, sums["noise"] / travel, 0.0)) if config.vibration_measure == "snr" else None,
+        detection={name: np.array([row[name] for row in found]) for name in FOUND_KPIS},
     )

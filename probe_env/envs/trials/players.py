@@ -68,26 +68,15 @@ class Players:
             controller = self.controllers[which[0]]
             assert isinstance(controller, Foresighted)
             assert episodes is not None
-            states = [self.states[k] for k in which]
-            actions[which], states = controller.decide(episodes, which, observation[which], states)
-            for k, state in zip(which, states, strict=True):
+            before = [self.states[k] for k in which]
+            actions[which], after = controller.decide(episodes, which, observation[which], before)
+            for k, state in zip(which, after, strict=True):
                 self.states[k] = state
         return actions
 
 
-class Playable(Protocol):
-    """Episodes side by side: simulated ones, or those of the map's world."""
-
-    @property
-    def running(self) -> BoolArray:
-        """(N,) which have not ended."""
-
-    def step(self, actions: npt.NDArray[np.float32], active: BoolArray | None = None) -> Step:
-        """A control period with actions (N, 2)."""
-
-
 def periods_of(
-    episodes: Playable, policies: Sequence[Controller], observation: npt.NDArray[np.float32]
+    episodes: Episodes, policies: Sequence[Controller], observation: npt.NDArray[np.float32]
 ) -> Iterator[tuple[Step, BoolArray]]:
     """Play what has been reset until it has ended; gives every period and which (N,) were in it.
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from probe_env.arrays import FloatArray
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.episodes.starts import Starts, settling
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts, slack
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of, stretch_of
-from probe_env.envs.trials.players import Controller
 from probe_env.fidelity import Fidelity
 from probe_env.inspection.meter import SPAN, Meter
-from probe_env.inspection.sensor import Sensor
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Scene
@@ -29,18 +26,8 @@ GENTLE, AIR_LAG = 20.0 / 3600.0, 0.2
 it at once sends a wave through the probe that is twice as high as its tension in the end."""
 
 
-class Section(NamedTuple):
-    """A probe at constant length: its scene at the start, and the air supply it is tried with [m3/s]."""
-
-    start: Scene
-    air_supply_rate: float
-
-
 def try_sections(
-    candidates: Sequence[Candidate],
-    config: TaskConfig,
-    fidelity: Fidelity | None = None,
-    threads: int | None = None,
+    candidates: Sequence[Candidate], config: TaskConfig, fidelity: Fidelity | None = None, threads: int | None = None
 ) -> Trial:
     """N probes at constant length, the sensor at the positions of the task's stretch, all in one batch.
 
@@ -57,12 +44,17 @@ def try_sections(
     """
     fidelity, stretch = fidelity or Fidelity(), stretch_of(config)
     shape = (len(candidates), len(stretch.positions))
-    sections = [
-        section
-        for candidate in candidates
-        for section in sections_of(candidate.design, candidate.context, over_length(candidate.feed), config)
-    ]
-    scenes, air = [section.start for section in sections], np.array([section.air_supply_rate for section in sections])
+    scenes, blown = [], []
+    for candidate in candidates:
+        if not isinstance(candidate.feed, Schedule) or candidate.feed.over != "inserted_length":
+            raise ValueError(
+                "feed: a policy or a schedule over time has no meaning at constant length; give one over inserted"
+                " length"
+            )
+        for start, supply in sections_of(candidate.design, candidate.context, candidate.feed, config):
+            scenes.append(start)
+            blown.append(supply)
+    air = np.array(blown)
     inserted, speed = (
         np.array([getattr(scene, name) for scene in scenes]).reshape(shape)
         for name in ("inserted_length", "feed_speed")
@@ -85,30 +77,16 @@ def try_sections(
     noise = None
     if heard:
         assert window.radial is not None
-        noise = _noise(config.sensor, window.radial, speed.ravel()).reshape(shape)
+        meter, every = Meter(config.sensor, len(scenes), SAMPLE_PERIOD), np.arange(len(scenes))
+        for second in np.split(window.radial, round(MEASURE / SPAN)):
+            reading = meter.listen(every, second, speed.ravel())
+        noise = np.asarray(1.0 / np.maximum(reading.snr, LEAST_SNR)).reshape(shape)
     deep = drive_counts(config, inserted) & ~diverged
     return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
 
 
-def _noise(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
-    """(n,) noise over the signal of a 20 % groove, of motions (samples, n) [m] passed at ``feed`` (n,) [m/s]."""
-    meter, every = Meter(sensor, len(feed), SAMPLE_PERIOD), np.arange(len(feed))
-    for second in np.split(radial, round(MEASURE / SPAN)):
-        reading = meter.listen(every, second, feed)
-    return np.asarray(1.0 / np.maximum(reading.snr, LEAST_SNR))
-
-
-def over_length(feed: Schedule | Controller) -> Schedule:
-    """A feed as a schedule over inserted length; raises ValueError if it is none."""
-    if not isinstance(feed, Schedule) or feed.over != "inserted_length":
-        raise ValueError(
-            "feed: a policy or a schedule over time has no meaning at constant length; give one over inserted length"
-        )
-    return feed
-
-
-def sections_of(design: Design, context: Context, feed: Schedule, config: TaskConfig) -> list[Section]:
-    """What is simulated of a design in a tube, for each position of the task's stretch."""
+def sections_of(design: Design, context: Context, feed: Schedule, config: TaskConfig) -> list[tuple[Scene, float]]:
+    """Scene at the start and air supply [m3/s] of a design in a tube, for each position of the task's stretch."""
     base = config.scene
     probe, tube, sections = design.probe(base.probe), context.apply(base), []
     for position in stretch_of(config).positions:
@@ -118,41 +96,27 @@ def sections_of(design: Design, context: Context, feed: Schedule, config: TaskCo
         room = max(base.tube.helix_length, inserted)  # rounding to the pitch may go some cm beyond
         update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": min(blown, GENTLE)}
         start = tube.model_copy(update={"tube": {"helix_length": room}, **update})
-        sections.append(Section(start, blown))
+        sections.append((start, blown))
     return sections
 
 
-def _corner(*high: str) -> Design:
-    return Design.from_unit([1.0 if name in high else 0.0 for name in RANGES])
-
-
-HARDEST: Final = (
-    _corner("tensile_rigidity", "flexural_rigidity"),
-    _corner("guide_length", "guide_float_diameter", "carrier_float_diameter"),
+HARDEST: Final = tuple(
+    Design.from_unit([float(name in high) for name in RANGES])
+    for high in (
+        ("tensile_rigidity", "flexural_rigidity"),
+        ("guide_length", "guide_float_diameter", "carrier_float_diameter"),
+    )
 )
 """The stiff, light design that asks for the shortest step and the hardest wall; the one that drag stretches most."""
-
-
-def check_space(
-    contexts: Sequence[Context], config: TaskConfig, fidelity: Fidelity, feed: Schedule | None = None
-) -> None:
-    """Raise ValueError if not all of the design space, cut to the bore, can be tried in these tubes.
-
-    Args:
-        contexts: the tubes.
-        config: the task.
-        fidelity: of the simulation.
-        feed: for sections of constant length; None: whole insertions.
-    """
-    for design in HARDEST:
-        for context in contexts:
-            check_candidate(design.cut_to(config.scene), context, config, fidelity, feed)
 
 
 def check_candidate(
     design: Design, context: Context, config: TaskConfig, fidelity: Fidelity, feed: Schedule | None = None
 ) -> None:
-    """Raise ValueError if a design does not fit a tube, or cannot be simulated in it; arguments as ``check_space``."""
+    """Raise ValueError if a design does not fit a tube, or cannot be simulated in it.
+
+    ``feed`` is that of sections of constant length; None: whole insertions.
+    """
     if feed is None:
         starts = Starts(config, (context,), "scene", *settling(config, {}))
         scene = starts.build(context, {"probe": design.built.model_dump()})

@@ -1,7 +1,5 @@
 """Slow motion near the tip: looking changes nothing, and what is drawn is what the simulator has."""
 
-import copy
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -9,9 +7,9 @@ from matplotlib.colors import to_rgb
 from scipy.ndimage import label
 
 from probe_env import Fidelity, Scene, Simulator
-from probe_env.envs.pictures.plate import GREEN, ORANGE, RED
+from probe_env.envs.pictures.plate import ORANGE, RED
 from probe_env.envs.pictures.strip import AXIAL, FRAME_PERIOD, FRAMES_PER_SECOND, SLOWED, Strip, Watch
-from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 
 NOTHING = np.zeros(0)
 
@@ -93,32 +91,6 @@ def test_looking_changes_nothing_and_sees_what_happens(env_id, fidelity):
         assert (shape[1:, motion.sensor] == signal[every - 1 :: every]).all()
 
 
-@pytest.mark.slow
-def test_the_probe_s_own_frequency_is_in_the_pictures(ringing):
-    """The sensor's mark, found by its colour in 2 s of pictures, moves at the frequency of the simulator's own signal.
-
-    Pictures 5 ms apart hold 100 Hz, and the bins of 0.5 Hz are those of the signal at 1 kHz; matplotlib puts
-    a mark on the nearest pixel, so after its mean is taken it is within one. The probe rings at 15.0 to 15.5 Hz there
-    (twelve members, both precisions).
-    """
-    own = copy.deepcopy(ringing).advance(duration=2.0, points=("sensor",)).axial[:, 0]
-    motion = seen(ringing, 2.0)
-    strip = Strip(motion, "constant")
-    columns = []
-    for k in range(len(motion.time)):
-        green = mask(tube_of(strip.picture(k), strip), GREEN).sum(axis=0)
-        columns.append((np.arange(len(green)) * green).sum() / green.sum())
-    drawn = np.array(columns) / strip.axial_scale / AXIAL
-    assert np.ptp(drawn) * AXIAL * strip.axial_scale > 4.0  # pixels: it is seen to move
-    (frequency,) = dominant_frequencies(drawn, FRAME_PERIOD, 1)
-    (expected,) = dominant_frequencies(own, SAMPLE_PERIOD, 1)
-    assert frequency == pytest.approx(expected, abs=0.51)
-    assert 13.0 < expected < 17.0
-    pixel = 1.0 / strip.axial_scale / AXIAL
-    assert drawn - drawn.mean() == pytest.approx(own[::5] - own[::5].mean(), abs=pixel)
-    assert pytest.approx(1.0) == SLOWED * FRAMES_PER_SECOND * FRAME_PERIOD
-
-
 def test_walls_and_floats_are_drawn_to_scale(motion):
     strip = Strip(motion, "constant")
     inside = tube_of(strip.picture(0), strip)
@@ -135,6 +107,7 @@ def test_walls_and_floats_are_drawn_to_scale(motion):
     assert f"stretched x {strip.radial_scale / strip.axial_scale:.0f}" in said
     assert "last 10 m" in said
     assert "8 times slower" in said
+    assert pytest.approx(1.0) == SLOWED * FRAMES_PER_SECOND * FRAME_PERIOD
     assert "bore 24.2 mm, floats 18.5 and 19 mm" in said
 
 

@@ -6,7 +6,6 @@ import pytest
 import probe_env
 from probe_env import Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.judge import Tally
 from probe_env.envs.task import (
     COSTS,
     Outcome,
@@ -15,7 +14,6 @@ from probe_env.envs.task import (
     action_of,
     capped_square,
     cost_terms,
-    drive_counts,
     metre_cost,
     metre_reward,
     reward_terms,
@@ -56,10 +54,6 @@ def test_leaving_a_metre_out_never_pays():
     assert CONFIG.uninspected_weight == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
 
 
-def test_drive_counts_from_the_length_on_that_the_task_names():
-    assert drive_counts(CONFIG, np.array([0.0, 14.99, 15.0, 60.0])).tolist() == [False, False, True, True]
-
-
 RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)
 
 
@@ -87,17 +81,12 @@ def test_what_stands_still_in_one_task_stands_still_in_the_other():
 
 
 def test_periods_without_drive_are_counted_in_a_row():
-    """Of many probes at once and of one; an event is counted when the row is as long as it may be, and once."""
     hangs = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 1]], dtype=bool)
-    rows, tally, counts = np.zeros(2, dtype=int), Tally(), []
+    rows, counts = np.zeros(2, dtype=int), []
     for hanging in hangs.T:
         rows = slack_in_a_row(rows, hanging)
-        tally.add_drive(bool(hanging[0]), patience=3)
         counts.append(rows.tolist())
-        assert tally.slack_periods == rows[0]
-        assert type(tally.slack_periods) is int
     assert np.array(counts).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]
-    assert tally.lost_drive_events == 1
 
 
 FULL = (0.4, 30.0 / 3600.0)
