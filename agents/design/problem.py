@@ -15,7 +15,7 @@ import numpy as np
 from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import least_air
+from agents.policies.lookup import least_air
 from agents.policies.places import TABLE_2, Place
 from agents.records.provenance import commit
 from probe_env import Context, Design

@@ -16,7 +16,7 @@ import numpy as np
 
 from agents.plant.recommendation import MARGIN, tensions
 from agents.plant.response import Metres
-from agents.policies.maps.lookup import FIRST
+from agents.policies.lookup import FIRST
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, drive_counts

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.maps.lookup import LEAST_AIR, looked_up
+from agents.policies.lookup import LEAST_AIR, looked_up
 from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import FloatArray

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.policies.maps.lookup import expected_costs, knots, looked_up
+from agents.policies.lookup import expected_costs, knots, looked_up
 from agents.policies.on_map import FRICTION_STEP, FRICTIONS, MapPolicy
 from probe_env import Context, Scene
 from probe_env.arrays import BoolArray, FloatArray

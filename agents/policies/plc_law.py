@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.maps.lookup import least_air
+from agents.policies.lookup import least_air
 from agents.policies.policy import Domain
 from probe_env import Scene
 from probe_env.arrays import FloatArray

@@ -11,10 +11,11 @@ from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.places import both_ways, load_case, map_beside, map_of, place_at, place_of, with_probe
+from agents.policies.lookup import LEAST_AIR, best_schedule_for, knots, least_air
+from agents.policies.places import both_ways, load_case, map_of, place_at, place_of, with_probe
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
+from probe_env.envs.plants import map_beside
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension, steady_root_tension

@@ -9,7 +9,7 @@ from oracles.scatter import of_another
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import best_schedule_for, grid, knots
+from agents.policies.lookup import best_schedule_for, grid, knots
 from agents.policies.planner import (
     BLUR,
     Estimate,

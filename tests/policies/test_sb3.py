@@ -6,8 +6,8 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.policies import from_sb3, save_bundle
 from agents.policies.bundle import load_bundle
+from agents.policies.sb3 import from_sb3, save_bundle
 from agents.vec_env import ProbeVecEnv
 from probe_env import Scene, TaskConfig
 

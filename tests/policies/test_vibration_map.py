@@ -9,7 +9,7 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from agents.policies.maps.lookup import best_schedule_for, expected_costs, grid, knots
+from agents.policies.lookup import best_schedule_for, expected_costs, grid, knots
 from agents.policies.on_map import Adaptive, Privileged, TensionScheduled
 from agents.policies.view import HALF_RANGE, MIDDLE, View
 from agents.studies.shipped.vibration_map import Wandering, fit_map

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.plan import per_metre
-from agents.policies.maps.lookup import expected_costs
+from agents.policies.lookup import expected_costs
 from agents.policies.places import plant_at
 from agents.records.reading import FileError
 from agents.studies.builtin import Request
