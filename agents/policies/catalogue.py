@@ -86,14 +86,11 @@ def own_policies(specs: Sequence[str]) -> list[str]:
     return [
         name
         for name, spec in pairs
-        if CLASS.fullmatch(spec)
-        or (_is_file(spec) and not (spec.endswith(".safetensors") and ships("agents", spec)))
+        if CLASS.fullmatch(spec) or (_is_file(spec) and not (spec.endswith(".safetensors") and ships("agents", spec)))
     ]
 
 
-def make_policy(
-    spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False
-) -> Policy:
+def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False) -> Policy:
     """A policy by name, from a schedule (.csv, .toml), feedback law (.json), agent's bundle (.safetensors) or class.
 
     Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
@@ -147,8 +144,8 @@ def make_policy(
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
     similar = ", ".join(difflib.get_close_matches(spec, names))
     raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule file (.csv, .toml), a feedback law (.json),"
-        f" an agent's bundle (.safetensors) nor a class (module:Class){f'; the closest: {similar}' if similar else ''}"
+        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule (.csv, .toml), a feedback law (.json), an"
+        f" agent's bundle (.safetensors) or a class (module:Class){f'; the closest: {similar}' if similar else ''}"
     )
 
 
