@@ -104,7 +104,7 @@ class Shielded(_Wrapper):
         return actions, (inner, friction)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
+        """JSON-ready description."""
         own = {"policy": type(self).__name__, "margin": self.margin, "average": self.average, "prior": self.prior}
         return own | {"of": self.policy.describe()}
 
@@ -165,7 +165,7 @@ class BothWays(_Wrapper):
         return np.where(back[:, None], drawn, np.atleast_2d(actions)), state
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
+        """JSON-ready description."""
         way_back = {name: getattr(self.back, name) for name in ("position", "feed_speed", "air_supply_rate")}
         return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
 
@@ -199,7 +199,7 @@ class InSteps(_Wrapper):
         return self.config.actions(self.step * np.round(feed / self.step), air).astype(np.float32), state
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
+        """JSON-ready description."""
         return {"policy": type(self).__name__, "step": self.step, "of": self.agent.describe()}
 
 
