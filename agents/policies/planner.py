@@ -159,7 +159,7 @@ class Planner(_RecedingHorizon, MapPolicy):
 
     def _planned(self, episodes: Episodes, which: Sequence[int], memories: Sequence[Memory]) -> FloatArray:
         contexts = [episodes.context[k] for k in which]
-        scenes = None
+        scenes: dict[int, Scene] | None = None
         if self.tube == "estimated":
             read = [round(round(memory[3] / FRICTION_STEP) * FRICTION_STEP, 4) for memory in memories]
             contexts = [
