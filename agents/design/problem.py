@@ -129,7 +129,6 @@ class DesignProblem(DesignTrials):
         return [rows.get(place, nothing) | {"place": float(place)} for place, _ in tubes]
 
     def _constant(self, point: dict[str, float]) -> Schedule | None:
-        """The feed of a point where feed is searched."""
         if self.feed != "best-constant":
             return None
         return Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))

@@ -201,7 +201,6 @@ def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem)
 
 
 def _draw_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube: str = "") -> None:
-    """Vibration against time and drive margin, with the reference probes; ``tube`` goes into the title."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
     labels = {"inspection_time_s": "inspection time [s]", "drive_margin_n": "drive margin [N]"}
     if np.ptp(table["inspection_time_s"].quantile([0.1, 0.9])) < 1.0:  # a given feed: all take the same time

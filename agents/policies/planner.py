@@ -109,7 +109,6 @@ class _RecedingHorizon:
         return actions, [(time + 1, feed, air, friction) for time, feed, air, friction in memories]
 
     def _estimated(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
-        """Memories with the estimated friction updated, where a planner estimates it."""
         return memories
 
     @abstractmethod

@@ -148,7 +148,6 @@ class View(Model):
         return acted if guided is None else np.clip(acted - guided, -1.0, 1.0).astype(np.float32)
 
     def _air_floor(self, config: TaskConfig) -> float:
-        """The least air as a share of the task's range."""
         range_ = config.air_supply_rates
         return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
 

@@ -196,7 +196,6 @@ def train(
 
 
 def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv, ProbeVecEnv]:
-    """The algorithm with new weights, the environments it learns in, and the simulation below them."""
     settings, task = training.environment, training.task.all_shown
     batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, task,
@@ -218,7 +217,6 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
 def _run_phase(
     training: Training, model: BaseAlgorithm, env: ViewVecEnv, phase: int, folder: Path, report: Callable[[int], Any]
 ) -> None:
-    """Imitate the teacher (phase 0) or learn, from new episodes."""
     seed = int(np.random.SeedSequence([int(model.seed or 0), phase]).generate_state(1)[0] % 2**31)
     set_random_seed(seed)
     env.seed(seed)

@@ -221,7 +221,6 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
 
 
 def _draw(table: pd.DataFrame, path: Path) -> None:
-    """Reward of every trial, with the best so far."""
     figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
     kinds = (("complete", BLUE, "all phases"), ("pruned", "0.7", "ended early"), ("failed", RED, "broke down"))
     for state, colour, label in kinds:

@@ -5,13 +5,13 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.plan import Plan, run_plan
-from agents.policies.bundle import Agent
+from agents.policies.bundle import Agent, Description, Network, build_policy, write_bundle
 from agents.policies.catalogue import make_policy
+from agents.policies.view import View
 from agents.policies.wrappers import BothWays, InSteps
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import load_contexts
-from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import BOTH_WAYS, Fidelity
 from probe_env.files import FileError
@@ -64,18 +64,18 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
         make_policy(f"shielded:{path}", config)
 
 
-@pytest.mark.slow
 def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
     """On a device without steps: every change of the feed shakes a probe that is drawn back."""
-    environment = TINY["environment"] | {"task": TINY["environment"]["task"] | {"feed_speed_step": 0.05}}
-    train_all(Training(**TINY | {"environment": environment}), tmp_path, resume=False)
+    task, path = TaskConfig(passes="both", feed_speed_step=0.05), tmp_path / "agent.safetensors"
+    view = View(observations=tuple(task.observations))
+    description = Description(algorithm="ppo", network=Network(net_arch=(8,)), view=view, task=task, trained={})
+    write_bundle(path, description, build_policy(description))
     config = TaskConfig(passes="both").all_shown
-    policy = make_policy(str(tmp_path / "seed-0" / BEST), config)
+    policy = make_policy(str(path), config)
     assert isinstance(policy, InSteps)
     assert policy.domain.helix_length == 60.0
     assert policy.describe()["step"] == 0.05
-    episodes = Episodes(3, config, threads=1, fidelity="fast")
-    rows, _ = episodes.reset(range(3), {k: np.random.default_rng(k) for k in range(3)})
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (3, len(config.observations))).astype(np.float32)
     actions, state = policy.predict(rows, deterministic=True)
     own, _ = policy.agent.predict(rows, deterministic=True)
     feed, air = config.targets(actions).T
