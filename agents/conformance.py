@@ -48,26 +48,17 @@ def check_vector_env(make: Make, make_single: MakeSingle, num_envs: int = 3, ste
     _compare(second_start, second, expected_start, expected, "the same seed gives another run")
     one_start, one = _run(make(1), seed, actions[:, :1])
     _compare(one_start, one, expected_start[:1], [_take(o, [0]) for o in expected], "the batch's size changes a member")
-    _check_order(make, seeds, actions, expected_start, expected)
-    _check_aliasing(make, num_envs, seed, actions)
-
-
-def _check_order(make: Make, seeds: Sequence[int], actions: np.ndarray, start: np.ndarray, all_: list[Outcome]) -> None:
-    """Members in another order give the same runs; only for environments that take a seed each."""
-    env = make(len(seeds))
-    if not isinstance(env, VectorEnv):
-        return
-    order = list(reversed(range(len(seeds))))
-    permuted_start, permuted = _run(env, [seeds[k] for k in order], actions[:, order])
-    expected = [_take(o, order) for o in all_]
-    _compare(permuted_start, permuted, start[order], expected, "the order of the members changes them")
-
-
-def _check_aliasing(make: Make, num_envs: int, seed: int, actions: np.ndarray) -> None:
-    """What was handed out stays as it was."""
     env = make(num_envs)
-    if isinstance(env, VectorEnv) and env.metadata["autoreset_mode"] is AutoresetMode.DISABLED:
-        actions = actions[:1]  # an ended episode would have to be reset
+    if isinstance(env, VectorEnv):  # takes a seed for each member
+        order = list(reversed(range(num_envs)))
+        permuted_start, permuted = _run(env, [seeds[k] for k in order], actions[:, order])
+        reordered = [_take(o, order) for o in expected]
+        _compare(permuted_start, permuted, expected_start[order], reordered, "the order of the members changes them")
+    # an ended episode of a disabled autoreset would have to be reset
+    _check_aliasing(make(num_envs), seed, actions[:1] if mode is AutoresetMode.DISABLED else actions)
+
+
+def _check_aliasing(env: Any, seed: int, actions: np.ndarray) -> None:
     kept: list[tuple[np.ndarray, np.ndarray]] = []
     observation = _reset(env, seed)
     kept.append((observation, observation.copy()))

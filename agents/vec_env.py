@@ -69,11 +69,11 @@ class ProbeVecEnv(VecEnv):
 
     def reset(self) -> VecEnvObs:
         """Start all episodes, with the seeds of ``seed`` and the options of ``set_options`` if these were called."""
-        every = range(self.num_envs)
+        every = list(range(self.num_envs))
         for k in every:
             if self._seeds[k] is not None or k not in self._rngs:
                 self._rngs[k] = gym.utils.seeding.np_random(self._seeds[k])[0]
-        observation, infos = self.episodes.reset(list(every), self._rngs, dict(enumerate(self._options)))
+        observation, infos = self.episodes.reset(every, self._rngs, dict(enumerate(self._options)))
         self._steps[:] = 0
         self.reset_infos = [infos[k] for k in every]
         self._reset_seeds()
@@ -94,8 +94,7 @@ class ProbeVecEnv(VecEnv):
         observation, infos = step.observation, step.infos
         for k, info in enumerate(infos):
             info["TimeLimit.truncated"] = bool(truncated[k])
-        ended = np.flatnonzero(done).tolist()
-        if ended:
+        if ended := np.flatnonzero(done).tolist():
             for k in ended:
                 infos[k]["terminal_observation"] = step.observation[k].copy()
             self._steps[ended] = 0
@@ -116,11 +115,7 @@ class ProbeVecEnv(VecEnv):
         return hasattr(self, attr_name)
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
-        """Set an attribute of the batch: it is shared, so for all environments only.
-
-        Raises:
-            ValueError: some environments only.
-        """
+        """Set an attribute of the batch; it is shared, so ValueError for some environments only."""
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise ValueError(f"{attr_name} is shared by all environments of the batch: leave indices out")
         setattr(self, attr_name, value)
@@ -128,11 +123,7 @@ class ProbeVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Not there: a batch has no environments of their own to call.
-
-        Raises:
-            AttributeError: always.
-        """
+        """Raises AttributeError: a batch has no environments of their own to call."""
         raise AttributeError(f"{method_name}: a native batch has no single environments to call methods of")
 
     def env_is_wrapped(

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from agents.plant.logs import read_log
 from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
-from agents.policies.maps.lookup import FIRST
+from agents.policies.lookup import FIRST
 from agents.policies.places import Place
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env.arrays import FloatArray

@@ -128,16 +128,13 @@ def cells(summary: pd.DataFrame) -> list[list[str]]:
     rows, kpis = [], kpis_of(summary["kpi"], OF_DESIGNS)
     for name in dict.fromkeys(summary["design"]):
         part = summary[summary["design"] == name].set_index("kpi")
-        texts = [
-            _text(Interval(*part.loc[kpi, ["mean", "low", "high"]]), factor) for kpi, (_, factor, _) in kpis.items()
-        ]
-        change = _text(Interval(*part.loc["reward", ["change", "change_low", "change_high"]]))
-        rows.append([str(name), *texts, change])
+        means = {kpi: Interval(*part.loc[kpi, ["mean", "low", "high"]]) for kpi in kpis}
+        change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]])
+        rows.append([str(name), *(_text(mean, kpis[kpi][1]) for kpi, mean in means.items()), _text(change)])
     return rows
 
 
 def _text(interval: Interval, factor: float = 1.0) -> str:
-    """Mean with its interval; an interval of no width, as of one tube, is left out."""
     return interval.text(factor) if interval.low < interval.high else short(interval.mean * factor)
 
 
@@ -160,10 +157,8 @@ def read_comparison(folder: Path) -> pd.DataFrame:
 def print_comparison(table: pd.DataFrame) -> None:
     """Print the summary."""
     where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
-    number = table["context"].nunique()
+    number, summary = table["context"].nunique(), summarise(table)
     means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
-    title = f"{means}; change against the first"
-    summary = summarise(table)
-    print_table(title, header(summary), cells(summary))
+    print_table(f"{means}; change against the first", header(summary), cells(summary))
     for name, part in table.groupby("design", sort=False):
         print(f"{name}: {', '.join(in_words(failures(part)))}")

@@ -14,8 +14,7 @@ import numpy as np
 
 from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import least_air
+from agents.policies.lookup import least_air
 from agents.policies.places import TABLE_2, Place
 from agents.records.provenance import commit
 from probe_env import Context, Design
@@ -28,10 +27,7 @@ from probe_env.schedule import Schedule
 OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
 DIRECTIONS: Final[tuple[Literal["minimize", "maximize"], ...]] = ("minimize", "minimize", "maximize")
 Values = tuple[float, float, float]
-STUDY_PROBES: Final = {
-    "the study's original": Design(),
-    "the study's improved": Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016),
-}
+IMPROVED: Final = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
 
 
 @dataclass(frozen=True)
@@ -47,21 +43,19 @@ class DesignProblem(DesignTrials):
     @property
     def axes(self) -> dict[str, tuple[float, float, str]]:
         """Name -> lowest, highest, unit of everything that is searched: what fits the bore, what the task gives."""
-        probe = ranges_in(self.config.scene)
+        probe, config = ranges_in(self.config.scene), self.config
         if self.feed != "best-constant":
             return probe
-        most_air = self.config.air_supply_rates[1]
-        air = (least_air(self.config), most_air, "m3/s")
-        return probe | {"feed_speed": (*feeds(self.config), "m/s"), "air_supply_rate": air}
+        air = (least_air(config), config.air_supply_rates[1], "m3/s")
+        return probe | {"feed_speed": (*feeds(config), "m/s"), "air_supply_rate": air}
 
     @property
     def cuts(self) -> tuple[str, ...]:
         """Sentences about what of the design space does not fit the plant, and is not searched."""
-        searched = ranges_in(self.config.scene)
         return tuple(
             f"{name} is searched from {low:g} to {high:g} {unit}, not from {RANGES[name][0]:g} to {RANGES[name][1]:g}"
             f" {unit}: the rest does not fit the bore and the cable of {self.tube.name}"
-            for name, (low, high, unit) in searched.items()
+            for name, (low, high, unit) in ranges_in(self.config.scene).items()
             if (low, high, unit) != RANGES[name]
         )
 
@@ -72,9 +66,9 @@ class DesignProblem(DesignTrials):
             own = Design().completed(self.config.scene.probe)
         except ValueError:  # it is not one that the search may build
             own = Design()
-        first = {"the plant's own": own} if own != Design() else {"the study's original": Design()}
-        cut = {name: design.cut_to(self.config.scene) for name, design in (STUDY_PROBES | first).items()}
-        return {name: cut[name] for name in (*first, "the study's improved")}
+        first = "the study's original" if own == Design() else "the plant's own"
+        designs = {first: own, "the study's improved": IMPROVED}
+        return {name: design.cut_to(self.config.scene) for name, design in designs.items()}
 
     def starts(self) -> list[dict[str, float]]:
         """These probes, at several feeds where feed is searched."""
@@ -95,7 +89,7 @@ class DesignProblem(DesignTrials):
         Raises:
             ValueError: the feed is no policy.
         """
-        feed = None if self.feed == "best-constant" else make_policy(self.feed, self.config, self.vibration).describe()
+        feed = None if self.feed == "best-constant" else self.policy().describe()
         tubes = [context.model_dump() for context in self.contexts]
         parts = [
             self.axes, tubes, feed, self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
@@ -135,7 +129,6 @@ class DesignProblem(DesignTrials):
         return [rows.get(place, nothing) | {"place": float(place)} for place, _ in tubes]
 
     def _constant(self, point: dict[str, float]) -> Schedule | None:
-        """The feed of a point where feed is searched."""
         if self.feed != "best-constant":
             return None
         return Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))

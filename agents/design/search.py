@@ -79,15 +79,13 @@ def search(
     def complete() -> int:
         return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
 
-    done = complete()
     announce(Work("design", trials, complete, output))
-    with tqdm(total=trials, initial=min(done, trials), desc=name, unit="design") as bar:
-        for number in range(done, trials):
+    with tqdm(total=trials, initial=min(complete(), trials), desc=name, unit="design") as bar:
+        for number in range(complete(), trials):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                sampler = RepeatableNSGAII(
-                    population_size=population, seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-                )
+                draws = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+                sampler = RepeatableNSGAII(population_size=population, seed=draws)
                 fixed = dict(starts[number]) if number < len(starts) else {}
                 study.sampler = PartialFixedSampler(fixed, sampler) if fixed else sampler
                 trial = study.ask()
@@ -101,16 +99,15 @@ def search(
 def trials_table(study: optuna.Study) -> pd.DataFrame:
     """Complete trials: number, point, objectives, the commit that made it, and whether the design is on the front."""
     complete = sorted(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)), key=lambda trial: trial.number)
-    rows = [_row(k, trial) for k, trial in enumerate(complete)]
+    rows = (
+        {"trial": k} | trial.params | dict(zip(OBJECTIVES, trial.values, strict=True))
+        | {COMMIT: trial.user_attrs.get(COMMIT, "unknown")}
+        for k, trial in enumerate(complete)
+    )  # fmt: skip
     table = pd.DataFrame(rows)
     signs = np.array([1.0 if direction == "minimize" else -1.0 for direction in DIRECTIONS])
     table["on_front"] = moocore.is_nondominated(table[list(OBJECTIVES)].to_numpy() * signs)
     return table
-
-
-def _row(number: int, trial: FrozenTrial) -> dict[str, Any]:
-    values = dict(zip(OBJECTIVES, trial.values, strict=True))
-    return {"trial": number} | trial.params | values | {COMMIT: trial.user_attrs.get(COMMIT, "unknown")}
 
 
 def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> pd.DataFrame:
@@ -121,18 +118,17 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
     """
     names = list(axes)
     rows: list[tuple[str, str, float, float, float]] = []
+
+    def coefficients(*columns: np.ndarray) -> np.ndarray:
+        ranks = rankdata(np.column_stack(columns), axis=0)
+        scaled = (ranks - ranks.mean(axis=0)) / np.maximum(ranks.std(axis=0), 1e-12)
+        return np.asarray(np.linalg.lstsq(scaled[:, :-1], scaled[:, -1], rcond=None)[0])
+
     for objective in OBJECTIVES:
-
-        def coefficients(*columns: np.ndarray) -> np.ndarray:
-            ranks = rankdata(np.column_stack(columns), axis=0)
-            scaled = (ranks - ranks.mean(axis=0)) / np.maximum(ranks.std(axis=0), 1e-12)
-            return np.asarray(np.linalg.lstsq(scaled[:, :-1], scaled[:, -1], rcond=None)[0])
-
         data = tuple(table[name].to_numpy() for name in (*names, objective))
         ends = bootstrap_ends(coefficients, *data, method="percentile", paired=True, vectorized=False, n_resamples=1000)
-        middle = coefficients(*data)
-        low, high = map(np.atleast_1d, ends)
-        rows += [(objective, n, float(middle[k]), float(low[k]), float(high[k])) for k, n in enumerate(names)]
+        values = np.column_stack([coefficients(*data), *map(np.atleast_1d, ends)]).tolist()
+        rows += [(objective, name, *row) for name, row in zip(names, values, strict=True)]
     return pd.DataFrame(rows, columns=["objective", "parameter", "coefficient", "low", "high"])
 
 
@@ -163,13 +159,14 @@ def run_design_search(
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
         write_atomically(output / f"{name}.csv", frame.assign(**column).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
-    _draw_front(table, reference_probes(table, problem), output / "front.png", problem.tube.title)
-    _draw_parameters(table, problem.axes, output / "parallel.png", problem.tube.title)
+    names = [name for name in problem.probes for _ in problem.reference_feeds()]  # of the first trials
+    references = table.iloc[: len(names)].assign(design=names[: len(table)])
+    _draw_front(table, references, output / "front.png", problem.tube.title)
     setting: dict[str, Any] = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
     setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     write_json(output / "provenance.json", provenance(commits=table[COMMIT]) | setting)
     _print(front, influence, problem)
-    print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, parallel.png, found.toml)")
+    print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table
 
 
@@ -191,12 +188,6 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
     return Design(**{name: float(best[name]) for name in RANGES}).built
 
 
-def reference_probes(table: pd.DataFrame, problem: DesignProblem) -> pd.DataFrame:
-    """The first trials, which are the reference probes, with their names."""
-    names = [name for name in problem.probes for _ in problem.reference_feeds()]
-    return table.iloc[: len(names)].assign(design=names[: len(table)])
-
-
 def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem) -> None:
     axes, where = problem.axes, f" in {problem.tube.title}" if problem.tube.title else ""
     names = (*axes, *OBJECTIVES)
@@ -210,7 +201,6 @@ def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem)
 
 
 def _draw_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube: str = "") -> None:
-    """Vibration against time and drive margin, with the reference probes; ``tube`` goes into the title."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
     labels = {"inspection_time_s": "inspection time [s]", "drive_margin_n": "drive margin [N]"}
     if np.ptp(table["inspection_time_s"].quantile([0.1, 0.9])) < 1.0:  # a given feed: all take the same time
@@ -228,22 +218,4 @@ def _draw_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube:
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     if tube:
         figure.suptitle(f"Designs tried in {tube}", fontsize=10)
-    save(figure, path)
-
-
-def _draw_parameters(
-    table: pd.DataFrame, axes: dict[str, tuple[float, float, str]], path: Path, tube: str = ""
-) -> None:
-    """Every design as a line through its parameters, each from its lowest to its highest value."""
-    figure, axis = plt.subplots(figsize=(11, 5), layout="constrained")
-    names = list(axes)
-    for on_front, colour, width in ((False, "0.85", 0.6), (True, BLUE, 1.4)):
-        for row in table[table["on_front"] == on_front].to_dict("records"):
-            shares = [(row[name] - axes[name][0]) / (axes[name][1] - axes[name][0]) for name in names]
-            axis.plot(range(len(names)), shares, color=colour, linewidth=width)
-    labels = [f"{name.replace('_', ' ')}\n{axes[name][0]:.3g} to {axes[name][1]:.3g} {axes[name][2]}" for name in names]
-    axis.set_xticks(range(len(names)), labels, fontsize=7)
-    title = f"Designs tried (grey) and on the front (blue){tube and f', in {tube}'}"
-    axis.set(ylabel="from lowest to highest", ylim=(-0.02, 1.02), title=title)
-    axis.grid(**GRID)
     save(figure, path)

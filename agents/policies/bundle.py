@@ -1,6 +1,7 @@
 """A trained agent as one safetensors file: weights, and a description of its network, view and task in the metadata.
 
-Loading builds the network from the validated description and fills in the weights; nothing in the file is executed.
+Loading builds the network from the validated description and fills in the weights; nothing in the file is executed. A
+zip file of Stable-Baselines3 holds a pickle, which can run any code, so commands take bundles alone.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.policies.policy import Domain, RangesOfTubes
 from agents.policies.view import View
@@ -32,11 +35,13 @@ from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
 
 Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
-ALGORITHMS: Final[dict[str, tuple[Any, str]]] = {
+ALGORITHMS: Final[dict[Algorithm, tuple[Any, str]]] = {
     "ppo": (PPO, "MlpPolicy"),
     "sac": (SAC, "MlpPolicy"),
     "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
 }
+KNOWN: Final = ("net_arch", "log_std_init", "lstm_hidden_size", "ortho_init", "use_sde")
+"""Arguments of a policy that a bundle describes, or that change nothing after training."""
 MOST_WEIGHTS: Final = 1 << 24
 """Weights between the hidden layers, so that what a file describes cannot fill the memory."""
 LARGEST_WEIGHT: Final = 1e6
@@ -116,10 +121,10 @@ class Agent:
     @property
     def domain(self) -> Domain:
         """Tubes that it was trained in; an agent that sees which probe it feeds knows any."""
-        said = self.description
-        ranges = said.tubes or Domain.of_map(stored_map()).ranges
-        tube, any_probe = said.task.scene.tube, set(PROBE) <= set(said.view.observations)
-        return Domain(ranges, tube.inner_diameter, tube.helix_length, None if any_probe else said.task.scene.probe)
+        made, scene = self.description, self.description.task.scene
+        ranges = made.tubes or Domain.of_map(stored_map()).ranges
+        any_probe = set(PROBE) <= set(made.view.observations)
+        return Domain(ranges, scene.tube.inner_diameter, scene.tube.helix_length, None if any_probe else scene.probe)
 
     def predict(
         self,
@@ -129,7 +134,12 @@ class Agent:
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], tuple[Any, ...]]:
         """Actions of the environment for observations (d,) or (N, d), and the state to give back next time."""
-        rows = self._as_trained(np.atleast_2d(observation))
+        rows = np.atleast_2d(observation)
+        if self._other_ranges:  # previous actions as the task of the training says them
+            rows, names = rows.copy(), list(self.config.observations)
+            for name, column in PREVIOUS.items():
+                here, trained = getattr(self.config, name), getattr(self.description.task, name)
+                rows[:, names.index(column)] = action_in(rows[:, names.index(column)], here, trained)
         new = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
         memory, inner = state if state is not None else (None, None)
         view = self.description.view
@@ -142,16 +152,6 @@ class Agent:
         if self._other_ranges:
             acted = self.config.actions(*self.description.task.targets(acted).T).astype(np.float32)
         return (acted[0] if np.ndim(observation) == 1 else acted), (memory, inner)
-
-    def _as_trained(self, rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
-        """Observations whose previous actions are those of the task that it was trained in: its feed and air alike."""
-        if not self._other_ranges:
-            return rows
-        rows, names = rows.copy(), list(self.config.observations)
-        for name, column in PREVIOUS.items():
-            here, trained = getattr(self.config, name), getattr(self.description.task, name)
-            rows[:, names.index(column)] = action_in(rows[:, names.index(column)], here, trained)
-        return rows
 
     def describe(self) -> dict[str, Any]:
         """Equal for equal agents."""
@@ -184,16 +184,6 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
     if _hash(text, weights) != digest:
         raise FileError(path, f"changed or cut off since it was written: its hash does not match - {RESTORE}")
     policy = build_policy(description, initialised=False)
-    _check_weights(path, policy, weights)
-    policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
-    try:
-        return Agent(description, policy, config or description.task, digest)
-    except ValueError as error:
-        raise FileError(path, str(error)) from error
-
-
-def _check_weights(path: Path, policy: BasePolicy, weights: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Raise unless names, shapes and types are those of the network and the values finite and plausible."""
     network = {name: value.numpy() for name, value in policy.state_dict().items()}
     for name in sorted(network.keys() | weights.keys()):
         needed, found = (
@@ -203,6 +193,11 @@ def _check_weights(path: Path, policy: BasePolicy, weights: Mapping[str, npt.NDA
             raise FileError(path, f"weights do not fit the described network: {name!r} is {found}, not {needed}")
         if not np.abs(weights[name]).max(initial=0.0) <= LARGEST_WEIGHT:
             raise FileError(path, f"weights: {name!r} holds values that are not finite or beyond {LARGEST_WEIGHT:g}")
+    policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+    try:
+        return Agent(description, policy, config or description.task, digest)
+    except ValueError as error:
+        raise FileError(path, str(error)) from error
 
 
 def build_policy(description: Description, initialised: bool = True) -> BasePolicy:
@@ -222,3 +217,54 @@ def _hash(text: str, weights: Mapping[str, npt.NDArray[Any]]) -> str:
     for name in sorted(weights):
         digest.update(f"{name}{weights[name].dtype}{weights[name].shape}".encode() + weights[name].tobytes())
     return digest.hexdigest()[:32]
+
+
+def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
+    """A model of Stable-Baselines3 as a policy, in every task that shows what it was trained on.
+
+    Args:
+        model: trained on ``ProbeVecEnv(config=config)`` or an environment of that task, without wrappers that change
+            observations or actions.
+        config: the task that it was trained in.
+
+    Raises:
+        ValueError: the model is of another kind, or of other spaces than the task.
+    """
+    return Agent(_described(model, config), model.policy, config.all_shown)
+
+
+def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
+    """Write a model as a bundle (.safetensors), which every command takes; returns its hash. See ``from_sb3``.
+
+    Raises:
+        ValueError: as ``from_sb3``, or the policy has arguments that a bundle does not describe.
+    """
+    unknown = sorted(set(model.policy_kwargs) - set(KNOWN))
+    if unknown or isinstance(model.policy_kwargs.get("net_arch"), dict):
+        what = ", ".join(unknown) or "net_arch with different networks"
+        raise ValueError(f"policy_kwargs: a bundle does not describe {what}")
+    return write_bundle(Path(path), _described(model, config), model.policy)
+
+
+def _described(model: BaseAlgorithm, config: TaskConfig) -> Description:
+    algorithm = next((name for name, (kind, _) in ALGORITHMS.items() if isinstance(model, kind)), None)
+    if algorithm is None:
+        kinds = ", ".join(kind.__name__ for kind, _ in ALGORITHMS.values())
+        raise ValueError(f"model is a {type(model).__name__}; {kinds} are accepted")
+    view = View(observations=tuple(config.observations), averages=(), logarithmic_feed=False)
+    for name, needed in zip(("observation_space", "action_space"), view.spaces, strict=True):
+        shape = getattr(model, name).shape
+        if shape != needed.shape:
+            raise ValueError(f"{name} of the model has shape {shape}; that of the task is {needed.shape}")
+    if isinstance(model.get_env(), VecNormalize):
+        raise ValueError("model was trained with VecNormalize, whose statistics a policy alone does not have")
+    sizes = {name: value for name, value in model.policy_kwargs.items() if name == "log_std_init"}
+    memory = getattr(model.policy, "lstm_actor", None)
+    if memory is not None:
+        sizes["lstm_hidden_size"] = memory.hidden_size
+    shape = getattr(model.policy, "net_arch", None)
+    if isinstance(shape, dict):  # equal networks of actor and critic
+        shape = shape.get("pi", shape.get("vf"))
+    network = Network(net_arch=tuple(shape or ()), **sizes)
+    trained = {"by": "stable_baselines3", "steps": int(model.num_timesteps), "seed": model.seed}
+    return Description(algorithm=algorithm, network=network, view=view, task=config, trained=trained)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import re
 import warnings
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -15,10 +17,11 @@ from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InspectionPla
 from agents.policies.plc_law import PlcLaw, TrimmedLaw
 from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
-from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_folder, shipped_names
+from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
+from probe_env.files import one_line
 from probe_env.schedule import Schedule
 
 if TYPE_CHECKING:
@@ -30,12 +33,14 @@ STORED: Final = ("best-constant", "best-schedule")
 LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-law": PlcLaw, "trimmed-law": TrimmedLaw}
 BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
+CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
+"""A policy class of the user: importable module, class name."""
 
 
 def named_policies(
-    specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None
+    specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False
 ) -> dict[str, Policy]:
-    """Policies by their names in tables: from "NAME=SPEC", or the name or file name in the spec.
+    """Policies by their names in tables: from "NAME=SPEC", or the name, file name or class name in the spec.
 
     Raises:
         ValueError: no policy, a name twice or not valid, or as ``make_policy``.
@@ -49,7 +54,7 @@ def named_policies(
             + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
         )
     return {
-        checked_name(name, "policy", "NAME=FILE gives a name"): make_policy(spec, config, vibration)
+        checked_name(name, "policy", "NAME=FILE gives a name"): make_policy(spec, config, vibration, classes)
         for name, spec in pairs
     }
 
@@ -59,52 +64,55 @@ def name_and_spec(given: str) -> tuple[str, str]:
     if given.startswith(PREFIX):
         name, spec = name_and_spec(unshielded(given))
         return f"shielded-{name}", PREFIX + spec
-    places = [place for place, character in enumerate(given) if character == "="]
-    if _is_file(given) or not places:
-        return name_of(Path(given)) if "." in given else given, given
-    splits = [(given[:place], given[place + 1 :]) for place in places]
-    return next((split for split in splits if _is_named(split[1]) or _is_file(split[1])), splits[0])
+    splits = [(given[:k], given[k + 1 :]) for k, character in enumerate(given) if character == "="]
+    if _is_file(given) or not splits:
+        custom = CLASS.fullmatch(given)
+        return custom["name"] if custom else name_of(Path(given)) if "." in given else given, given
+    return next((split for split in splits if _is_known(unshielded(split[1])) or _is_file(split[1])), splits[0])
 
 
-def _is_named(spec: str) -> bool:
-    spec = unshielded(spec)
-    return spec in (*NAMES, *shipped_names("schedules")) or agent_file(spec) is not None
+def _is_known(spec: str) -> bool:
+    return spec in (*NAMES, *shipped_names("schedules")) or agent_file(spec) is not None or bool(CLASS.fullmatch(spec))
 
 
 def _is_file(spec: str) -> bool:
-    spec = unshielded(spec)
-    return Path(spec).suffix in (".csv", ".toml", ".json", ".safetensors") and Path(spec).exists()
+    path = Path(unshielded(spec))
+    return path.suffix in (".csv", ".toml", ".json", ".safetensors") and path.exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
-    """Names of the user's own policies: files, except for agents that ship."""
-    shipped = shipped_folder("agents").resolve()
-    given = [(name, Path(unshielded(spec))) for name, spec in map(name_and_spec, specs) if _is_file(spec)]
-    return [name for name, path in given if path.suffix != ".safetensors" or not path.resolve().is_relative_to(shipped)]
+    """Names of the user's own policies: classes, and files except for agents that ship."""
+    pairs = [(name, unshielded(spec)) for name, spec in map(name_and_spec, specs)]
+    return [
+        name
+        for name, spec in pairs
+        if CLASS.fullmatch(spec) or (_is_file(spec) and not (spec.endswith(".safetensors") and ships("agents", spec)))
+    ]
 
 
-def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None) -> Policy:
-    """A policy by name, or from a schedule (.csv, .toml), feedback law (.json) or agent's bundle (.safetensors).
+def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False) -> Policy:
+    """A policy by name, from a schedule (.csv, .toml), feedback law (.json), agent's bundle (.safetensors) or class.
 
     Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
     keeps a margin of drive. In a task of both passes agents that were trained in one act on both; other policies are
     for the insertion, and the withdrawal is in a schedule file's own columns, or as fast as possible.
 
     Args:
-        spec: name or file.
+        spec: name, file or "module:Class", a class that is called with the task and makes a ``Policy``.
         config: the task.
         vibration: the map of policies that need one; default: the shipped one.
+        classes: accept "module:Class", which imports code; False for specs that are read from a file.
 
     Raises:
-        ValueError: no such policy, or the file is not valid, or an agent does not fit the task.
+        ValueError: no such policy, or the file or class is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
     if config.returns:
-        return _both_ways(spec, config, vibration)
+        return _both_ways(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
         if unshielded(spec) in PLANNERS:
             raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
-        return Shielded(config, make_policy(unshielded(spec), config, vibration))
+        return Shielded(config, make_policy(unshielded(spec), config, vibration, classes))
     spec = policy_file(spec)
     suffix = Path(spec).suffix
     if spec in BUILT_IN:
@@ -129,16 +137,42 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return Lawful(config, law=Law.read(spec))
     if suffix == ".safetensors":
         return _agent(spec, config)
+    if custom := CLASS.fullmatch(spec):
+        if not classes:
+            raise ValueError(f"policy = {spec!r}: a class imports code, and a file may not ask for that")
+        return _custom(config, **custom.groupdict())
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
     similar = ", ".join(difflib.get_close_matches(spec, names))
     raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule file (.csv, .toml), a feedback law (.json)"
-        f" nor an agent's bundle (.safetensors){f'; the closest: {similar}' if similar else ''}"
+        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule (.csv, .toml), a feedback law (.json), an"
+        f" agent's bundle (.safetensors) or a class (module:Class){f'; the closest: {similar}' if similar else ''}"
     )
 
 
-def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) -> Policy:
-    """A policy in a task of both passes, see ``make_policy``."""
+def _custom(config: TaskConfig, module: str, name: str) -> Policy:
+    spec = f"{module}:{name}"
+    try:
+        kind = getattr(import_module(module), name, None)
+    except Exception as error:
+        hint = "install it, or put its folder on PYTHONPATH"
+        raise ValueError(f"policy = {spec!r} cannot be imported ({_reason(error)}): {hint}") from error
+    if not isinstance(kind, type):
+        raise ValueError(f"policy = {spec!r}: {module} has no class {name}")
+    missing = [method for method in ("predict", "describe") if not callable(getattr(kind, method, None))]
+    if missing:
+        raise ValueError(f"policy = {spec!r}: the class has no method {' and no method '.join(missing)}")
+    try:
+        policy: Policy = kind(config)
+    except Exception as error:
+        raise ValueError(f"policy = {spec!r} cannot be made for the task ({_reason(error)})") from error
+    return policy
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {one_line(str(error))}"
+
+
+def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, classes: bool) -> Policy:
     if spec in INSPECTION_PLANNERS:
         return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
     if spec in PLANNERS:
@@ -154,7 +188,7 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None) ->
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, way back", back, config)
-    return BothWays(config, make_policy(spec, way_in(config), vibration), back or fastest_back(config))
+    return BothWays(config, make_policy(spec, way_in(config), vibration, classes), back or fastest_back(config))
 
 
 def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:

@@ -110,7 +110,7 @@ class Replayed(FixedPolicy):
     followed from there on, or from the length at the start of the episode. After its end the last feed continues.
     """
 
-    schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
+    schedule: Schedule
     memory: ClassVar[int] = 2
     stands: ClassVar[bool] = True
 

@@ -6,25 +6,22 @@ A rig's controller can hold it as a table: helix diameter, friction and inserted
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 from pydantic_core import PydanticCustomError
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.policy import Domain, RangesOfTubes
+from agents.policies.policy import Domain, RangesOfTubes, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
-from probe_env.files import MEBI, FileError, read_text
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 from probe_env.schedule import AIR, FEED, RANGES
-from probe_env.settings import Model, explain, tuples
+from probe_env.settings import Model
 
-MOST_FILE = 8 * MEBI
 Row = Annotated[tuple[FiniteFloat, ...], Field(min_length=2, max_length=1000)]
 Table = Annotated[tuple[Row, ...], Field(min_length=1, max_length=100)]
 
@@ -73,18 +70,8 @@ class Law(Model):
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a law's file (JSON).
-
-        Raises:
-            FileNotFoundError: no such file.
-            FileError: not a law; names every offending field.
-        """
-        try:
-            return cls.model_validate(tuples(json.loads(read_text(Path(path), MOST_FILE))))
-        except ValidationError as error:
-            raise FileError(path, explain(error)) from error
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise FileError(path, f"not JSON: {error}") from error
+        """Read a law's file (JSON), see ``read_model``."""
+        return read_model(path, cls, "JSON")
 
     def at(self, friction: FloatArray, length: FloatArray, diameter: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed speed [m/s] and air supply [m3/s] (n,), straight between frictions and lengths, at the nearest diameter.

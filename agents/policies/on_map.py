@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.maps.lookup import LEAST_AIR, looked_up
+from agents.policies.lookup import LEAST_AIR, looked_up
 from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import FloatArray
@@ -188,8 +188,7 @@ def _weighted(config: TaskConfig, vibration_weight: float | None) -> TaskConfig:
 
 @lru_cache(maxsize=4096)
 def _context(friction: float, stiffness: float, drag: float, diameter: float) -> Context:
-    """A tube from float32 observations, rounded so that it is the same in every step."""
-    return Context(
+    return Context(  # rounded so that it is the same in every step
         friction=round(friction, 5),
         contact_stiffness=round(stiffness, -1),
         drag_factor=round(drag, 4),

@@ -15,10 +15,6 @@ from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
 
-WHOLE_SHIFT: Final = 2.0
-"""Time limit of both passes over that of the insertion."""
-SPLITS: Final = tuple(SPLIT_SIZES)
-
 
 class Named(NamedTuple):
     """The plant of a case.
@@ -58,12 +54,12 @@ def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibra
     Raises:
         ValueError: no such list, or a limit out of range.
     """
-    known = vibration or stored_map()
+    known, most = vibration or stored_map(), SPLIT_SIZES[split]
     if plant is None:
         return Place(TaskConfig(), spread_contexts(split, limit), known)
-    if not 0 <= limit <= SPLIT_SIZES[split]:
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {SPLIT_SIZES[split]}")
-    return Place(plant.configured(), plant.contexts(limit or SPLIT_SIZES[split], SPLITS.index(split)), known)
+    if not 0 <= limit <= most:
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
+    return Place(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), known)
 
 
 def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
@@ -93,25 +89,19 @@ def plant_at(tube: Path | None) -> Plant | None:
     return None if tube is None else Plant.from_toml(file_or_shipped("tubes", tube))
 
 
-def own_map(tube: Path) -> Path | None:
-    """The map beside a plant's file, or beside the shipped one of a name, where there is one."""
-    try:
-        path = map_beside(file_or_shipped("tubes", tube))
-    except FileNotFoundError:  # a file that is not written yet may have its map already
-        path = map_beside(tube)
-    return path if path.exists() else None
-
-
 def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
     """The map beside a plant's file, where there is one, else the shipped one.
 
     Raises:
         FileError: the map is damaged, or of another bore, length, probe or air than the file now says.
     """
-    path = None if tube is None or plant is None else own_map(tube)
-    if tube is None or plant is None or path is None:
+    if tube is None or plant is None:
         return stored_map()
-    return load_for(path, tube.name, plant.scene)
+    try:
+        path = map_beside(file_or_shipped("tubes", tube))
+    except FileNotFoundError:  # a file that is not written yet may have its map already
+        path = map_beside(tube)
+    return load_for(path, tube.name, plant.scene) if path.exists() else stored_map()
 
 
 def with_probe(config: TaskConfig, name: str) -> TaskConfig:
@@ -129,9 +119,8 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
 
 
 def both_ways(place: Place, inspects: str) -> Place:
-    """The same case with a task of both passes; ``inspects`` as in ``TaskConfig``."""
-    limit = WHOLE_SHIFT * place.config.time_limit
-    update = {"passes": "both", "inspects": inspects, "time_limit": limit}
+    """The same case with a task of both passes and twice the time; ``inspects`` as in ``TaskConfig``."""
+    update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * place.config.time_limit}
     return place._replace(config=place.config.model_copy(update=update))
 
 

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.policies.maps.lookup import expected_costs, knots, looked_up
+from agents.policies.lookup import expected_costs, knots, looked_up
 from agents.policies.on_map import FRICTION_STEP, FRICTIONS, MapPolicy
 from probe_env import Context, Scene
 from probe_env.arrays import BoolArray, FloatArray
@@ -54,8 +54,8 @@ PLANNERS: Final[dict[str, dict[str, Any]]] = {
     "planner-estimated": {"blur": BLUR, "tube": "estimated"},
 }
 """Names and settings of planners of insertions."""
-INSPECTION_PLANNERS: Final[dict[str, dict[str, Any]]] = {"planner": {}, "planner-blurred": {"blur": BLUR}}
-"""Names and settings of planners of both passes."""
+INSPECTION_PLANNERS: Final = {name: PLANNERS[name] for name in ("planner", "planner-blurred")}
+"""Those of both passes."""
 Memory = tuple[int, float, float, float]
 """Periods since the start, feed [m/s] and air [m3/s] that are held, and the estimated friction."""
 
@@ -91,14 +91,11 @@ class _RecedingHorizon:
     def decide(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
     ) -> tuple[npt.NDArray[np.float32], list[Any]]:
-        """Actions (n, 2) and states of running episodes, see ``probe_env.envs.trials.Foresighted``.
-
-        Raises:
-            ValueError: the task does not show the root tension that an estimated tube needs, or see ``looked_ahead``.
-        """
-        memories = [
-            self._first(episodes, k) if state is None else state for k, state in zip(which, states, strict=True)
-        ]
+        """Actions (n, 2) and states of running episodes, see ``probe_env.envs.trials.Foresighted``."""
+        memories: list[Memory] = []
+        for k, state in zip(which, states, strict=True):
+            simulator = episodes.batch.simulators[k]
+            memories.append(state or (0, simulator.feed_speed, simulator.air_supply_rate, self.prior))
         memories = self._estimated(observation, memories)
         due = [row for row, memory in enumerate(memories) if memory[0] % self.every == 0]
         # together with those of the same time: the draws depend on the time, so not on what runs beside an episode
@@ -111,12 +108,7 @@ class _RecedingHorizon:
         actions = self.config.actions(held[:, 0], held[:, 1]).astype(np.float32)
         return actions, [(time + 1, feed, air, friction) for time, feed, air, friction in memories]
 
-    def _first(self, episodes: Episodes, k: int) -> Memory:
-        simulator = episodes.batch.simulators[k]
-        return 0, simulator.feed_speed, simulator.air_supply_rate, self.prior
-
     def _estimated(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
-        """Memories with the estimated friction updated, where a planner estimates it."""
         return memories
 
     @abstractmethod
@@ -165,12 +157,19 @@ class Planner(_RecedingHorizon, MapPolicy):
         return [(*m[:3], m[3] + gain * (float(mu) - m[3])) for m, mu in zip(memories, read, strict=True)]
 
     def _planned(self, episodes: Episodes, which: Sequence[int], memories: Sequence[Memory]) -> FloatArray:
-        """(n, 2) feed [m/s] and air [m3/s] of the best candidates."""
         contexts = [episodes.context[k] for k in which]
-        scenes = None
+        scenes: dict[int, Scene] | None = None
         if self.tube == "estimated":
-            contexts = [_tube(context, memory[3]) for context, memory in zip(contexts, memories, strict=True)]
-            scenes = {k: _moved(episodes, k, context) for k, context in zip(which, contexts, strict=True)}
+            read = [round(round(memory[3] / FRICTION_STEP) * FRICTION_STEP, 4) for memory in memories]
+            contexts = [
+                Context(friction=friction, helix_diameter=context.helix_diameter)
+                for friction, context in zip(read, contexts, strict=True)
+            ]
+            scenes = {}  # in which the episodes began, in other tubes
+            for k, context in zip(which, contexts, strict=True):
+                truth = episodes.batch.simulators[k].scene
+                own = {"probe": truth.probe, "carrier_length": truth.carrier_length}
+                scenes[k] = episodes.starts.build(context, {}).model_copy(update=own)
         inserted = np.array([episodes.batch.simulators[k].inserted_length for k in which])
         mapped = np.column_stack(looked_up(contexts, inserted, self.config, self.vibration))
         kept = np.array([memory[1:3] for memory in memories])
@@ -183,20 +182,6 @@ class Planner(_RecedingHorizon, MapPolicy):
                 rest = worth_of_rest(context, outlook.inserted[row], self.config, self.vibration)
                 worth[row] += np.where(outlook.over[row], 0.0, rest)
         return np.take_along_axis(tried, worth.argmax(axis=1)[:, None, None], axis=1)[:, 0]
-
-
-def _tube(context: Context, friction: float) -> Context:
-    """What a rig takes the tube for: its own helix, the friction that it estimates, the rest as usual."""
-    return Context(
-        friction=round(round(friction / FRICTION_STEP) * FRICTION_STEP, 4), helix_diameter=context.helix_diameter
-    )
-
-
-def _moved(episodes: Episodes, k: int, tube: Context) -> Any:
-    """The scene that an episode began in, in another tube."""
-    scene = episodes.starts.build(tube, {})
-    truth = episodes.batch.simulators[k].scene
-    return scene.model_copy(update={"probe": truth.probe, "carrier_length": truth.carrier_length})
 
 
 @dataclass
@@ -234,7 +219,7 @@ class InspectionPlanner(_RecedingHorizon):
             )
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
+        """JSON-ready description."""
         own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "config"}
         return {"policy": type(self).__name__, **own}
 
@@ -392,8 +377,7 @@ def inserted_of(copies: SimulatorBatch) -> FloatArray:
 
 def worth_of_rest(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
     """Expected reward of the best schedule from inserted lengths [m] (any shape) to the helix's end."""
-    places, worth = _worth(tube, config, vibration)
-    return np.interp(inserted, places, worth)
+    return np.interp(inserted, *_worth(tube, config, vibration))
 
 
 @lru_cache(maxsize=1024)

@@ -10,24 +10,21 @@ tube. The feed is lowered faster than raised, since ringing costs more than time
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
-from pydantic import ValidationError
 
 from agents.policies.fixed import FixedPolicy
-from agents.policies.maps.lookup import least_air
-from agents.policies.policy import Domain
+from agents.policies.lookup import least_air
+from agents.policies.policy import Domain, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.vibration_map import stored_map
-from probe_env.files import MEBI, FileError, read_text
 from probe_env.physics.closed_forms import drag_per_metre
 from probe_env.physics.model.chain import air_speed
-from probe_env.settings import Model, explain, quantity, tuples
+from probe_env.settings import Model, quantity
 
 FRICTION: Final = 0.175
 DIAMETER: Final = 1.5
@@ -112,31 +109,14 @@ class Trim(Model):
     """In which feed changes by a factor of e where the noise is off by a factor of e."""
 
 
-M = TypeVar("M", bound=Model)
-
-
 def read_constants(path: str | Path = STORED) -> Constants:
-    """The ten constants from a file (JSON).
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not such constants; names every offending field.
-    """
-    return _read(path, "constants", Constants, "a law")
+    """The ten constants from a file (JSON), see ``read_model``."""
+    return read_model(path, Constants, "the constants of a law", "constants")
 
 
 def read_trim(path: str | Path = STORED_TRIM) -> Trim:
-    """The constants of a trim from a file (JSON); raises as ``read_constants``."""
-    return _read(path, "trim", Trim, "a trim")
-
-
-def _read(path: str | Path, key: str, model: type[M], what: str) -> M:
-    try:
-        return model.model_validate(tuples(json.loads(read_text(Path(path), MEBI)))[key])
-    except ValidationError as error:
-        raise FileError(path, explain(error)) from error
-    except (json.JSONDecodeError, RecursionError, KeyError, TypeError) as error:
-        raise FileError(path, f"not the constants of {what}: {error}") from error
+    """The constants of a trim from a file (JSON), see ``read_model``."""
+    return read_model(path, Trim, "the constants of a trim", "trim")
 
 
 def friction_of(tension: FloatArray, seen: dict[str, FloatArray], plant: PlantData) -> FloatArray:
@@ -228,11 +208,7 @@ class TrimmedLaw(PlcLaw):
         memory[:, PlcLaw.memory :] = np.log(UNKNOWN_NOISE), 0.0
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By length, tension, noise and helix diameter.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
+        """The law's, with the feed past the onset trimmed."""
         feed, air = super().targets(seen, memory[:, : PlcLaw.memory])
         noise, trim = memory[:, -2], memory[:, -1]
         period = self.config.period

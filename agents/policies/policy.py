@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from pathlib import Path
+from typing import Annotated, Any, Protocol, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, FiniteFloat
+from pydantic import AfterValidator, FiniteFloat, ValidationError
 from pydantic_core import PydanticCustomError
 
 from probe_env import Context
@@ -18,7 +20,9 @@ from probe_env.envs.episodes.starts import Contexts, checked_contexts
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Controller
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap
+from probe_env.files import MEBI, FileError, read_text
 from probe_env.scene import Probe
+from probe_env.settings import Model, explain, tuples
 
 UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
 
@@ -30,8 +34,7 @@ class Policy(Controller, Protocol):
         """JSON-ready description."""
 
 
-def check_ranges(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Raise PydanticCustomError for an unknown field of ``Context`` or a range in descending order."""
+def _checked(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     for name, (low, high) in ranges.items():
         if name not in CONTEXT:
             text = f"{name!r} is none of {', '.join(CONTEXT)}"
@@ -43,8 +46,27 @@ def check_ranges(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[floa
     return ranges
 
 
-RangesOfTubes = Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], AfterValidator(check_ranges)]
+RangesOfTubes = Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], AfterValidator(_checked)]
 """Ranges of fields of ``Context`` in a file."""
+
+
+M = TypeVar("M", bound=Model)
+
+
+def read_model(path: str | Path, model: type[M], what: str, key: str | None = None) -> M:
+    """A JSON file, or the value of one key in it, as a model; ``what`` it should be is for the error.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not JSON, or not valid; names every offending field.
+    """
+    try:
+        content = tuples(json.loads(read_text(Path(path), 8 * MEBI)))
+        return model.model_validate(content if key is None else content[key])
+    except ValidationError as error:
+        raise FileError(path, explain(error)) from error
+    except (json.JSONDecodeError, RecursionError, KeyError, TypeError) as error:
+        raise FileError(path, f"not {what}: {error}") from error
 
 
 class OutsideDomain(UserWarning):
@@ -87,22 +109,19 @@ class Domain:
             deviations.append(f"probe: another {', '.join(names)}")
         tubes = list(contexts)
         for name, (low, high) in self.ranges.items():
-            values = [getattr(tube, name) for tube in tubes]
+            values, unit = [getattr(tube, name) for tube in tubes], UNITS[name]
             least, most = min(values), max(values)
             if least < low * (1.0 - 1e-3) or most > high * (1.0 + 1e-3):
-                deviations.append(
-                    f"{name} = {least:g} to {most:g}{UNITS[name]}, beyond {low:g} to {high:g}{UNITS[name]}"
-                )
+                deviations.append(f"{name} = {least:g} to {most:g}{unit}, beyond {low:g} to {high:g}{unit}")
         return deviations
 
 
 def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
     """Ranges of the fields of tubes, which may themselves be given as ranges."""
     tubes = checked_contexts(contexts)
-    if isinstance(tubes, Ranges):
-        listed = {name: np.atleast_1d(getattr(tubes, name)).tolist() for name in CONTEXT}
-        return {name: (min(values), max(values)) for name, values in listed.items()}
-    return {name: (min(getattr(c, name) for c in tubes), max(getattr(c, name) for c in tubes)) for name in CONTEXT}
+    parts = [tubes] if isinstance(tubes, Ranges) else tubes
+    values = {name: np.hstack([getattr(part, name) for part in parts]) for name in CONTEXT}
+    return {name: (float(column.min()), float(column.max())) for name, column in values.items()}
 
 
 def check_domains(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Self
 
 import gymnasium as gym
 import numpy as np
@@ -19,19 +19,12 @@ from probe_env.settings import Model, quantity
 
 Rows = npt.NDArray[np.floating[Any]]
 TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
-
-
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
-PLC: Final = "plc-law"
-READ_BY_LAW: Final = (
-    "inserted_length", "feed_speed", "air_supply_rate", "root_tension", "rf_noise", "helix_diameter",
-)  # fmt: skip
-"""What a guide looks at, and so an agent with one."""
 
 
 def guide_of(given: Any) -> Any:
     """The constants of a law that is named: kept with the agent, whatever becomes of the shipped ones."""
-    return read_constants() if given == PLC else given
+    return read_constants() if given == "plc-law" else given
 
 
 class View(Model):
@@ -56,12 +49,10 @@ class View(Model):
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
-        missing = [name for name in MEASURED if name not in self.observations]
-        if self.friction_estimate and missing:
-            raise PydanticCustomError("estimate", f"friction_estimate needs the observations {', '.join(missing)}")
-        missing = [name for name in READ_BY_LAW if name not in self.observations]
-        if self.guide is not None and missing:
-            raise PydanticCustomError("guide", f"guide needs the observations {', '.join(missing)}")
+        for field, names in (("friction_estimate", MEASURED), ("guide", (*MEASURED, "rf_noise"))):
+            missing = [name for name in names if name not in self.observations]
+            if getattr(self, field) and missing:
+                raise PydanticCustomError("missing", f"{field} needs the observations {', '.join(missing)}")
         return self
 
     @property
@@ -122,7 +113,7 @@ class View(Model):
         if self.guide is None:
             return np.concatenate([seen, kept], axis=1), kept
         remembered = None if memory is None else (memory[:, width:],)
-        guide, (remembers,) = _guide(self.guide, config).predict(np.asarray(rows), remembered, new)
+        guide, (remembers,) = _guide(config, self.guide).predict(np.asarray(rows), remembered, new)
         acted = self.agent_actions(config, guide)
         return np.concatenate([seen, kept, acted], axis=1), np.concatenate([kept, remembers], axis=1)
 
@@ -157,12 +148,8 @@ class View(Model):
         return acted if guided is None else np.clip(acted - guided, -1.0, 1.0).astype(np.float32)
 
     def _air_floor(self, config: TaskConfig) -> float:
-        """The least air as a share of the task's range."""
         range_ = config.air_supply_rates
         return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
 
 
-@lru_cache(maxsize=64)
-def _guide(constants: Constants, config: TaskConfig) -> PlcLaw:
-    """The law in a task."""
-    return PlcLaw(config, constants)
+_guide = lru_cache(maxsize=64)(PlcLaw)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -104,7 +104,7 @@ class Shielded(_Wrapper):
         return actions, (inner, friction)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
+        """JSON-ready description."""
         own = {"policy": type(self).__name__, "margin": self.margin, "average": self.average, "prior": self.prior}
         return own | {"of": self.policy.describe()}
 
@@ -149,29 +149,24 @@ class BothWays(_Wrapper):
 
     config: TaskConfig
     forth: Policy
-    back: Schedule = field(default_factory=lambda: fastest_back(TaskConfig()))
+    back: Schedule
 
     def _act(
         self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
         """Actions; in the withdrawal the inner policy gets feed, air and tension without signs, and is not heeded."""
-        names = list(self.config.observations)
-        seen = in_si_units(self.config, rows)
-        back = seen["way"] < 0.0
-        shown = rows.copy()
-        for name in SIGNED:
-            if name in names:
-                column = names.index(name)
-                shown[back, column] = np.abs(shown[back, column])
+        names, seen = list(self.config.observations), in_si_units(self.config, rows)
+        back, shown = seen["way"] < 0.0, rows.copy()
+        for column in (k for k, name in enumerate(names) if name in SIGNED):
+            shown[back, column] = np.abs(shown[back, column])
         shown = np.delete(shown, names.index("way"), axis=1)
         actions, state = self.forth.predict(shown, state, start, deterministic)
         drawn = self.config.actions(*self.back.at(seen["inserted_length"])).astype(np.float32)
         return np.where(back[:, None], drawn, np.atleast_2d(actions)), state
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
-        way_back = {"position": self.back.position, "feed_speed": self.back.feed_speed}
-        way_back["air_supply_rate"] = self.back.air_supply_rate
+        """JSON-ready description."""
+        way_back = {name: getattr(self.back, name) for name in ("position", "feed_speed", "air_supply_rate")}
         return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
 
 
@@ -204,7 +199,7 @@ class InSteps(_Wrapper):
         return self.config.actions(self.step * np.round(feed / self.step), air).astype(np.float32), state
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description, equal for equal policies."""
+        """JSON-ready description."""
         return {"policy": type(self).__name__, "step": self.step, "of": self.agent.describe()}
 
 

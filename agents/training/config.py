@@ -113,11 +113,16 @@ class Training(Model):
             raise PydanticCustomError("task", "{text}", {"text": explain(error, "environment.task")}) from error
         arguments = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
         accepted = [name for name in arguments if name in LIMITS or name in UNLIMITED]
-        for name in self.learning:
+        for name, value in self.learning.items():
             if name not in accepted:
                 text = f"learning.{name} is not one of {self.algorithm}'s: {', '.join(accepted)}"
                 raise PydanticCustomError("learning", text)
-            _check_limits(name, self.learning[name])
+            low, high = LIMITS.get(name, (-math.inf, math.inf))
+            kinds, note = ((int,), ", whole numbers") if isinstance(low, int) else ((int, float), "")
+            number = isinstance(value, kinds) and not isinstance(value, bool)
+            if name in LIMITS and not (number and low <= value <= high):
+                text = f"learning.{name} = {value!r} is outside the accepted range {low:.16g} to {high:.16g}{note}"
+                raise PydanticCustomError("limits", "{text}", {"text": text})
         if self.imitation is not None and self.algorithm != "ppo":
             raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
         if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
@@ -173,12 +178,9 @@ class Training(Model):
     @property
     def teacher(self) -> Policy | None:
         """Who is imitated first."""
-        return None if self.imitation is None else make_policy(self.imitation.teacher, self.shown_task, self.vibration)
-
-    @property
-    def shown_task(self) -> TaskConfig:
-        """The same with all observations shown: teachers look at some that the agent does not."""
-        return self.task.all_shown
+        if self.imitation is None:
+            return None
+        return make_policy(self.imitation.teacher, self.task.all_shown, self.vibration)  # may look at more than it
 
     @property
     def view(self) -> View:
@@ -192,18 +194,6 @@ class Training(Model):
         )
 
 
-def _check_limits(name: str, value: float) -> None:
-    if name not in LIMITS:
-        return
-    low, high = LIMITS[name]
-    kinds, note = ((int,), ", whole numbers") if isinstance(low, int) else ((int, float), "")
-    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
-        text = f"learning.{name} = {value!r} is outside the accepted range {low:.16g} to {high:.16g}{note}"
-        raise PydanticCustomError("limits", "{text}", {"text": text})
-
-
-TABLES: Final = ("learning", "network", "imitation")
-"""Tables of a training file whose fields can be searched."""
 ROLLOUT: Final = "learning.n_steps"
 """Steps of each environment between two updates; SAC has no rollouts."""
 
@@ -261,19 +251,16 @@ def axes_of(training: Training) -> dict[str, Axis]:
         steps = (32, 64, 128, 256, 512) if training.algorithm != "sac" else ()
         rollouts = tuple(number for number in steps if _fills_phases(training, number))
         return USUAL[training.algorithm] | ({ROLLOUT: rollouts} if len(rollouts) > 1 else {})
-    tables = [name for name in TABLES if getattr(training, name) is not None]
+    tables = [name for name in ("learning", "network", "imitation") if getattr(training, name) is not None]
     axes: dict[str, Axis] = {}
+    plain = training.model_copy(update={"search": None})
     for table, fields in training.search.items():
         if table not in tables:
-            raise _search_error(
-                f".{table}", f"is nothing of this file that can be searched; accepted: {', '.join(tables)}"
-            )
-        axes |= {f"{table}.{field}": _axis(f"{table}.{field}", value) for field, value in fields.items()}
+            accepted = ", ".join(tables)
+            raise _search_error(f".{table}", f"is nothing of this file that can be searched; accepted: {accepted}")
+        axes |= {f"{table}.{field}": _axis(plain, f"{table}.{field}", value) for field, value in fields.items()}
     if not axes:
         raise _search_error("", "names nothing to search")
-    plain = training.model_copy(update={"search": None})
-    for name, axis in axes.items():
-        _check_axis(plain, name, axis)
     return axes
 
 
@@ -299,29 +286,25 @@ def value_in(training: Training, name: str) -> Any:
     return training.learning.get(field, arguments[field].default)
 
 
-def _axis(name: str, value: Any) -> Axis:
-    if isinstance(value, dict):
-        try:
-            return Range.model_validate(value)
-        except ValidationError as error:
-            raise _search_error(f".{name}", explain(error)) from error
-    if not isinstance(value, tuple) or len(value) < 2 or any(value.count(choice) > 1 for choice in value):
-        problem = f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}"
-        raise _search_error(f".{name}", problem)
-    return value
-
-
-def _check_axis(training: Training, name: str, axis: Axis) -> None:
-    """Raise unless the training accepts every choice, or both ends of a range and so what is between them."""
+def _axis(training: Training, name: str, value: Any) -> Axis:
+    """Choices, each of which the training accepts, or a range whose ends it accepts."""
     table, _, field = name.partition(".")
     sizes = training.network.arguments(training.algorithm)
-    if table == "network" and field not in sizes:
-        raise _search_error(f".{name}", f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
-    for value in (axis.low, axis.high) if isinstance(axis, Range) else axis:
-        try:
-            with_values(training, {name: value})
-        except ValidationError as error:
-            raise _search_error(f".{name}", explain(error)) from error
+    try:
+        axis: Axis = Range.model_validate(value) if isinstance(value, dict) else value
+        if isinstance(axis, Range):
+            values: tuple[Any, ...] = (axis.low, axis.high)
+        elif isinstance(axis, tuple) and len(axis) > 1 and all(axis.count(choice) == 1 for choice in axis):
+            values = axis
+        else:
+            problem = f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}"
+            raise _search_error(f".{name}", problem)
+        if table == "network" and field not in sizes:
+            raise _search_error(f".{name}", f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
+        for one in values:
+            with_values(training, {name: one})
+    except ValidationError as error:
+        raise _search_error(f".{name}", explain(error)) from error
     if name == ROLLOUT and training.algorithm != "sac":
         if isinstance(axis, Range):
             raise _search_error(f".{name}", "must be a list of choices, as rollouts have to fill phases")
@@ -329,6 +312,7 @@ def _check_axis(training: Training, name: str, axis: Axis) -> None:
             if not _fills_phases(training, steps):
                 filled = f"{training.phase_steps} steps of a phase in {training.environment.num_envs} environments"
                 raise _search_error(f".{name}", f"{steps}: the {filled} are no whole number of such rollouts")
+    return axis
 
 
 def _fills_phases(training: Training, steps: int) -> bool:

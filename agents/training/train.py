@@ -7,7 +7,6 @@ episodes. A run that was killed therefore continues from its last checkpoint to 
 from __future__ import annotations
 
 import io
-import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -69,8 +68,12 @@ def train_all(
     origin = provenance(command)
     folders = prepare(training, output, resume, origin)
     phases = training.phases + (training.imitation is not None)
-    go_on = "the same command with --resume goes on"
-    announce(Work("phase", len(folders) * phases, lambda: sum(map(_phases_done, folders.values())), output, go_on))
+
+    def done() -> int:
+        curves = [folder / CURVE for folder in folders.values()]
+        return sum(len(read_csv(curve, CURVE_COLUMNS)) for curve in curves if curve.exists())
+
+    announce(Work("phase", len(folders) * phases, done, output, "the same command with --resume goes on"))
     tasks = [(seed, folder.absolute(), index) for index, (seed, folder) in enumerate(folders.items())]
     curves = dict(workers.map(partial(_train_task, training, origin, workers.here), tasks))
     rows: pd.DataFrame = pd.concat([curves[task] for task in tasks], ignore_index=True)
@@ -89,39 +92,32 @@ def prepare(training: Training, output: Path, resume: bool, origin: dict[str, An
         ValueError: as ``train_all``; nothing was written.
     """
     folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
-    for folder in folders.values():
-        _check_folder(training, folder, resume)
+    settings, teacher = training.model_dump(mode="json"), training.teacher
+    runs: dict[Path, dict[str, Any]] = {}
     for seed, folder in folders.items():
-        _write_run(training, seed, folder, origin)
+        path = folder / RUN
+        if folder.exists():
+            with run_lock(folder):
+                pass
+        if not path.exists():
+            if (folder / CHECKPOINT).exists():
+                raise FileError(path, f"missing beside {CHECKPOINT}: restore it, or choose another folder")
+            runs[path] = {"seed": seed} | origin
+            continue
+        if not resume:
+            raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
+        run = read_json(path, Run).model_dump(mode="json")
+        free = ("seeds", "phases", "search")  # more phases may follow
+        different = [name for name in settings if run["config"][name] != settings[name] and name not in free]
+        if different:
+            raise ValueError(
+                f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder"
+            )
+        resumed = {name: origin[name] for name in ("command", "commit")}
+        runs[path] = run | {"resumed": [*run["resumed"], resumed]}
+    for path, run in runs.items():
+        write_json(path, run | {"config": settings, "teacher": teacher.describe() if teacher else None})
     return folders
-
-
-def _check_folder(training: Training, folder: Path, resume: bool) -> None:
-    if folder.exists():
-        with run_lock(folder):
-            pass
-    if not (folder / RUN).exists():
-        if (folder / CHECKPOINT).exists():
-            raise FileError(folder / RUN, f"missing beside {CHECKPOINT}: restore it, or choose another folder")
-        return
-    if not resume:
-        raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
-    before, now = (one.model_dump(mode="json") for one in (read_json(folder / RUN, Run).config, training))
-    free = ("seeds", "phases", "search")  # more phases may follow
-    different = ", ".join(name for name in now if before[name] != now[name] and name not in free)
-    if different:
-        raise ValueError(f"{folder} holds a run with other settings ({different}): choose another folder")
-
-
-def _write_run(training: Training, seed: int, folder: Path, origin: dict[str, Any]) -> None:
-    """Write what is run; a resumed run keeps how it began and lists how it was resumed."""
-    path = folder / RUN
-    run: dict[str, Any] = {"seed": seed} | origin
-    if path.exists():
-        run = json.loads(read_json(path, Run).model_dump_json())
-        run["resumed"] = [*run["resumed"], {"command": origin["command"], "commit": origin["commit"]}]
-    teacher = training.teacher.describe() if training.teacher else None
-    write_json(path, run | {"config": json.loads(training.model_dump_json()), "teacher": teacher})
 
 
 @contextmanager
@@ -142,11 +138,6 @@ def run_lock(folder: Path) -> Iterator[None]:
     finally:
         lock.release()
         (folder / "lock").unlink(missing_ok=True)
-
-
-def _phases_done(folder: Path) -> int:
-    curve = folder / CURVE
-    return len(read_csv(curve, CURVE_COLUMNS)) if curve.exists() else 0
 
 
 def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
@@ -205,14 +196,13 @@ def train(
 
 
 def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv, ProbeVecEnv]:
-    """The algorithm with new weights, the environments it learns in, and the simulation below them."""
-    settings = training.environment
+    settings, task = training.environment, training.task.all_shown
     batch = ProbeVecEnv(
-        settings.env_id, settings.num_envs, training.shown_task,
+        settings.env_id, settings.num_envs, task,
         fidelity=settings.fidelity, contexts=training.trained_in, probes=settings.probes, threads=threads,
         surrogate_map=training.vibration,
     )  # fmt: skip
-    env = ViewVecEnv(batch, training.view, training.shown_task, settings.reward_scale)
+    env = ViewVecEnv(batch, training.view, task, settings.reward_scale)
     set_random_seed(seed)
     algorithm, name = ALGORITHMS[training.algorithm]
     interval = training.network.noise_interval
@@ -227,7 +217,6 @@ def _new_model(training: Training, seed: int, threads: int | None) -> tuple[Base
 def _run_phase(
     training: Training, model: BaseAlgorithm, env: ViewVecEnv, phase: int, folder: Path, report: Callable[[int], Any]
 ) -> None:
-    """Imitate the teacher (phase 0) or learn, from new episodes."""
     seed = int(np.random.SeedSequence([int(model.seed or 0), phase]).generate_state(1)[0] % 2**31)
     set_random_seed(seed)
     env.seed(seed)
@@ -259,20 +248,16 @@ def _validate(
     rows: list[dict[str, Any]],
     threads: int | None,
 ) -> dict[str, Any]:
-    """Validate the agent and store it if it is the best so far; returns the row of the phase.
-
-    ``trained``: seed, phase, steps so far, and how the run was started.
-    """
+    """Validate the agent and store it if it is the best so far; returns the row of the phase."""
+    task = training.task.all_shown
     description = Description(
         algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
         tubes=ranges_of(training.trained_in), trained=trained,
     )  # fmt: skip
-    agent = Agent(description, model.policy, training.shown_task, f"phase {trained['phase']}")
-    fidelity = resolve_fidelity(training.validation.fidelity, training.task.scene, both_ways=training.task.returns)
+    agent = Agent(description, model.policy, task, f"phase {trained['phase']}")
+    fidelity = resolve_fidelity(training.validation.fidelity, task.scene, both_ways=task.returns)
     begin = time.perf_counter()
-    plan = Plan(
-        {"agent": agent}, training.validated_in, (0,), training.shown_task, fidelity, training.environment.probes
-    )
+    plan = Plan({"agent": agent}, training.validated_in, (0,), task, fidelity, training.environment.probes)
     table = run_plan(plan, None, threads=threads)
     row = {name: trained[name] for name in ("seed", "phase", "steps")} | {"reward": float(table["reward"].mean())}
     row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}

@@ -18,12 +18,11 @@ import numpy as np
 import optuna
 import pandas as pd
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
-from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.samplers import BaseSampler, PartialFixedSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
-from agents.records.drawing import BLUE, GREY, GRID, RED, save
+from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.models import Stored, valid
 from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.searches import JOURNAL, open_study
@@ -38,8 +37,6 @@ from probe_env.settings import within
 TRIALS: Final = "trials.csv"
 JUDGES: Final = 5
 """Complete trials before the median prunes others."""
-RANKED: Final = 10
-"""Complete trials needed for importances."""
 
 
 class Tuning(Stored):
@@ -59,11 +56,6 @@ class Tuning(Stored):
     def axes(self) -> dict[str, Axis]:
         """Field -> its choices or range."""
         return axes_of(self.training)
-
-    @cached_property
-    def distributions(self) -> dict[str, BaseDistribution]:
-        """The same for Optuna."""
-        return {name: _distribution(axis) for name, axis in self.axes.items()}
 
     def sampler(self, number: int) -> BaseSampler:
         """Sampler of the trial with this number; the first trial has the file's own values where the space has them."""
@@ -124,13 +116,14 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
     # phase 0 is the warm start, which says little of the hyperparameters
     study.pruner = optuna.pruners.MedianPruner(n_startup_trials=JUDGES, n_warmup_steps=1)
     announce(Work("trial", trials, lambda: len(finished(study)), output))
+    distributions = {name: _distribution(axis) for name, axis in tuning.axes.items()}
     with tqdm(total=trials, initial=min(len(finished(study)), trials), desc="search", unit="trial") as bar:
         for number in range(len(finished(study)), trials):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
                 warnings.filterwarnings("ignore", ".*mini-batch size")  # the last one of an epoch may be smaller
                 study.sampler = tuning.sampler(number)
-                trial = study.ask(tuning.distributions)
+                trial = study.ask(distributions)
                 _run_trial(tuning, study, trial, output / "trials" / f"{number:04d}", origin)
             write_atomically(output / TRIALS, trials_table(study).to_csv(index=False))
             bar.update()
@@ -205,7 +198,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     within("seed", seed, 0, 2**32 - 1, "")
     tuning = Tuning(training=training, phases=phases, seed=seed)
     study = search(tuning, trials, output)
-    table, shares = trials_table(study), importances(study)
+    table = trials_table(study)
     write_atomically(output / TRIALS, table.to_csv(index=False))  # a kill may have come between trial and table
     complete = [(number, trial) for number, trial in enumerate(finished(study)) if trial.state == TrialState.COMPLETE]
     if not complete:
@@ -213,49 +206,31 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     number, best = max(complete, key=lambda entry: entry[1].values[0])
     origin = provenance(commits=table["commit"])
     heading = (
-        f"Found by: {origin['command']}",
-        f"Trial {number} (commit {best.user_attrs['commit']}): reward {best.values[0]:.4g} on the validation tubes, the"
-        " best phase",
-        f"of a training with {phases} instead of {training.phases} of them and seed {training.seeds[0]} alone.",
+        f"# Found by: {one_line(origin['command'])}\n# Trial {number} (commit {best.user_attrs['commit']}): reward"
+        f" {best.values[0]:.4g} on the validation tubes, the best phase\n# of a training with {phases} instead of"
+        f" {training.phases} of them and seed {training.seeds[0]} alone.\n"
     )
-    comments = "".join(f"# {one_line(line)}\n" for line in heading)
-    write_atomically(output / "found.toml", f"{comments}\n{tuning.with_parameters(best.params).to_toml()}")
-    _draw(table, shares, output / "search.png")
+    write_atomically(output / "found.toml", f"{heading}\n{tuning.with_parameters(best.params).to_toml()}")
+    _draw(table, output / "search.png")
     space = {name: axis if isinstance(axis, tuple) else axis.model_dump() for name, axis in tuning.axes.items()}
     setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
-    write_json(output / "provenance.json", origin | setting | {"importances": shares})
+    write_json(output / "provenance.json", origin | setting)
     _print(table)
     print(f"written: {output}/ (found.toml, trials.csv, search.png, provenance.json, trials/)")
     return table
 
 
-def importances(study: optuna.Study) -> dict[str, float]:
-    """Share of each parameter in what sets the best quarter of the complete trials apart; empty below ``RANKED``."""
-    if sum(trial.state == TrialState.COMPLETE for trial in finished(study)) < RANKED:
-        return {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        return get_param_importances(study, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25))
-
-
-def _draw(table: pd.DataFrame, shares: dict[str, float], path: Path) -> None:
-    """Reward of every trial with the best so far, and importances."""
-    figure, (axis, bars) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained", width_ratios=(3, 2))
+def _draw(table: pd.DataFrame, path: Path) -> None:
+    figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
     kinds = (("complete", BLUE, "all phases"), ("pruned", "0.7", "ended early"), ("failed", RED, "broke down"))
     for state, colour, label in kinds:
         part = table[table["state"] == state]
         axis.scatter(part["trial"], part["reward"], color=colour, s=16, label=label if len(part) else None)
     best = table["reward"].where(table["state"] == "complete").cummax()
     axis.step(table["trial"], best, where="post", color=BLUE, linewidth=1.0, label="best so far")
-    axis.set(xlabel="trial", ylabel="reward on the validation tubes", title="Trials")
+    axis.set(xlabel="trial", ylabel="reward on the validation tubes")
     axis.grid(**GRID)
     axis.legend(frameon=False, fontsize=8)
-    names = sorted(shares, key=lambda name: shares[name])
-    bars.barh(names, [shares[name] for name in names], color=BLUE)
-    bars.set(xlabel="share", title="Importance", axisbelow=True)
-    if not shares:
-        bars.text(0.5, 0.5, "too few complete trials", ha="center", color=GREY, transform=bars.transAxes)
-    bars.grid(**GRID)
     save(figure, path)
 
 

@@ -1,7 +1,5 @@
 """Design search and comparison: known optimum, same seed same front, killed equals never killed, pairing."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,17 +7,15 @@ from kills import killed_at
 
 from agents.cli import main
 from agents.design.compare import compare, print_comparison, summarise
-from agents.design.problem import OBJECTIVES, DesignProblem, design_problem
+from agents.design.problem import OBJECTIVES, DesignProblem
 from agents.design.search import best_of, search, sensitivity, trials_table
 from agents.design.trials import DesignTrials
-from agents.policies.places import place_of
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS
 
 SPAN = 47.5  # [m] of the study's helix
-AGENT = Path(__file__).parents[2] / "results" / "agents" / "ppo" / "seed-0" / "agent.safetensors"
 AXES = {"guide_length": (1.0, 10.0, "m"), "line_density": (0.09, 0.14, "kg/m")}
 
 
@@ -49,11 +45,6 @@ def test_a_known_front_is_found(tmp_path):
     assert table[table["on_front"]]["mean_square_ratio"].min() < 0.5
 
 
-def test_the_same_seed_gives_the_same_front_and_another_does_not(tmp_path, whole):
-    assert whole.equals(run(tmp_path / "a", 30))
-    assert not whole.equals(run(tmp_path / "b", 30, seed=1))
-
-
 def test_broken_off_in_any_trial_equals_never_broken_off(tmp_path, whole):
     """8, 16 and 24 are the first of a generation: there the parents are selected, once asked they are cached."""
     asked = []
@@ -69,6 +60,7 @@ def test_broken_off_in_any_trial_equals_never_broken_off(tmp_path, whole):
         with pytest.raises(KeyboardInterrupt):
             run(tmp_path / str(number), 30, value=breaking)
         assert run(tmp_path / str(number), 30).equals(whole), number
+    assert not whole.equals(run(tmp_path / "other", 30, seed=1))
 
 
 def test_starts_come_first_and_a_search_broken_off_in_them_equals_one_that_is_not(tmp_path):
@@ -154,8 +146,7 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
 def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
     """The same probe by an agent and by the study's feed, and what makes two searches different problems."""
     tube, fast = (Context(),), PRESETS["fast"]
-    driven = DesignProblem(tube, str(AGENT), True, fast)
-    fed = DesignProblem(tube, "constant", True, fast)
+    driven, fed = (DesignProblem(tube, feed, True, fast) for feed in ("ppo", "constant"))
     point = Design(guide_length=10.0).model_dump()
     squares, seconds, margin = driven.value(point)
     loud, study_seconds, _ = fed.value(point)
@@ -163,24 +154,8 @@ def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
     assert squares < loud
     assert margin > 0.0
     assert abs(seconds - study_seconds) > 5.0
-    others = (
-        fed,
-        DesignProblem(tube, str(AGENT), True),
-        DesignProblem((Context(friction=0.2),), str(AGENT), True, fast),
-    )
-    assert len({problem.identity() for problem in (driven, *others)}) == 4
-
-
-def test_a_problem_that_makes_no_sense_is_refused():
-    for arguments, word in (
-        (("best-constant", True, "fast"), "with full give"),
-        (("constant", False, "finest"), "fidelity"),
-        (("pi", False, "fast"), "not a schedule"),
-        (("nothing", True, "fast"), "nothing"),
-    ):
-        feed, full, fidelity = arguments
-        with pytest.raises(ValueError, match=word):
-            design_problem(feed, full, place_of(None, "train", 1), fidelity).identity()
+    others = DesignProblem(tube, "ppo", True), DesignProblem((Context(friction=0.2),), "ppo", True, fast)
+    assert len({problem.identity() for problem in (driven, fed, *others)}) == 4
 
 
 def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, capsys):
@@ -198,6 +173,8 @@ def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, ca
     assert rows.loc[("original", "reward"), "change"] == 0.0
     change = whole[whole["design"] == "light"]["reward"].mean() - whole[whole["design"] == "original"]["reward"].mean()
     assert rows.loc[("light", "reward"), "change"] == pytest.approx(change)
+    keys = {DesignTrials((), fidelity=f).key(Design(), Context()) for f in (Fidelity(), Fidelity(time_step=1e-4))}
+    assert len(keys) == 2
 
 
 def test_one_tube_has_no_intervals(capsys):
@@ -215,13 +192,11 @@ def test_one_tube_has_no_intervals(capsys):
 def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: closed_form(point))
     arguments = ["design", "--limit", "1", "--output", str(tmp_path / "out"), "--trials"]
-    assert main([*arguments, "30"]) == 0
-    assert main([*arguments, "30"]) == 0  # nothing to do
-    assert main([*arguments, "40"]) == 0
-    assert len(pd.read_csv(tmp_path / "out" / "trials.csv")) == 40
+    for trials in ("20", "26"):
+        assert main([*arguments, trials]) == 0
+    assert len(pd.read_csv(tmp_path / "out" / "trials.csv")) == 26
     assert "Designs on the front" in capsys.readouterr().out
-    for name in ("front.png", "parallel.png"):
-        assert (tmp_path / "out" / name).stat().st_size > 5000
+    assert (tmp_path / "out" / "front.png").stat().st_size > 5000
     assert set(pd.read_csv(tmp_path / "out" / "front.csv").columns) >= {*RANGES, *OBJECTIVES, "feed_speed"}
     Design.from_toml(tmp_path / "out" / "found.toml")
 
@@ -235,18 +210,13 @@ def test_bad_commands_are_named_before_any_work(capsys, tmp_path):
         (["design", "--seed", "-1"], "seed = -1"),
         (["design", "--full"], "feed = 'best-constant' is searched in sections"),
         (["design", "--full", "--feed", "fastest"], "policy = 'fastest'"),
+        (["design", "--feed", "constant", "--fidelity", "finest"], "fidelity"),
         (["design", "--feed", "pi"], "feed = 'pi' is not a schedule over inserted length"),
         (["compare", "nowhere.toml"], "no such file: nowhere.toml"),
         (["compare", original, "--limit", "99"], "limit = 99"),
-        (["compare", original, "--feed", "pi"], "feed = 'pi'"),
         (["compare", original, f"./{original}"], "same name"),
     ):
         status = main([*arguments, "--output", str(tmp_path / "out")])
         failures += [] if status == 2 and message in capsys.readouterr().err else [arguments]
     assert failures == []
     assert not (tmp_path / "out").exists()
-
-
-def test_fidelity_counts_in_the_identity_of_a_result():
-    keys = {DesignTrials((), fidelity=f).key(Design(), Context()) for f in (Fidelity(), Fidelity(time_step=1e-4))}
-    assert len(keys) == 2

@@ -1,6 +1,5 @@
 """Evaluation cases: what policies take from a plant, what they were made for, and maps of its tubes."""
 
-import tomllib
 import warnings
 from pathlib import Path
 
@@ -11,15 +10,15 @@ from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.places import both_ways, load_case, map_beside, map_of, place_at, place_of, with_probe
+from agents.policies.lookup import LEAST_AIR, best_schedule_for, knots, least_air
+from agents.policies.places import both_ways, load_case, map_of, place_at, place_of, with_probe
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
+from probe_env.envs.plants import map_beside
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, equivalent_air, stored_map
-from probe_env.physics.closed_forms import MEASURED, friction_from_tension, steady_root_tension
+from probe_env.physics.closed_forms import steady_root_tension
 
-ROOT = Path(__file__).parents[2]
 NARROW = Plant(tube={"inner_diameter": 22.1e-3})
 OTHER = Plant(
     tube={"inner_diameter": 26e-3, "helix_length": 80.0},
@@ -28,35 +27,18 @@ OTHER = Plant(
 )
 
 
-def test_friction_is_found_from_the_tension_in_any_bore():
-    """A bore of 22.1 mm once gave 0.117 for a true 0.200. The closed form sums over discrete floats: 2 % at most."""
-    for plant in (Plant(), NARROW, OTHER):
-        for friction in (0.1, 0.2, 0.3):
-            scene = plant.scene.model_copy(update={"contact": {"friction": friction}})
-            seen = {
-                "root_tension": steady_root_tension(scene), "inserted_length": scene.inserted_length,
-                "feed_speed": scene.feed_speed, "air_supply_rate": scene.air_supply_rate,
-                "helix_diameter": scene.tube.helix_diameter,
-            }  # fmt: skip
-            assert set(seen) == set(MEASURED)
-            estimate = friction_from_tension({name: np.array([value]) for name, value in seen.items()}, plant.scene)
-            assert estimate[0] == pytest.approx(friction, rel=0.02)
-
-
-@pytest.mark.parametrize("plant", [NARROW, OTHER])
-def test_equivalent_air_pulls_as_strongly(plant):
+def test_equivalent_air_pulls_as_strongly():
     """The root tension of steady sliding without friction is the drag of all floats: equal a metre, to rounding."""
     air, feed = np.array([0.012, 0.02, 0.03]), np.array([0.05, 0.2, 0.4])
-    equal = equivalent_air(air, feed, plant.scene, Scene())
-    for k in range(3):
-        pulls = []
-        for scene, blown in ((plant.scene, air[k]), (Scene(), equal[k])):
-            still = {"contact": {"friction": 0.0}, "feed_speed": float(feed[k]), "air_supply_rate": float(blown)}
-            pulls.append(steady_root_tension(scene.model_copy(update=still)) / scene.inserted_length)
-        assert pulls[0] == pytest.approx(pulls[1], rel=1e-9)
-    back = equivalent_air(equal, feed, Scene(), plant.scene)
-    assert back == pytest.approx(air)
-    assert equivalent_air(air, feed, Scene(), Scene()) is air
+    for plant in (NARROW, OTHER):
+        equal = equivalent_air(air, feed, plant.scene, Scene())
+        for k in range(3):
+            pulls = []
+            for scene, blown in ((plant.scene, air[k]), (Scene(), equal[k])):
+                still = {"contact": {"friction": 0.0}, "feed_speed": float(feed[k]), "air_supply_rate": float(blown)}
+                pulls.append(steady_root_tension(scene.model_copy(update=still)) / scene.inserted_length)
+            assert pulls[0] == pytest.approx(pulls[1], rel=1e-9)
+        assert equivalent_air(equal, feed, Scene(), plant.scene) == pytest.approx(air)
 
 
 def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
@@ -78,7 +60,6 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
 
 @pytest.mark.parametrize("passes", ["in", "both"])
 def test_what_policies_were_made_for_is_said_or_refused(passes):
-    """On the way in, and where the probe is drawn back as well, which asks nothing of the tubes."""
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
     place = place_of(rough, "test", 4)
     if passes == "both":
@@ -89,7 +70,9 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
     for warning in caught:
         assert "inner_diameter = 0.0221 m, not 0.0242 m" in str(warning.message)
         assert "beyond 0.1 to 0.25" in str(warning.message)
-    with pytest.raises(ValueError, match=r"tension-scheduled was not made for these tubes: .*probe-env map --tube"):
+    with pytest.raises(
+        ValueError, match=r"tension-scheduled was not made for these tubes: .*probe-env study vibration-map --tube"
+    ):
         plan_of(["tension-scheduled"], place, 1, "fast", strict=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -119,15 +102,13 @@ def test_an_agent_acts_the_same_in_wider_ranges():
     wide = TaskConfig(feed_speeds=(0.01, 0.5), air_supply_rates=(0.005, 0.04)).all_shown
     names, rng = list(usual.observations), np.random.default_rng(3)
     rows = rng.uniform(0.2, 0.8, (16, len(names))).astype(np.float32)
+    columns = [names.index("previous_feed_action"), names.index("previous_air_action")]
     other = rows.copy()
-    for name, column, range_ in (
-        ("feed_speeds", "previous_feed_action", 0.5), ("air_supply_rates", "previous_air_action", 0.04),
-    ):  # fmt: skip
-        low, high = getattr(usual, name)
-        value = low + 0.5 * (rows[:, names.index(column)] + 1.0) * (high - low)
-        least, most = getattr(wide, name)
-        assert most == range_
-        other[:, names.index(column)] = 2.0 * (value - least) / (most - least) - 1.0
+    for column, (low, high), (least, most) in zip(
+        columns, (usual.feed_speeds, usual.air_supply_rates), ((0.01, 0.5), (0.005, 0.04)), strict=True
+    ):
+        value = low + 0.5 * (rows[:, column] + 1.0) * (high - low)
+        other[:, column] = 2.0 * (value - least) / (most - least) - 1.0
     acted, _ = make_policy("ppo", usual).predict(rows, deterministic=True)
     acted_wide, _ = make_policy("ppo", wide).predict(other, deterministic=True)
     # float32 observations differ by rounding, 1e-7 of an action of order one through weights of order ten
@@ -144,7 +125,7 @@ def small(tmp_path_factory):
     plant, known = Plant.from_toml(file), stored_map()
     ranges = np.array([[0.1, 7e4, 0.9, 0.8], [0.25, 1.4e5, 1.1, 0.8]])
     scaling = np.array([np.zeros(7), np.ones(7)])
-    VibrationMap(known.layers, plant.scene, ranges, scaling).save(map_beside(file))
+    map_beside(file).write_bytes(VibrationMap(known.layers, plant.scene, ranges, scaling).to_bytes())
     return file
 
 
@@ -162,37 +143,28 @@ def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
 
 
 def test_a_map_of_another_tube_is_refused_by_name(small, tmp_path):
-    def beside(text):
-        file = tmp_path / "small.toml"
-        file.write_text(text)
-        map_beside(file).write_bytes(map_beside(small).read_bytes())
-        return file
-
-    text = small.read_text()
+    file, text = tmp_path / "small.toml", small.read_text()
+    map_beside(file).write_bytes(map_beside(small).read_bytes())
     for changed, message in (
         (text.replace("23e-3", "24e-3"), r"small-map.npz: inner_diameter = 0.023 m, and small.toml says 0.024 m"),
-        (text.replace("7.0", "7.5"), r"helix_length = 7.0 m, and small.toml says 7.5 m: make it anew"),
+        (text.replace("7.0", "7.5"), r"helix_length = 7.0 m, and small.toml says 7.5 m: make it again"),
         (text + "[air]\ndensity = 1.3\n", r"made for another \[air\]"),
         (text + "[probe]\nline_density = 0.12\n", r"made for another \[probe\]"),
     ):
-        file = beside(changed)
+        file.write_text(changed)
         with pytest.raises(ValueError, match=message):
             map_of(file, Plant.from_toml(file))
-    assert (
-        map_of(beside(text + "[contact]\nfriction = 0.3\n"), Plant.from_toml(small)).scene
-        == Plant.from_toml(small).scene
-    )
+    file.write_text(text + "[contact]\nfriction = 0.3\n")
+    assert map_of(file, Plant.from_toml(file)).scene == Plant.from_toml(small).scene
 
 
 def test_results_of_different_plants_never_mix(small, tmp_path):
-    def plan(plant):
-        place = place_of(plant, "test", 1)
-        return plan_of(["constant"], place, 1, "fast")
-
-    other = Plant.from_toml(small).model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
-    run_plan(plan(Plant.from_toml(small)), tmp_path, progress=False)
+    plant = Plant.from_toml(small)
+    other = plant.model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
+    first, second = (plan_of(["constant"], place_of(each, "test", 1), 1, "fast") for each in (plant, other))
+    run_plan(first, tmp_path, progress=False)
     with pytest.raises(ValueError, match="another setting"):
-        run_plan(plan(other), tmp_path, progress=False)
+        run_plan(second, tmp_path, progress=False)
 
 
 def test_passes_and_what_is_scored():
@@ -207,26 +179,18 @@ def test_passes_and_what_is_scored():
 
 
 def test_commands_take_the_file(small, tmp_path, capsys):
-    """Evaluated, filmed; what is wrong with the file is one line."""
     arguments = ["--tube", str(small), "--limit", "1", "--fidelity", "fast", "--output", str(tmp_path / "e")]
     assert main(["evaluate", "slow-down", "constant", *arguments]) == 0
     assert "1 of 1 complete" in capsys.readouterr().out
-    film = ["render", "--tube", str(small), "--fidelity", "fast", "--output", str(tmp_path / "f.png")]
-    assert main(film) == 0
     broken = tmp_path / "broken.toml"
     broken.write_text("[contact]\nfriction = 2.0\n")
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
-
-
-def test_the_shipped_example_is_a_plant():
-    shipped = place_at(Path("example"), "test", 3)
-    assert shipped.config.scene.tube.helix_length == 45.0
-    assert tomllib.loads((ROOT / "configs" / "tubes" / "example.toml").read_text())["tube"]["helix_length"] == 45.0
-    with pytest.raises(FileNotFoundError) as error:
+    assert place_at(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
+    with pytest.raises(FileNotFoundError) as missing:
         place_at(Path("nowhere.toml"), "test")
-    assert "tubes that ship, by name: example" in error.value.hint
+    assert "tubes that ship, by name: example" in missing.value.hint
 
 
 def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():

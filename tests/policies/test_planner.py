@@ -9,7 +9,7 @@ from oracles.scatter import of_another
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import make_policy
-from agents.policies.maps.lookup import best_schedule_for, grid, knots
+from agents.policies.lookup import best_schedule_for, knots
 from agents.policies.planner import (
     BLUR,
     Estimate,
@@ -143,7 +143,6 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
         wanted = np.trapezoid(rate[k:], np.minimum(places[k:], CONFIG.scene.tube.helix_length))
         assert worth_of_rest(tube, np.array([places[k]]), CONFIG, vibration)[0] == pytest.approx(wanted, rel=1e-9)
     assert worth_of_rest(tube, np.array([CONFIG.scene.tube.helix_length]), CONFIG, vibration)[0] == 0.0
-    assert len(grid(CONFIG)[0]) > 100  # what the best is picked from
 
 
 def test_the_rest_reaches_to_the_end_of_a_helix_that_ends_between_two_knots() -> None:
@@ -175,19 +174,6 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
     blind = TaskConfig(observe_root_tension=False)
     with pytest.raises(ValueError, match="needs a task that shows the root tension"):
         Planner(blind, tube="estimated").decide(episodes, [0], np.zeros((1, len(blind.observations))), [None])
-
-
-def test_planners_play_by_name_and_say_what_they_cannot() -> None:
-    planner = make_policy("planner-estimated", CONFIG)
-    assert isinstance(planner, Planner)
-    assert planner.describe()["tube"] == "estimated"
-    with pytest.raises(ValueError, match="tries things out on the simulator itself"):
-        planner.predict(np.zeros(len(CONFIG.observations)))
-    with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
-        Planner(CONFIG, candidates=0)
-    heard = TaskConfig(vibration_measure="snr")
-    with pytest.raises(ValueError, match="vibration_measure = 'snr'"):
-        looked_ahead(running(heard, periods=1), [0], np.array([[[0.3, 0.02]]]), 1, EXACT, [0])
 
 
 @pytest.mark.slow
@@ -262,10 +248,10 @@ def test_copies_of_an_episode_do_as_it_does(inspects: Inspects, measure: str) ->
 
 @pytest.mark.parametrize("inspects", ["best", pytest.param("back", marks=pytest.mark.slow)])
 def test_no_episode_earns_more_than_the_rest_is_worth(inspects: Inspects) -> None:
-    """At every period of inspections that are fast and quiet, slow, and shaken by their feed."""
+    """At every period of inspections that are fast and quiet, and shaken by their feed."""
     config = task(inspects)
     rng = np.random.default_rng(5)
-    for feed in (0.4, 0.15, None):
+    for feed in (0.4, None):
         episodes = begun(config)
         worth, rewards = [rest(episodes)], []
         while episodes.running.any():
@@ -303,9 +289,9 @@ def test_what_is_earned_ends_with_the_episode() -> None:
     """A copy that is back stays at what it earned; others go on."""
     config = task()
     episodes = begun(config)
-    actions = np.array([[0.4, 0.02], [0.1, 0.02]])
+    actions = np.array([[0.4, 0.02], [0.25, 0.02]])
     whole = earned(episodes.fork([0, 1]), actions, 1000)
-    np.testing.assert_allclose(earned(episodes.fork([0, 1]), actions, 24)[0], whole[0])
+    np.testing.assert_allclose(earned(episodes.fork([0, 1]), actions, 22)[0], whole[0])
     rewards = np.zeros(2)
     while episodes.running.any():
         given = config.actions(*actions.T).astype(np.float32)
@@ -345,15 +331,20 @@ def test_a_planned_inspection_is_fast_and_comes_back() -> None:
     assert (table["reward"] <= most).all()
 
 
-def test_planners_of_both_ways_go_by_the_names_of_the_way_in() -> None:
+def test_planners_play_by_name_and_say_what_they_cannot() -> None:
     config = task()
+    assert make_policy("planner-estimated", CONFIG).describe()["tube"] == "estimated"
     assert make_policy("planner", config).describe()["blur"] == 0.0
     assert make_policy("planner-blurred", config).describe()["blur"] == BLUR
     with pytest.raises(ValueError, match="'planner-estimated' looks ahead on the way in alone; planners of both ways"):
         make_policy("planner-estimated", config)
     with pytest.raises(ValueError, match="inspects = 'in': the way back counts for nothing"):
         make_policy("planner", task("in"))
-    with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
-        InspectionPlanner(config, candidates=0)
-    with pytest.raises(ValueError, match="a planner tries things out on the simulator itself"):
-        make_policy("planner", config).predict(np.zeros(len(config.observations)))
+    for each, kind in ((CONFIG, Planner), (config, InspectionPlanner)):
+        with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
+            kind(each, candidates=0)
+        with pytest.raises(ValueError, match="a planner tries things out on the simulator itself"):
+            make_policy("planner", each).predict(np.zeros(len(each.observations)))
+    heard = running(TaskConfig(vibration_measure="snr"), periods=1)
+    with pytest.raises(ValueError, match="vibration_measure = 'snr'"):
+        looked_ahead(heard, [0], np.array([[[0.3, 0.02]]]), 1, EXACT, [0])

@@ -1,10 +1,15 @@
 """Fixed policies: SB3's protocol, and each does what its name says."""
 
+import re
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies
+from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, own_policies
 from agents.policies.fixed import PI, Constant, OnOff, SlowDown
+from agents.training.config import Training
 from probe_env.envs.task import TaskConfig
 
 CONFIG = TaskConfig(privileged=True)
@@ -27,15 +32,12 @@ def feed_of(action):
     return CONFIG.targets(np.atleast_2d(action))[:, 0]
 
 
-LOOKING = ("planner", "planner-blurred", "planner-estimated")
-OBSERVING = [name for name in NAMES if name not in LOOKING]
+ROOT = Path(__file__).parents[2]
+OBSERVING = [name for name in NAMES if not name.startswith("planner")]
 
 
-@pytest.mark.parametrize(
-    "name", [*OBSERVING, "example", "configs/schedules/example.csv", "configs/schedules/shift.toml"]
-)
-def test_predict_follows_sb3_s_protocol(name, monkeypatch):
-    monkeypatch.chdir(__file__.rsplit("/", 3)[0])
+@pytest.mark.parametrize("name", [*OBSERVING, "example", f"{ROOT}/configs/schedules/shift.toml"])
+def test_predict_follows_sb3_s_protocol(name):
     policy = make_policy(name, CONFIG)
     one, _ = policy.predict(observation(), deterministic=True)
     assert one.shape == (2,)
@@ -50,12 +52,11 @@ def test_predict_follows_sb3_s_protocol(name, monkeypatch):
     assert policy.describe() == make_policy(name, CONFIG).describe()
 
 
-def test_agents_and_schedules_that_ship_go_by_name(monkeypatch):
-    monkeypatch.chdir(__file__.rsplit("/", 3)[0])
+def test_agents_and_schedules_that_ship_go_by_name():
     by_name = named_policies(["ppo", "ppo@2", "mine@3=student@3", "example"], CONFIG)
     assert list(by_name) == ["ppo", "ppo@2", "mine@3", "example"]
     files = [f"results/agents/{place}/agent.safetensors" for place in ("ppo/seed-0", "ppo/seed-2", "student/seed-3")]
-    by_path = [make_policy(file, CONFIG) for file in (*files, "configs/schedules/example.csv")]
+    by_path = [make_policy(f"{ROOT}/{file}", CONFIG) for file in (*files, "configs/schedules/example.csv")]
     assert [policy.describe() for policy in by_name.values()] == [policy.describe() for policy in by_path]
     assert name_and_spec("a=b=ppo@1") == ("a=b", "ppo@1")
     with pytest.raises(ValueError, match=r"policy = 'ppo@9': the training seeds of ppo are 0, 1, 2, 3, 4"):
@@ -64,12 +65,9 @@ def test_agents_and_schedules_that_ship_go_by_name(monkeypatch):
         make_policy("pppo", CONFIG)
 
 
-def test_constant_is_the_study_s():
+def test_constant_is_the_study_s_and_slow_down_goes_by_length():
     action, _ = Constant(CONFIG).predict(observation())
     assert CONFIG.targets(action[None])[0] == pytest.approx([0.2, 63.0 / 3600.0])
-
-
-def test_slow_down_over_length():
     policy = SlowDown(CONFIG, fast=0.4, slow=0.1, begin=10.0, end=40.0)
     speeds = [feed_of(policy.predict(observation(length))[0])[0] for length in (5.0, 10.0, 25.0, 40.0, 60.0)]
     assert speeds == pytest.approx([0.4, 0.4, 0.25, 0.1, 0.1], rel=1e-5)
@@ -100,12 +98,62 @@ def test_a_schedule_beyond_the_device_is_told(tmp_path):
     path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
     with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s goes beyond .* 0.02 to 0.4 m/s"):
         policy = make_policy(str(path), CONFIG)
-    observation = np.zeros((1, len(CONFIG.observations)), dtype=np.float32)
-    assert CONFIG.targets(policy.predict(observation)[0])[0, 0] == pytest.approx(0.4)
+    assert feed_of(policy.predict(observation(5.0))[0])[0] == pytest.approx(0.4)
 
-
-def test_bad_specs_and_observations_are_named():
-    with pytest.raises(ValueError, match="policy = 'fastest' is not one of constant"):
-        make_policy("fastest", CONFIG)
     with pytest.raises(ValueError, match=r"observation of shape \(1, 5\) is not \(N, 14\)"):
-        Constant(CONFIG).predict(np.zeros(5, dtype=np.float32))
+        policy.predict(np.zeros(5, dtype=np.float32))
+
+
+OWN = """
+from agents.policies.fixed import Constant
+
+class Mine(Constant):
+    def __init__(self, config):
+        super().__init__(config, feed_speed=0.1)
+
+class Picky(Mine):
+    def __init__(self, config):
+        raise TypeError("two\\nlines")
+
+class Mute:
+    def predict(self):
+        pass
+
+mine = 1
+"""
+
+
+def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeypatch):
+    """By module and name, in one pass and in both; a spec from a file may not import code."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "own_policies_here.py").write_text(OWN)
+    (tmp_path / "broken_here.py").write_text("import nowhere_at_all")
+    spec = "own_policies_here:Mine"
+    specs = [spec, f"slow={spec}", f"shielded:{spec}", "pi"]
+    policies = named_policies(specs, CONFIG, classes=True)
+    assert list(policies) == ["Mine", "slow", "shielded-Mine", "pi"]
+    assert own_policies(specs) == ["Mine", "slow", "shielded-Mine"]
+    assert feed_of(policies["Mine"].predict(observation())[0])[0] == pytest.approx(0.1)
+    both = make_policy(spec, TaskConfig(passes="both").all_shown, classes=True)
+    assert both.forth.describe() == policies["Mine"].describe()
+    for given, message in (
+        (
+            "nowhere_at_all:Mine",
+            "cannot be imported (ModuleNotFoundError: No module named 'nowhere_at_all'): install it",
+        ),
+        ("broken_here:Mine", "cannot be imported (ModuleNotFoundError"),
+        ("own_policies_here:Other", "own_policies_here has no class Other"),
+        ("own_policies_here:mine", "own_policies_here has no class mine"),
+        ("own_policies_here:Mute", "the class has no method describe"),
+        ("own_policies_here:Picky", "cannot be made for the task (TypeError: two; lines)"),
+    ):
+        with pytest.raises(ValueError, match=rf"^policy = '{given}'.*{re.escape(message)}"):
+            make_policy(given, CONFIG, classes=True)
+    sys.modules.pop("own_policies_here")
+    with pytest.raises(ValueError, match="a file may not ask for that"):
+        make_policy(spec, CONFIG)
+    with pytest.raises(
+        ValueError, match=r"imitation\.teacher: policy = 'own_policies_here:Mine': a class imports code"
+    ):
+        Training.model_validate({"imitation": {"teacher": spec}})
+    assert "own_policies_here" not in sys.modules

@@ -6,8 +6,7 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.policies import from_sb3, save_bundle
-from agents.policies.bundle import load_bundle
+from agents.policies.bundle import from_sb3, load_bundle, save_bundle
 from agents.vec_env import ProbeVecEnv
 from probe_env import Scene, TaskConfig
 
@@ -51,7 +50,7 @@ def test_what_would_act_otherwise_is_refused(env, tmp_path):
         ValueError, match=r"observation_space of the model has shape \(11,\); that of the task is \(14,\)"
     ):
         from_sb3(model, CONFIG.model_copy(update={"privileged": True}))
-    with pytest.raises(ValueError, match="model is a A2C; RecurrentPPO, PPO, SAC are accepted"):
+    with pytest.raises(ValueError, match="model is a A2C; PPO, SAC, RecurrentPPO are accepted"):
         from_sb3(A2C("MlpPolicy", env, device="cpu"), CONFIG)
     with pytest.raises(ValueError, match="VecNormalize"):
         from_sb3(PPO("MlpPolicy", VecNormalize(env), device="cpu"), CONFIG)

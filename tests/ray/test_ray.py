@@ -8,20 +8,20 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 import ray
-from agents.processes.workers import Workers
-from agents.rollouts.plan import Plan, run_plan
 from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
 import probe_env
 from agents.design.problem import DesignProblem
+from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.workers import Workers
 from agents.policies.fixed import Constant
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
 COARSE = Fidelity(time_lapse=20.0)
 
@@ -41,7 +41,7 @@ def test_gymnasium_is_the_one_that_rllib_pins():
     assert gym.__version__ == "1.2.2"
     assert probe_env.__all__
     for name in ("Insertion", "Snapshot", "Design"):
-        check_env(gym.make(f"probe_env/{name}-v0").unwrapped, skip_render_check=True)
+        check_env(gym.make(f"probe_env/{name}-v1").unwrapped, skip_render_check=True)
 
 
 def test_an_evaluation_on_the_cluster_equals_the_local_one(cluster, tmp_path):
@@ -83,7 +83,8 @@ def test_a_node_that_dies_in_the_middle_costs_time_alone(cluster):
 
 
 def test_the_rllib_example_trains():
-    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "cluster.md").read_text(), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "policies.md").read_text(), re.DOTALL)
+    (example,) = (block for block in blocks if "rllib" in block)
     space = {}
-    exec(compile(example, "docs/cluster.md", "exec"), space)
+    exec(compile(example, "docs/policies.md", "exec"), space)
     assert space["result"]["env_runners"]["num_env_steps_sampled_lifetime"] > 0

@@ -5,13 +5,13 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.plan import Plan, run_plan
-from agents.policies.bundle import Agent
+from agents.policies.bundle import Agent, Description, Network, build_policy, write_bundle
 from agents.policies.catalogue import make_policy
+from agents.policies.view import View
 from agents.policies.wrappers import BothWays, InSteps
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import load_contexts
-from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import BOTH_WAYS, Fidelity
 from probe_env.files import FileError
@@ -28,11 +28,17 @@ TINY = {
     "phase_steps": 64,
 }  # fmt: skip
 
+VALIDATED = pd.DataFrame({"reward": [1.0], "inspection_time_s": [1.0], "share_within_limit": [1.0], "diverged": [0.0]})
+
 
 @pytest.mark.slow
 def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
-    train_all(Training(**TINY), tmp_path, resume=False)
+    plans = []
+    with monkeypatch.context() as patch:
+        patch.setattr("agents.training.train.run_plan", lambda plan, *_, **__: plans.append(plan) or VALIDATED)
+        train_all(Training(**TINY | {"validation": {"limit": 1, "fidelity": "fast"}}), tmp_path, resume=False)
+    assert {plan.fidelity for plan in plans} == {BOTH_WAYS["fast"]}  # in an insertion ``fast`` cannot go back
     path = str(tmp_path / "seed-0" / BEST)
     config = TaskConfig(
         passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
@@ -58,18 +64,18 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
         make_policy(f"shielded:{path}", config)
 
 
-@pytest.mark.slow
 def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
     """On a device without steps: every change of the feed shakes a probe that is drawn back."""
-    environment = TINY["environment"] | {"task": TINY["environment"]["task"] | {"feed_speed_step": 0.05}}
-    train_all(Training(**TINY | {"environment": environment}), tmp_path, resume=False)
+    task, path = TaskConfig(passes="both", feed_speed_step=0.05), tmp_path / "agent.safetensors"
+    view = View(observations=tuple(task.observations))
+    description = Description(algorithm="ppo", network=Network(net_arch=(8,)), view=view, task=task, trained={})
+    write_bundle(path, description, build_policy(description))
     config = TaskConfig(passes="both").all_shown
-    policy = make_policy(str(tmp_path / "seed-0" / BEST), config)
+    policy = make_policy(str(path), config)
     assert isinstance(policy, InSteps)
     assert policy.domain.helix_length == 60.0
     assert policy.describe()["step"] == 0.05
-    episodes = Episodes(3, config, threads=1, fidelity="fast")
-    rows, _ = episodes.reset(range(3), {k: np.random.default_rng(k) for k in range(3)})
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (3, len(config.observations))).astype(np.float32)
     actions, state = policy.predict(rows, deterministic=True)
     own, _ = policy.agent.predict(rows, deterministic=True)
     feed, air = config.targets(actions).T
@@ -82,29 +88,9 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     assert later.shape == (3, 2)
 
 
-@pytest.mark.slow
-def test_validation_goes_both_ways_by_the_presets_name(tmp_path, monkeypatch):
-    """``fast`` is superelements in an insertion, which cannot go back."""
-    seen = []
-    validated = {"reward": [1.0], "inspection_time_s": [1.0], "share_within_limit": [1.0], "diverged": [0.0]}
-
-    def run_plan_seen(plan, output, **settings):
-        seen.append(plan.fidelity)
-        return pd.DataFrame(validated)
-
-    monkeypatch.setattr("agents.training.train.run_plan", run_plan_seen)
-    by_name = TINY["validation"] | {"fidelity": "fast"}
-    train_all(Training(**TINY | {"validation": by_name}), tmp_path, resume=False)
-    assert set(seen) == {BOTH_WAYS["fast"]}
-
-
-def test_an_agent_of_the_way_in_is_drawn_back():
-    config = TaskConfig(passes="both").all_shown
-    assert isinstance(make_policy("ppo", config), BothWays)
-
-
-def test_a_method_that_cannot_go_back_is_refused_before_any_work():
+def test_both_ways_need_a_method_that_goes_back():
     for part in ("environment", "validation"):
         settings = TINY | {part: TINY[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
             Training(**settings)
+    assert isinstance(make_policy("ppo", TaskConfig(passes="both").all_shown), BothWays)

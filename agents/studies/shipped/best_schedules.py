@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.policies.fixed import Scheduled
-from agents.policies.maps.lookup import FIRST, least_air
+from agents.policies.lookup import FIRST, least_air
 from agents.policies.places import map_of, place_of, plant_at
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.studies.builtin import Request

@@ -1,1 +1,0 @@
-"""A feedback law of ten constants for a PLC, and the searches for its constants."""

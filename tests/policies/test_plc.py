@@ -1,0 +1,222 @@
+"""The laws for a PLC: friction, form, trim, their text run by an interpreter, table and warnings."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+from agents.cli import main
+from agents.plant.plc_export import structured_text, table, write_law
+from agents.policies.catalogue import make_policy
+from agents.policies.places import place_at
+from agents.policies.plc_law import (
+    CREDIBLE,
+    FRICTION,
+    LOWERED,
+    MOST_TRIM,
+    NOISE_AVERAGE,
+    RAISED,
+    Constants,
+    PlantData,
+    PlcLaw,
+    Trim,
+    TrimmedLaw,
+    friction_of,
+    law_at,
+    read_constants,
+    read_trim,
+)
+from agents.policies.policy import OutsideDomain
+from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError
+from probe_env.physics.closed_forms import sliding_tension
+from tests.oracles.structured_text import FunctionBlock, block_inputs
+
+CONFIG = TaskConfig().all_shown
+PLANT = PlantData.of(CONFIG)
+TRIM = Trim(aim=4e-5, time=60.0)
+
+
+def seen(count, seed=0):
+    """What a rig could measure in tubes of all kinds."""
+    rng = np.random.default_rng(seed)
+    return {
+        "inserted_length": rng.uniform(5.0, 60.0, count), "feed_speed": rng.uniform(0.02, 0.4, count),
+        "air_supply_rate": rng.uniform(45.0, 130.0, count) / 3600.0, "rf_noise": 10.0 ** rng.uniform(-6.0, -3.0, count),
+        "helix_diameter": rng.choice([1.0, 1.4, 2.5], count), "root_tension": rng.uniform(0.5, 20.0, count),
+        "time": np.zeros(count),
+    }  # fmt: skip
+
+
+def measured(noise, length, diameter=1.2, friction=0.2, feed=0.15, air=130.0 / 3600.0):
+    """What a rig measures over periods (n,) in one tube, with steady feed, air and friction."""
+    rest = {"feed_speed": feed, "air_supply_rate": air, "helix_diameter": diameter, "time": 0.0}
+    rows = {name: np.full(len(length), value) for name, value in rest.items()}
+    rows |= {"inserted_length": length, "rf_noise": noise * np.ones(len(length))}
+    return rows | {"root_tension": sliding_tension(np.full(len(length), friction), rows, CONFIG.scene)}
+
+
+def acted(law, rows):
+    """Feed and air of each period of one run."""
+    memory = np.zeros((1, law.memory))
+    law.start(memory)
+    pairs = [law.targets({n: v[k : k + 1] for n, v in rows.items()}, memory) for k in range(len(rows["time"]))]
+    return np.array([feed[0] for feed, _ in pairs]), np.array([air[0] for _, air in pairs])
+
+
+def test_friction_is_that_of_steady_sliding():
+    """Table 2's guide floats are those of its carrier: the same closed form, solved by Newton."""
+    rows = seen(50)
+    for friction in (0.1, 0.175, 0.25):
+        tension = sliding_tension(np.full(50, friction), rows, CONFIG.scene)
+        np.testing.assert_allclose(friction_of(tension, rows, PLANT), friction, rtol=1e-6)
+    for tension, limit in ((1e9, CREDIBLE[0]), (-5.0, CREDIBLE[1])):
+        long = rows | {"inserted_length": np.full(50, 50.0)}
+        assert friction_of(np.full(50, tension), long, PLANT) == pytest.approx(limit)
+    still = rows | {name: np.zeros(50) for name in ("air_supply_rate", "feed_speed", "inserted_length")}
+    assert np.isfinite(friction_of(np.ones(50), still, PLANT)).all()
+
+
+def test_fast_with_little_air_up_to_the_onset_then_slow_with_all_of_it():
+    law = PlcLaw(CONFIG, Constants(shift=0.0))
+    lengths = np.linspace(5.0, 60.0, 111)
+    rows, memory = measured(1e-5, lengths, 1.5, FRICTION), np.zeros((111, 2))
+    law.start(memory)
+    feed, air = law.targets(rows, memory)
+    fast = lengths < law.constants.onset_length
+    assert (feed[fast] == CONFIG.feed_speeds[1]).all()
+    assert (air[fast] == PLANT.air_supply_rates[0]).all()
+    assert (air[~fast] == CONFIG.air_supply_rates[1]).all()
+    slow = law.constants.slow_feed * (lengths[~fast] / 30.0) ** -law.constants.slow_length
+    np.testing.assert_allclose(feed[~fast], slow, rtol=1e-6)
+    memory[:, 1] = np.log(1e-3)
+    louder = PlcLaw(CONFIG, Constants(shift=0.3)).targets(rows | {"rf_noise": np.full(111, 1e-3)}, memory)
+    assert (louder[0] <= feed).all()
+    with pytest.raises(ValueError, match="shows the root tension"):
+        PlcLaw(TaskConfig(observe_root_tension=False)).predict(np.zeros(10, dtype=np.float32))
+
+
+def test_the_trimmed_feed_falls_and_rises_as_fast_as_its_time_says():
+    """With noise far from the aim the trim is linear in time, by the least and the greatest error, up to its limit."""
+    slow = Constants(slow_feed=0.1)  # far from both ends of the device's range
+    law, trimmed = PlcLaw(CONFIG, slow), TrimmedLaw(CONFIG, slow, TRIM)
+    settled = 10  # 2.5 time constants of the noise's average: what is left of the start is less than is cut off
+    assert settled == 2.5 * NOISE_AVERAGE / CONFIG.period
+    for noise, rate in ((1e-3, -LOWERED), (1e-6, RAISED)):
+        rows = measured(noise, np.full(settled + 10, 40.0))
+        (by_law, air), (by_trim, same_air) = acted(law, rows), acted(trimmed, rows)
+        assert (air == same_air).all()
+        assert np.diff(np.log(by_trim / by_law)[settled:]) == pytest.approx(rate * CONFIG.period / TRIM.time)
+    long = measured(1e-3, np.full(400, 40.0))
+    assert np.log(acted(trimmed, long)[0] / acted(law, long)[0]).min() == pytest.approx(-MOST_TRIM)
+    at_aim = acted(TrimmedLaw(CONFIG, trim=TRIM), measured(TRIM.aim, np.full(200, 40.0)))[0]
+    assert at_aim[100:] == pytest.approx(at_aim[100], rel=1e-3)
+    feed, air = acted(TrimmedLaw(CONFIG, Constants(shift=0.0), TRIM), measured(1e-3, np.full(200, 5.0)))
+    assert (feed == CONFIG.feed_speeds[1]).all()  # before the onset
+    assert (air == PLANT.air_supply_rates[0]).all()
+
+
+def test_many_act_as_one():
+    rng = np.random.default_rng(0)
+    tubes = [measured(10.0 ** rng.uniform(-5.5, -3.5, 60), np.linspace(8.0, 50.0, 60)) for _ in range(3)]
+    law = TrimmedLaw(CONFIG, trim=TRIM)
+    memory = np.zeros((3, law.memory))
+    law.start(memory)
+    for k in range(60):
+        feed, _ = law.targets({name: np.array([tube[name][k] for tube in tubes]) for name in tubes[0]}, memory)
+    assert feed == pytest.approx([acted(law, tube)[0][-1] for tube in tubes])
+
+
+@pytest.mark.parametrize(("trim", "most_air"), [(None, 130.0), (TRIM, 130.0), (TRIM, 40.0)])
+def test_structured_text_does_what_the_policy_does(trim, most_air):
+    """Over an insertion's worth of measurements: the interpreter rounds every operation to a REAL's 24 bits.
+
+    A law with no more than the least air never trims.
+    """
+    rng, count = np.random.default_rng(1), 400
+    config = CONFIG.model_copy(update={"air_supply_rates": (CONFIG.air_supply_rates[0], most_air / 3600.0)})
+    law = PlcLaw(config) if trim is None else TrimmedLaw(config, trim=trim)
+    block = FunctionBlock(structured_text(law.constants, PlantData.of(config), trim))
+    plant = {"AIR_SPEED", "DRAG", "FLOAT_DIAMETER", "LEAST_FEED", "MOST_FEED", "LEAST_AIR", "MOST_AIR"}
+    constants = {name.upper() for name in Constants.model_fields} | plant
+    assert block.fixed >= constants if trim else block.fixed == constants
+    rows = measured(10.0 ** rng.uniform(-5.5, -3.5, count), np.linspace(5.0, 60.0, count), 1.4, 0.18)
+    memory, trims, strong = np.zeros((1, law.memory)), [0.0], 0
+    law.start(memory)
+    for k in range(count):
+        row = {name: values[k : k + 1] for name, values in rows.items()}
+        feed, air = law.targets(row, memory)
+        outputs = block(**block_inputs(row, CONFIG.period, start=k == 0))
+        # some fifty roundings of 6e-8 each, with exponents up to 2 and Newton's division by differences of 0.05
+        np.testing.assert_allclose([outputs["Friction"], outputs["LogNoise"]], memory[0, :2], rtol=1e-4)
+        if trim:  # 400 additions of at most 1/60, each rounded to 6e-8 of a trim of at most 0.5
+            np.testing.assert_allclose(outputs["NoiseNow"], memory[0, 2], rtol=1e-4)
+            np.testing.assert_allclose(outputs["Trim"], memory[0, 3], atol=1e-4)
+            trims.append(memory[0, 3])
+        if abs(float(outputs["Length"]) / float(outputs["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides
+            np.testing.assert_allclose([outputs["Feed"], outputs["Air"]], [feed[0], air[0]], rtol=1e-3)
+            strong += air[0] == CONFIG.air_supply_rates[1]
+    assert 50 < strong < 350 or most_air == 40.0  # both branches were run
+    assert (np.ptp(trims) > 0.05) == (trim is not None and most_air == 130.0)
+
+
+def test_structured_text_has_no_exponents_and_stays_within_a_line():
+    text = structured_text(Constants(quiet=1e-7, slow_feed=2.0), PLANT)
+    assert "e-" not in text.split("*)", 1)[1]
+    assert "QUIET : REAL := 0.0000001;" in text
+    assert max(map(len, text.splitlines())) <= 110
+    assert text.isascii()
+
+
+def test_a_table_says_what_the_law_does():
+    constants = read_constants()
+    tabulated = table(constants, PLANT, [1.0, 2.5], 60.0)
+    assert list(tabulated.columns) == [
+        "helix_diameter_m", "friction", "inserted_length_m", "feed_speed_m_per_s", "air_supply_m3_per_h",
+    ]  # fmt: skip
+    assert len(tabulated) == 2 * 11 * 23
+    diameter, friction, length, feed, air = tabulated.to_numpy().T
+    quiet = np.full(len(tabulated), np.log(constants.quiet))
+    expected = law_at(constants, PLANT, (length, friction, quiet, diameter))
+    assert (feed, air / 3600.0) == (pytest.approx(expected[0], rel=1e-12), pytest.approx(expected[1], rel=1e-12))
+    assert set(tabulated["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
+
+
+def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):
+    assert make_policy("plc-law", CONFIG).describe() == {"policy": "PlcLaw"} | read_constants().model_dump()
+    assert make_policy("trimmed-law", CONFIG).describe()["aim"] == read_trim().aim
+    path = tmp_path / "law.json"
+    for read, key in ((read_constants, "constants"), (read_trim, "trim")):
+        for text, message in (
+            ("{", "not the constants"), ("{}", "not the constants"), ("[]", "not the constants"),
+            (json.dumps({key: {"average": -1.0, "aim": -1.0}}), "average|aim"), (json.dumps({key: {"a": 1.0}}), "a: "),
+        ):  # fmt: skip
+            path.write_text(text)
+            with pytest.raises(FileError, match=message):
+                read(path)
+
+
+def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
+    file = tmp_path / "mine.toml"
+    for text, warned in (
+        ("[task]\nrequired_tension = 0.8\n", None),
+        ("[task]\nrequired_tension = 2.5\n", "2.5 N: the law's least air, 45 m3/h, was chosen for 0.8 N"),
+        ("[tube]\ninner_diameter = 22.5e-3\n", "the law was not made for these tubes: inner_diameter = 0.0225 m"),
+    ):
+        file.write_text(text)
+        place = place_at(file, "test")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            write_law(read_constants(), PlantData.of(place.config), place, tmp_path / "law.st", None)
+        assert len(caught) == (warned is not None), text
+        assert all(warned in str(warning.message) for warning in caught)
+    assert caught[0].category is OutsideDomain
+
+
+def test_its_text_is_written_and_a_table_of_the_trimmed_law_is_refused(tmp_path, capsys):
+    assert main(["plc", "--trimmed", "--st", str(tmp_path / "law.st")]) == 0
+    assert "TRIM_TIME : REAL" in (tmp_path / "law.st").read_text()
+    assert "aim " in capsys.readouterr().out
+    assert main(["plc", "--trimmed", "--csv", str(tmp_path / "law.csv")]) == 2
+    assert "trimmed = True needs --st" in capsys.readouterr().err
