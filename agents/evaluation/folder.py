@@ -20,9 +20,9 @@ from pydantic_core import PydanticCustomError
 
 from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.evaluation.statistics import grouped
+from agents.records.atomic import write_atomically
 from agents.records.journal import Journal
 from agents.records.models import Key, Record, Stored, require
-from agents.records.provenance import write_atomically
 from agents.records.reading import FileError, check_table, read_csv, read_json, read_parquet
 from agents.records.tables import Columns, Kind
 from agents.terminal.names import name_problem
@@ -34,6 +34,7 @@ from probe_env.inspection.tally import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"
 TABLES: Final = ("episodes", "profile")
+FILES: Final = ("episodes.csv", "episodes.parquet", "profile.parquet")
 CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
     **CASE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
@@ -81,7 +82,7 @@ class Setting(Stored):
 
 
 class Evaluated(Record):
-    """``provenance.json`` of an evaluation."""
+    """``manifest.json`` of an evaluation."""
 
     policies: dict[str, dict[str, Any]]
 
@@ -210,7 +211,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     """
     if (folder / UNFINISHED).exists():
         return _interrupted(folder)
-    finished = [folder / name for name in ("episodes.parquet", "profile.parquet", "provenance.json")]
+    finished = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
     for path in finished:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))

@@ -20,12 +20,12 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import UNFINISHED, Setting, episodes_of, gathered, write_tables
+from agents.evaluation.folder import FILES, UNFINISHED, Setting, episodes_of, gathered, write_tables
 from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import CARRIED, HEARD
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
-from agents.records.provenance import commit, provenance, write_json
+from agents.records.manifest import commit, origin, write_json, write_manifest
 from agents.records.reading import FileError, read_json
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
@@ -138,7 +138,7 @@ def run_plan(
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
-    write_json(output / UNFINISHED, provenance(command) | plan.policies_described() | plan.described())
+    write_json(output / UNFINISHED, origin(command) | plan.policies_described() | plan.described())
     if missing:
         write_json(output / "setting.json", plan.setting())
         with (
@@ -151,7 +151,8 @@ def run_plan(
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    write_json(output / "provenance.json", provenance(command, table["commit"]) | plan.policies_described())
+    made = {"command": command, "commits": table["commit"], "seeds": plan.seeds}
+    write_manifest(output, (*FILES, "setting.json"), **made, **plan.policies_described())
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 

@@ -36,8 +36,8 @@ from agents.evaluation.statistics import (
 from agents.policies.fixed import Replayed, Scheduled
 from agents.policies.on_map import Privileged
 from agents.policies.planner import InspectionPlanner, Planner
+from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
-from agents.records.provenance import write_atomically
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
 from probe_env.fidelity import BOTH_WAYS, PRESETS
 

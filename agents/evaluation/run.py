@@ -30,7 +30,7 @@ from agents.policies.catalogue import domains_of, named_policies, own_policies
 from agents.policies.places import Place, load_case
 from agents.policies.policy import check_domains
 from agents.policies.wrappers import BothWays, fidelity_of
-from agents.records.provenance import write_json
+from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.episodes.starts import Probes, Starts, settling

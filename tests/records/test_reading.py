@@ -39,7 +39,7 @@ def evaluation(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stored") / "evaluation"
     plan = make_plan(2, 2, seeds=(0,))
     evaluate_plan(plan, folder)
-    record = json.loads((folder / "provenance.json").read_text())
+    record = json.loads((folder / "manifest.json").read_text())
     (folder.parent / "unfinished.json").write_text(json.dumps(record | plan.described()))
     return folder
 
@@ -169,7 +169,7 @@ def test_json_files(stored, evaluation):
             "no key": planned | {"episodes": [["", *planned["episodes"][0][1:]]]},
         },
     }
-    models = {"setting.json": Setting, "provenance.json": Evaluated, "unfinished.json": Unfinished,
+    models = {"setting.json": Setting, "manifest.json": Evaluated, "unfinished.json": Unfinished,
               "report.json": Compared}  # fmt: skip
     for file, model in models.items():
         damages = JSON | {
