@@ -157,21 +157,17 @@ def write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> No
 
 @dataclass(frozen=True)
 class Missing:
-    """What an interrupted evaluation has not played yet.
-
-    Attributes:
-        stored: number of stored episodes.
-        planned: number of planned episodes.
-        gaps: policy and its missing episodes, in words.
-        left_out: policies that are not compared, as too few of their tubes are stored.
-        command: that continues the evaluation.
-    """
+    """What an interrupted evaluation has not played yet."""
 
     stored: int
+    """Number of stored episodes."""
     planned: int
     gaps: tuple[tuple[str, str], ...]
+    """Policy and its missing episodes, in words."""
     left_out: tuple[str, ...]
+    """Policies that are not compared, as too few of their tubes are stored."""
     command: str
+    """Continues the evaluation."""
 
 
 @dataclass(frozen=True)
@@ -211,15 +207,14 @@ def read_evaluation(folder: Path) -> Evaluation:
     """
     if (folder / UNFINISHED).exists():
         return _interrupted(folder)
-    finished = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
-    for path in finished:
-        if not path.exists():
-            raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
-    table, profile = grouped(read_episodes(finished[0])), grouped(read_parquet(finished[1], PROFILE))
+    paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
+    if missing := [path for path in paths if not path.exists()]:
+        raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
+    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
     if not set(profile["policy"]) <= set(table["policy"]):
-        raise FileError(finished[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
+        raise FileError(paths[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
     against, own = _compared(folder, table, strict=True)
-    setting, record = read_json(folder / "setting.json", Setting), read_json(finished[2], Evaluated)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Evaluated)
     return Evaluation(table, profile, setting, record, against, own, None)
 
 
@@ -267,16 +262,14 @@ def comparable(stored: Sequence[Planned]) -> list[Planned]:
 
 def _gaps(planned: Iterable[Planned], done: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     """Every policy with missing episodes, and which these are."""
-    units: dict[str, list[tuple[int, bool]]] = {}
-    for key, name, k, _ in planned:
-        units.setdefault(name, []).append((k, key in done))
-    for name, episodes in units.items():
-        missing = [k for k, there in episodes if not there]
-        if len(missing) == len(episodes):
-            yield name, f"all of its {len(episodes)} insertions"
-        elif missing:
-            tubes = "tubes" if len(set(missing)) > 1 else "tube"
-            yield name, f"{len(missing)} of {len(episodes)} insertions: {tubes} {spans(missing)}"
+    episodes = pd.DataFrame(planned, columns=["key", "policy", "context", "seed"])
+    for name, part in episodes.groupby("policy", sort=False):
+        missing = part.loc[~part["key"].isin(list(done)), "context"]
+        if len(missing) == len(part):
+            yield str(name), f"all of its {len(part)} insertions"
+        elif len(missing):
+            tubes = "tubes" if missing.nunique() > 1 else "tube"
+            yield str(name), f"{len(missing)} of {len(part)} insertions: {tubes} {spans(missing)}"
 
 
 def spans(numbers: Iterable[int]) -> str:

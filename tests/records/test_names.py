@@ -1,11 +1,10 @@
-"""Damaged settings and schedules that people write, and names of files and options."""
+"""Fields and options of scenes, and names of policies and files."""
 
 import re
 from pathlib import Path
 
-import pytest
-from plans import make_plan
-from poisons import ANYWHERE, FAST, ROOT
+from plans import CONFIG, make_plan
+from poisons import FAST, ROOT
 
 from agents.cli import main
 from agents.evaluation.plan import run_plan
@@ -15,76 +14,9 @@ from agents.policies.catalogue import name_and_spec, named_policies
 from agents.policies.fixed import Constant
 from agents.records.reading import read_csv
 from agents.terminal.tables import print_table
-from probe_env import Scene
 from probe_env.envs.task import TaskConfig
-from probe_env.schedule import Schedule
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
-
-
-def text(content):
-    return lambda path: path.write_text(content, newline="")
-
-
-TEXTS = ANYWHERE | {
-    "Latin-1": lambda path: path.write_bytes("# für\nfeed_speed = 1\n".encode("latin-1")),
-    "escape": text("\x1b[2J\n=\x07"),
-    "one long line": text("x" * (1 << 20)),
-    "nothing to read": None,  # a link to itself
-}  # fmt: skip
-TOMLS = TEXTS | {
-    "deep": text("a = " + "[" * 50_000),
-    "a deep key": text("a" + ".a" * 30_000 + " = 1"),
-    "a long number": text("feed_speed = " + "1" * 10_000),
-    "many fields": text("".join(f"field{k} = 1\n" for k in range(5000))),
-    "a long value": text("feed_speed = '" + "x" * 500_000 + "'"),
-    "large": text("#" * (2 << 20)),
-}
-SCHEDULES = TEXTS | {
-    "many columns": text(",".join(f"c{k}" for k in range(200_000)) + "\n"),
-    "a long cell": text(HEAD + "5," + "1" * 200_000 + ",63\n"),
-    "an open quote": text(HEAD + '5,"' + "1,63\n" * 100_000),
-}
-
-
-def damaged(path, damage, damages):
-    if path.is_dir():
-        path.rmdir()
-    path.unlink(missing_ok=True)
-    if damage == "nothing to read":
-        path.symlink_to(path)
-    else:
-        damages[damage](path)
-
-
-def test_toml_files_and_schedules(tmp_path):
-    """At the readers; an empty scene is one of defaults."""
-    failures = []
-    for name, read, damages in (("file.toml", Scene.from_toml, TOMLS), ("file.csv", Schedule.read, SCHEDULES)):
-        path = tmp_path / name
-        for damage in damages:
-            damaged(path, damage, damages)
-            try:
-                read(path)
-                if (name, damage) != ("file.toml", "empty"):
-                    failures.append((name, damage, "is read"))
-            except ValueError as error:
-                if not str(error).startswith(str(path)) or not str(error).isprintable():
-                    failures.append((name, damage, str(error)[:200]))
-    assert failures == []
-
-
-@pytest.mark.parametrize("command", ["simulate", "train", "compare", "evaluate"])
-def test_commands_refuse_a_damaged_file(command, tmp_path, refused):
-    path = tmp_path / "file.toml"
-    damaged(path, "binary", TOMLS)
-    refused([command, path], str(path))
-
-
-def test_a_byte_order_mark_and_windows_lines_are_read(tmp_path):
-    path = tmp_path / "scene.toml"
-    path.write_bytes(b"\xef\xbb\xbffeed_speed = 0.1\r\n")
-    assert Scene.from_toml(path).feed_speed == 0.1
 
 
 SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
@@ -111,7 +43,7 @@ def test_fields_of_scenes(tmp_path, refused):
     refused(["simulate", tmp_path], str(tmp_path))
 
 
-def test_names_that_are_refused():
+def test_names_that_are_refused(refused):
     failures = []
     for name in ("=1+1", "@SUM(A1)", "+1+1", "-1", "\tx", "a\x1b[31mb", "a\nb", "x" * 81, " x", "", "\u202ecsv"):
         try:
@@ -121,23 +53,15 @@ def test_names_that_are_refused():
             if not re.match("policy .* NAME=FILE gives a name", str(error), re.DOTALL):
                 failures.append(str(error))
     assert failures == []
-
-
-def test_a_name_that_is_refused_is_one_line(refused):
     refused(["evaluate", "a\x1b[31mb=constant", *FAST], "policy ", "NAME=FILE gives a name")
-
-
-def schedule_at(path):
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(HEAD + "5,0.1,63\n")
-    return str(path)
 
 
 def test_files_of_any_name(tmp_path, monkeypatch):
     """A file that is there wins over NAME=FILE; what a spreadsheet takes for a formula is left out of its name."""
     monkeypatch.chdir(tmp_path)
     for file in ("a=b.csv", "-x.csv", "=2.csv", "c@3.csv", "null.csv", "1e5.csv", "d=1/y=2.csv"):
-        schedule_at(Path(file))
+        Path(file).parent.mkdir(exist_ok=True)
+        Path(file).write_text(HEAD + "5,0.1,63\n")
     given = {
         "a=b.csv": ("a=b", "a=b.csv"), "./a=b.csv": ("a=b", "./a=b.csv"), "n=a=b.csv": ("n", "a=b.csv"),
         "n@1=a=b.csv": ("n@1", "a=b.csv"), "-x.csv": ("x", "-x.csv"), "./-x.csv": ("x", "./-x.csv"),
@@ -151,7 +75,7 @@ def test_files_of_any_name(tmp_path, monkeypatch):
 
 def test_options_end_where_the_user_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    schedule_at(Path("-x.csv"))
+    Path("-x.csv").write_text(HEAD + "5,0.1,63\n")
     for arguments in (["--limit", "99", "--", "-x.csv"], ["./-x.csv", "--limit", "99"]):
         assert main(["evaluate", *arguments]) == 2
         assert "limit = 99" in capsys.readouterr().err  # so the file was taken
@@ -159,10 +83,8 @@ def test_options_end_where_the_user_says_so(tmp_path, monkeypatch, capsys):
 
 def test_names_like_numbers_and_markup_stay_what_they_are(tmp_path, capsys):
     names = ["null", "1e5", "nan", "NA", "<b>x</b>", "[red]y", "$\\frac$", "_z", "v@²"]
-    plan = make_plan(2, seeds=(0,))
-    constants = {name: Constant(plan.config, feed_speed=0.1 + 0.01 * k) for k, name in enumerate(names)}
-    plan = make_plan(2, seeds=(0,), policies=constants)
-    run_plan(plan, tmp_path, progress=False)
+    constants = {name: Constant(CONFIG, feed_speed=0.1 + 0.01 * k) for k, name in enumerate(names)}
+    run_plan(make_plan(2, seeds=(0,), policies=constants), tmp_path, progress=False)
     table = read_csv(tmp_path / "episodes.csv", {"policy": "name"})
     assert list(dict.fromkeys(grouped(table)["policy"])) == names
     page = write_report(tmp_path).read_text()
