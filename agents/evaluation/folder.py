@@ -219,7 +219,6 @@ def read_evaluation(folder: Path) -> Evaluation:
 
 
 def _compared(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
-    """The policy that others are compared with, by default the first, and the user's own ones."""
     path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
     compared = read_json(path, Compared) if path.exists() else Compared(against="")
     own = tuple(name for name in compared.own if name in policies)
@@ -261,7 +260,6 @@ def comparable(stored: Sequence[Planned]) -> list[Planned]:
 
 
 def _gaps(planned: Iterable[Planned], done: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    """Every policy with missing episodes, and which these are."""
     episodes = pd.DataFrame(planned, columns=["key", "policy", "context", "seed"])
     for name, part in episodes.groupby("policy", sort=False):
         missing = part.loc[~part["key"].isin(list(done)), "context"]

@@ -185,7 +185,6 @@ def _shared(setting: Setting) -> dict[str, Any]:
 
 
 def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
-    """A line of JSON for each episode, played here or by workers in portions of a batch."""
     if workers.here:
         yield from _play(plan, missing, batch, threads)
         return

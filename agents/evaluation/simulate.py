@@ -6,7 +6,6 @@ import io
 import math
 import warnings
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,7 +18,6 @@ from agents.records.drawing import BLUE, GREY, GRID, MM, RED, save
 from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
 from probe_env import Run, Scene, Simulator
-from probe_env.arrays import FloatArray
 from probe_env.physics.simulation.signals import dominant_frequencies, point_statistics
 
 ROWS = (
@@ -115,7 +113,11 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
     column = run.column("sensor")
     axial, radial = run.axial[:, column], run.radial[:, column]
 
-    figure, axes = _pair({"axial x [mm]": (run.time, axial * MM), "radial y [mm]": (run.time, radial * MM)}, 0.6)
+    figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
+    for axis, signal, label in zip(axes, (axial, radial), ("axial x", "radial y"), strict=True):
+        axis.plot(run.time, signal * MM, color=BLUE, linewidth=0.6)
+        axis.set_ylabel(f"{label} [mm]")
+        axis.grid(**GRID)
     axes[1].axhline(0.0, color=GREY, linewidth=0.8)
     axes[1].set_xlabel("time [s]")
     figure.suptitle(f"{name}: displacement of the sensor")
@@ -131,16 +133,16 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
     axis.grid(**GRID)
     save(figure, output / "locus.png")
 
-    spectra = {}
-    for label, signal in (("axial", axial), ("radial", radial)):
+    figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
+    for axis, signal, label in zip(axes, (axial, radial), ("axial", "radial"), strict=True):
         values = signal[run.time >= start]
         segment = min(len(values), round(2.0 / run.sample_period))
         frequency, power = welch(values, 1.0 / run.sample_period, nperseg=segment)
-        spectra[f"{label} [mm/√Hz]"] = (frequency, np.sqrt(power) * MM)
-    figure, axes = _pair(spectra, 0.9)
-    for axis in axes:
+        axis.plot(frequency, np.sqrt(power) * MM, color=BLUE, linewidth=0.9)
+        axis.set_ylabel(f"{label} [mm/√Hz]")
         axis.set_xlim(0.0, HIGHEST_FREQUENCY)
         axis.set_ylim(bottom=0.0)
+        axis.grid(**GRID)
     axes[1].set_xlabel("frequency [Hz]")
     figure.suptitle("Spectra of the sensor")
     save(figure, output / "spectra.png")
@@ -153,16 +155,6 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
 
     if run.shapes is not None:
         save(_shapes(run, scene), output / "shapes.png")
-
-
-def _pair(curves: dict[str, tuple[FloatArray, FloatArray]], linewidth: float) -> tuple[Figure, Any]:
-    """Two axes above each other, a curve in each, by their labels."""
-    figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
-    for axis, (label, (x, y)) in zip(axes, curves.items(), strict=True):
-        axis.plot(x, y, color=BLUE, linewidth=linewidth)
-        axis.set_ylabel(label)
-        axis.grid(**GRID)
-    return figure, axes
 
 
 def _shapes(run: Run, scene: Scene) -> Figure:

@@ -75,7 +75,6 @@ def set_aside(path: Path) -> None:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
-    """Number, content and first byte of every line."""
     with open_regular(path, MOST_JOURNAL) as file:
         begin, number = 0, 0
         while line := file.readline(MOST_LINE + 1):

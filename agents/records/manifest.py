@@ -108,7 +108,6 @@ def commit() -> str:
 
 
 def _git(*arguments: str) -> str | None:
-    """What git prints in the checkout; None where it fails or is not there."""
     if not (CHECKOUT / ".git").exists():  # an installed package may stand in a repository of somebody else's
         return None
     try:

@@ -77,13 +77,13 @@ def test_pairing_sees_what_the_scatter_between_contexts_hides():
 
 
 def test_sentences_give_difference_and_interval():
-    (line,) = sentences(synthetic(41.0), "B")
-    assert line.startswith("A takes 41")
-    assert "s less [" in line
-    (alone,) = sentences(synthetic(41.0, contexts=1), "B")  # one tube has no interval
-    assert re.search(r"A takes 4\d(\.\d)? s less than B", alone)
-    (none,) = sentences(synthetic(0.0), "B")
-    assert "no clearly different amount" in none
+    for table, words in (
+        (synthetic(41.0), r"A takes 41(\.\d)? s less \["),
+        (synthetic(41.0, contexts=1), r"A takes 4\d(\.\d)? s less than B"),  # one tube has no interval
+        (synthetic(0.0), r".*no clearly different amount"),
+    ):
+        (line,) = sentences(table, "B")
+        assert re.match(words, line), line
 
 
 def test_the_share_of_the_planners_lead():

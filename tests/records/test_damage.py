@@ -84,8 +84,6 @@ def record_with(**changes):
 RECORDS = {
     "half a line": second_line(b'{"key": "0123\n'),
     "no JSON": second_line(b"seven\n"),
-    "foreign": second_line(b'{"key": "0123456789abcdef", "kpis": {"reward": 1.0}}\n'),
-    "empty line": second_line(b"\n"),
     "NULs": second_line(b"\0" * 40 + b"\n"),
     "nested": second_line(b"[" * 100_000 + b"\n"),
     "a line without end": second_line(b"x" * (5 << 20) + b"\n"),
@@ -148,9 +146,7 @@ TABLES = ANYWHERE | {
     "numbers for names": table_with(lambda table: table.assign(policy=7)),
     "a name for the terminal": table_with(lambda table: table.assign(policy="\x1b[2Jslow")),
     "a formula": table_with(lambda table: table.assign(policy="=1+1")),
-    "a long name": table_with(lambda table: table.assign(policy="x" * 10**6)),
     "seeds that are none": table_with(lambda table: table.assign(seed=0.5)),
-    "CSV": text("policy,context\na,0\n"),
 }
 
 
@@ -328,7 +324,6 @@ BUNDLES = BINARY | {
     "huge header": lambda path: path.write_bytes((1 << 45).to_bytes(8, "little") + b"{}"),
     "wrong byte": one_byte,
     "no metadata": lambda path: path.write_bytes(save(load(path.read_bytes()))),
-    "no hash": metadata(hash=None),
     "no description": metadata(description=None),
     "another hash": metadata(hash="0" * 32),
     "a deep description": metadata(description="[" * 100_000),
@@ -339,14 +334,9 @@ BUNDLES = BINARY | {
     "missing": resealed(lambda _, weights: weights.pop(WEIGHT)),
     "more": resealed(lambda _, weights: weights.update({"more": np.zeros(3, np.float32)})),
     "ten thousand averages": described(view={"averages": [5.0] * 10_000}),
-    "ten thousand observations": described(view={"observations": ["rf_noise"] * 10_000}),
-    "a huge network": described(network={"net_arch": [4096] * 8}),
     "a wider network": described(network={"net_arch": [64]}),
-    "no network": described(network={"net_arch": "wide"}),
     "no such algorithm": described(algorithm="a2c"),
-    "another format": described(format=2),
     "tubes of an unknown field": described(tubes={"foo": [1.0, 2.0]}),
-    "tubes of a name for the terminal": described(tubes={"\x1b[31m": [1.0, 2.0]}),
     "tubes that end before they begin": described(tubes={"friction": [0.3, 0.1]}),
     "tubes of NaN": described(tubes={"friction": [float("nan"), 0.3]}),
 }
@@ -364,11 +354,8 @@ LAW = {
 }  # fmt: skip
 LAWS = {
     "unknown field": {"ranges": {"foo": [1.0, 2.0]}},
-    "range of NaN": {"ranges": {"friction": [float("nan"), 0.3]}},
     "range that ends before it begins": {"ranges": {"friction": [0.3, 0.1]}},
     "friction of NaN": {"friction": [float("nan"), 0.3]},
-    "length without end": {"inserted_length": [5.0, float("inf")]},
-    "diameter without end": {"tables": [LAW["tables"][0] | {"helix_diameter": float("inf")}]},
     "feed of NaN": {"tables": [LAW["tables"][0] | {"feed_speed": [[float("nan"), 0.1]] * 2}]},
 }
 
@@ -410,13 +397,10 @@ MAPS = BINARY | {
     "cut off": cut_off,
     "bomb": member("weights0.npy", header((1 << 23,)) + b"\0" * (1 << 25), zipfile.ZIP_DEFLATED),
     "huge header": member("weights9.npy", header((1 << 45,))),
-    "negative shape": member("weights9.npy", header((-1,))),
-    "structured": member("weights9.npy", header((1,), [("a", "<f4")]) + b"\0" * 4),
     "objects": member("weights9.npy", header((1,), "|O") + b"\0" * 8),
     "not a .npy": member("script.py", b"print()"),
     "twice": member("weights0.npy", header((1,)) + b"\0" * 4),
     "NaN": arrays_as(lambda arrays: arrays | {"weights0": arrays["weights0"] * np.nan}),
-    "other layers": arrays_as(lambda arrays: arrays | {"weights1": arrays["weights1"][:3]}),
     "one layer": arrays_as(lambda arrays: {name: arrays[name] for name in ("weights0", "biases0")}),
     "text": arrays_as(lambda arrays: arrays | {"biases0": np.array(["a"])}),
 }
@@ -440,16 +424,12 @@ def link_to_itself(path):
 TEXTS = ANYWHERE | {
     "Latin-1": lambda path: path.write_bytes("# für\nfeed_speed = 1\n".encode("latin-1")),
     "escape": text("\x1b[2J\n=\x07"),
-    "one long line": text("x" * (1 << 20)),
     "link": link_to_itself,
 }
 TOMLS = {name: TEXTS[name] for name in TEXTS if name != "empty"} | {  # an empty scene is one of defaults
     "deep": text("a = " + "[" * 50_000),
     "a deep key": text("a" + ".a" * 30_000 + " = 1"),
     "a long number": text("feed_speed = " + "1" * 10_000),
-    "many fields": text("".join(f"field{k} = 1\n" for k in range(5000))),
-    "a long value": text("feed_speed = '" + "x" * 500_000 + "'"),
-    "large": text("#" * (2 << 20)),
 }
 SCHEDULES = TEXTS | {
     "many columns": text(",".join(f"c{k}" for k in range(200_000)) + "\n"),

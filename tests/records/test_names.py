@@ -1,10 +1,10 @@
-"""Fields and options of scenes, and names of policies and files."""
+"""Names of policies and files."""
 
 import re
 from pathlib import Path
 
 from plans import CONFIG, make_plan
-from poisons import FAST, ROOT
+from poisons import FAST
 
 from agents.cli import main
 from agents.evaluation.plan import run_plan
@@ -17,30 +17,6 @@ from agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
-
-
-SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
-
-
-def test_options_of_scenes(refused):
-    for option, value, message in (
-        ("contact.friction", "7", "--scene.contact.friction: 7.0 is outside the accepted range 0 to 1"),
-        ("feed-speed", "-3", "--scene.feed_speed: -3.0 m/s is outside the accepted range -2 to 2 m/s"),
-        ("carrier-length", "7.03", "--scene: carrier_length = 7.03 m must be a whole multiple"),
-        ("tube.helix-diameter", "nan", "--scene.tube.helix_diameter: nan m is outside"),
-    ):
-        refused(["simulate", SCENE, f"--scene.{option}", value], message)
-
-
-def test_fields_of_scenes(tmp_path, refused):
-    for content, message in (
-        ("feed_sped = 1", "feed_sped"),
-        ("[contact]\nfriction = 7", "contact.friction: 7"),
-        ("[", "TOML"),
-    ):
-        (tmp_path / "scene.toml").write_text(content)
-        refused(["simulate", tmp_path / "scene.toml"], str(tmp_path / "scene.toml"), message)
-    refused(["simulate", tmp_path], str(tmp_path))
 
 
 def test_names_that_are_refused(refused):
