@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import tempfile
 from collections.abc import Collection, Mapping
 from importlib.resources import files
@@ -61,8 +60,6 @@ FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
 MOST_DIAMETERS: Final = 12
 """Number of helix diameters beyond which there is no table by diameter."""
-MOST_LISTED: Final = 60
-"""Numbers of a list in the settings of a policy."""
 DRAWN_AT_FIRST: Final = 4
 """Policies whose traces are visible when the page opens."""
 
@@ -116,7 +113,6 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "traces": traces(table, done.profile, drawn, _limit_mm(task)),
         "record": done.record,
         "fidelity": done.setting.fidelity,
-        "settings": json.dumps(_shortened(done.record.policies), indent=1),
     }
 
 
@@ -146,15 +142,6 @@ def _facts(done: Evaluation) -> dict[str, str]:
         "probe": "a random one for every tube and seed" if done.setting.probes == "random" else built,
         "simulated with": next((name for name, v in presets.items() if v.model_dump() == stored), str(stored)),
     }
-
-
-def _shortened(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _shortened(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        rest = [f"and {len(data) - MOST_LISTED} more"] if len(data) > MOST_LISTED else []
-        return [*map(_shortened, data[:MOST_LISTED]), *rest]
-    return data
 
 
 def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, str]]:

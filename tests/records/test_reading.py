@@ -11,7 +11,7 @@ import pytest
 from agents.evaluation.folder import EPISODES, EPISODES_NEWER, read_episodes
 from agents.evaluation.kpis import CORE, KPIS, shown_of
 from agents.records import manifest
-from agents.records.journal import set_aside
+from agents.records.journal import complete
 from agents.records.manifest import write_json, write_manifest
 from agents.records.tables import read_csv
 from probe_env.files import FileError, one_line, read_text
@@ -19,18 +19,17 @@ from probe_env.files import FileError, one_line, read_text
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_journal_is_set_aside_only_where_a_line_was_cut_off(tmp_path):
+def test_only_a_line_that_was_cut_off_is_removed_from_a_journal(tmp_path):
     path = tmp_path / "episodes.jsonl"
-    set_aside(path)  # there is none
+    complete(path)  # there is none
     for content, kept in (
         ("", ""),
         ('{"key": "a"}\n{"key": "b"}', '{"key": "a"}\n{"key": "b"}\n'),
         ('{"key": "a"}\n{"key": "b', '{"key": "a"}\n'),
     ):
         path.write_text(content)
-        set_aside(path)
+        complete(path)
         assert path.read_text() == kept
-    assert (tmp_path / "episodes.jsonl.cut-off").read_text() == '{"key": "b\n'
 
 
 def test_cells_of_csv_tables_stay_what_they_are(tmp_path):
