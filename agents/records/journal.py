@@ -63,9 +63,11 @@ def complete(path: Path) -> None:
     """Make a journal ready to be appended to: a last line that was cut off is removed, a whole one gets its end."""
     last = deque(_lines(path) if path.exists() else (), maxlen=1)
     _, line, begin = last[0] if last else (0, b"\n", 0)
+    if line.endswith(b"\n"):
+        return
     if _cut_off(line):
         os.truncate(path, begin)
-    elif not line.endswith(b"\n"):
+    else:
         with path.open("ab") as file:
             file.write(b"\n")
 

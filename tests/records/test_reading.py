@@ -24,6 +24,7 @@ def test_only_a_line_that_was_cut_off_is_removed_from_a_journal(tmp_path):
     complete(path)  # there is none
     for content, kept in (
         ("", ""),
+        ('{"key": "a\n', '{"key": "a\n'),  # damaged, which readers name
         ('{"key": "a"}\n{"key": "b"}', '{"key": "a"}\n{"key": "b"}\n'),
         ('{"key": "a"}\n{"key": "b', '{"key": "a"}\n'),
     ):
