@@ -204,7 +204,7 @@ def train(
                 _write_curve(rows, folder)
                 watch(rows[-1])
         run = json.loads((folder / RUN).read_text())
-        commits = [part["commit"] for part in (run, *run["resumed"])]
+        commits = [part["commit"] for part in (run, *run.get("resumed", ()))]
         write_manifest(folder, (RUN, CURVE, BEST), seeds=(seed,), command=origin["command"], commits=commits)
         return pd.DataFrame(rows)
 
