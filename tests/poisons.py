@@ -4,14 +4,10 @@ import hashlib
 import os
 from pathlib import Path
 
+from probe_env.files import FileError
+
 ROOT = Path(__file__).parents[1]
-POLICIES = ("constant", "slow")
 FAST = ["--fidelity", "fast", "--limit", "2"]
-KPIS = (
-    "inspection_time_s", "inspected_m", "inspected_share", "share_within_limit", "air_m3", "reward",
-    "lost_drive_events", "lost_drive", "diverged", "complete", "radial_rms_m", "radial_p99_m", "radial_max_m",
-    "radial_acceleration_rms_m_per_s2", "radial_acceleration_p99_m_per_s2", "radial_acceleration_max_m_per_s2",
-)  # fmt: skip
 
 
 def fingerprint(folder):
@@ -54,3 +50,22 @@ JSON = ANYWHERE | {
     "nested": lambda path: path.write_text("[" * 100_000),
     "a number": lambda path: path.write_text("9" * 10_000),
 }
+
+
+def failures_of(path, damages, read, place=""):
+    """Names of damages that are read, are refused without file and place in one line, or change files."""
+    whole, failures = path.read_bytes(), []
+    for name, damage in damages.items():
+        damage(path)
+        before = fingerprint(path.parent)
+        try:
+            read(path)
+            failures.append((name, "is read"))
+        except FileError as error:
+            if not str(error).startswith(f"{path}: {place}") or not str(error).isprintable():
+                failures.append((name, str(error)[:200]))
+        if fingerprint(path.parent) != before:
+            failures.append((name, "changes files"))
+        path.rmdir() if path.is_dir() else path.unlink()
+        path.write_bytes(whole)
+    return failures

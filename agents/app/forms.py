@@ -15,7 +15,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from agents.policies.places import plant_at
-from agents.records.provenance import write_atomically
+from agents.records.atomic import write_atomically
 from agents.records.shipped import file_or_shipped, ships
 from agents.terminal.refusals import refusal
 from probe_env import Plant

@@ -12,8 +12,8 @@ from agents.app.runs import RunRequest
 from agents.evaluation.folder import UNFINISHED, Unfinished, episodes_of, read_evaluation
 from agents.evaluation.report import ended
 from agents.evaluation.statistics import endings
+from agents.records.manifest import write_json
 from agents.records.models import read_json
-from agents.records.provenance import write_json
 from agents.terminal.refusals import refusal
 
 REQUEST: Final = "request.json"

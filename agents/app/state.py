@@ -12,7 +12,7 @@ from agents.app.run_store import new_folder
 from agents.app.runs import Command, Run, RunQueue, RunRequest
 from agents.app.schedules import Points, csv_text, points_of, schedule_of
 from agents.policies.places import Place, map_of, place_of
-from agents.records.provenance import write_atomically
+from agents.records.atomic import write_atomically
 from agents.records.shipped import policy_file
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.vibration_map import stored_map

@@ -97,7 +97,7 @@ class Calibrate:
         from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
         from agents.plant.response import stored_response
         from agents.policies.places import plant_at
-        from agents.records.provenance import provenance, write_json
+        from agents.records.manifest import origin, write_json
         from probe_env import Plant
 
         plant = plant_at(self.tube) or Plant()
@@ -105,7 +105,7 @@ class Calibrate:
         response = stored_response()
         calibration = calibrate(recorded, plant, response, str(self.tube or "tube"))
         target = self.output / "calibration.json"
-        write_json(target, calibration.to_json() | {"provenance": provenance()})
+        write_json(target, calibration.to_json() | {"provenance": origin()})
         pictures = [
             draw_corner(calibration, self.output / "corner.png"),
             draw_bands(calibration, response, self.output / "bands.png"),

@@ -17,9 +17,10 @@ from agents.evaluation.statistics import Interval, failures, in_words, mean_inte
 from agents.policies.catalogue import domains_of, name_and_spec
 from agents.policies.places import TABLE_2
 from agents.policies.policy import check_domains
+from agents.records.atomic import write_atomically
 from agents.records.journal import Journal
+from agents.records.manifest import commit, write_manifest
 from agents.records.models import Key, Stored, require
-from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.records.tables import Columns, read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
@@ -87,7 +88,7 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     setting: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in designs.items()}}
     setting |= {"feed": trials.feed, "full": trials.full, "fidelity": trials.fidelity.model_dump()} | column
-    write_json(output / "provenance.json", provenance(commits=table["commit"]) | setting)
+    write_manifest(output, (STORED, "summary.csv"), commits=table["commit"], **setting)
     return table
 
 

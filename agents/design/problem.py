@@ -16,7 +16,7 @@ from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.lookup import least_air
 from agents.policies.places import TABLE_2, Place
-from agents.records.provenance import commit
+from agents.records.manifest import commit
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.trials import check_candidate, check_measure, stretch_of

@@ -26,8 +26,9 @@ from agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
 from agents.design.trials import claim, tube_column
 from agents.evaluation.statistics import bootstrap_ends
 from agents.evaluation.workers import HERE, Workers
+from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, RED, save
-from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.manifest import commit, write_manifest
 from agents.records.searches import JOURNAL, open_study
 from agents.records.store import COMMIT
 from agents.terminal.tables import print_table
@@ -164,7 +165,8 @@ def run_design_search(
     _draw_front(table, references, output / "front.png", problem.tube.title)
     setting: dict[str, Any] = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
     setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
-    write_json(output / "provenance.json", provenance(commits=table[COMMIT]) | setting)
+    files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
+    write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **setting)
     _print(front, influence, problem)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table

@@ -16,8 +16,8 @@ from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Scheduled
 from agents.policies.places import TABLE_2, Named
 from agents.policies.policy import Policy
+from agents.records.manifest import commit, write_json
 from agents.records.models import Stored, read_json
-from agents.records.provenance import commit, write_json
 from agents.records.searches import JOURNAL
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig

@@ -55,8 +55,6 @@ class Look:
 
 
 class _Play:
-    """An episode under a policy, step by step."""
-
     def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
         assert probe_env.__all__  # imported for its ids
         self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
@@ -137,7 +135,6 @@ def render_strip(env_id: str, output: Path, policy: str, seed: int, look: Look, 
 
 
 def _figures(motion: Motion) -> dict[str, float]:
-    """Figures of a motion, SI units."""
     figures = {"inserted_length_m": float(motion.inserted_length[0]), "shown_s": float(motion.time[-1])}
     figures["times_slowed"] = SLOWED
     for name, values in (("axial", motion.signal_axial), ("radial", motion.signal_radial)):
@@ -149,7 +146,6 @@ def _figures(motion: Motion) -> dict[str, float]:
 
 
 def _motion(play: _Play, at: float, look: Look) -> Motion:
-    """What is seen near the tip from the control period on in which a length [m] has been reached."""
     episodes = play.episodes
     with tqdm(desc="feeding", unit="period") as bar:
         while play.info["inserted_length"] < at and not play.ended:
@@ -218,7 +214,6 @@ def write_film(output: Path, frames: Sequence[Any], frames_per_second: int) -> N
 
 
 def _gif(frames: Sequence[Any], frames_per_second: int) -> bytes:
-    """With the colours of the first, the middle and the last picture."""
     some = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
     plain = Image.Dither.NONE  # dots would flicker
     palette = Image.fromarray(some).quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, dither=plain)

@@ -20,9 +20,9 @@ from pydantic_core import PydanticCustomError
 
 from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.evaluation.statistics import grouped
+from agents.records.atomic import write_atomically
 from agents.records.journal import Journal
 from agents.records.models import Key, Record, Stored, require
-from agents.records.provenance import write_atomically
 from agents.records.reading import FileError, check_table, read_csv, read_json, read_parquet
 from agents.records.tables import Columns, Kind
 from agents.terminal.names import name_problem
@@ -34,6 +34,7 @@ from probe_env.inspection.tally import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"
 TABLES: Final = ("episodes", "profile")
+FILES: Final = ("episodes.csv", "episodes.parquet", "profile.parquet")
 CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
     **CASE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
@@ -81,7 +82,7 @@ class Setting(Stored):
 
 
 class Evaluated(Record):
-    """``provenance.json`` of an evaluation."""
+    """``manifest.json`` of an evaluation."""
 
     policies: dict[str, dict[str, Any]]
 
@@ -156,21 +157,17 @@ def write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> No
 
 @dataclass(frozen=True)
 class Missing:
-    """What an interrupted evaluation has not played yet.
-
-    Attributes:
-        stored: number of stored episodes.
-        planned: number of planned episodes.
-        gaps: policy and its missing episodes, in words.
-        left_out: policies that are not compared, as too few of their tubes are stored.
-        command: that continues the evaluation.
-    """
+    """What an interrupted evaluation has not played yet."""
 
     stored: int
+    """Number of stored episodes."""
     planned: int
     gaps: tuple[tuple[str, str], ...]
+    """Policy and its missing episodes, in words."""
     left_out: tuple[str, ...]
+    """Policies that are not compared, as too few of their tubes are stored."""
     command: str
+    """Continues the evaluation."""
 
 
 @dataclass(frozen=True)
@@ -210,20 +207,18 @@ def read_evaluation(folder: Path) -> Evaluation:
     """
     if (folder / UNFINISHED).exists():
         return _interrupted(folder)
-    finished = [folder / name for name in ("episodes.parquet", "profile.parquet", "provenance.json")]
-    for path in finished:
-        if not path.exists():
-            raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(path))
-    table, profile = grouped(read_episodes(finished[0])), grouped(read_parquet(finished[1], PROFILE))
+    paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
+    if missing := [path for path in paths if not path.exists()]:
+        raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
+    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
     if not set(profile["policy"]) <= set(table["policy"]):
-        raise FileError(finished[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
+        raise FileError(paths[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
     against, own = _compared(folder, table, strict=True)
-    setting, record = read_json(folder / "setting.json", Setting), read_json(finished[2], Evaluated)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Evaluated)
     return Evaluation(table, profile, setting, record, against, own, None)
 
 
 def _compared(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
-    """The policy that others are compared with, by default the first, and the user's own ones."""
     path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
     compared = read_json(path, Compared) if path.exists() else Compared(against="")
     own = tuple(name for name in compared.own if name in policies)
@@ -265,17 +260,14 @@ def comparable(stored: Sequence[Planned]) -> list[Planned]:
 
 
 def _gaps(planned: Iterable[Planned], done: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    """Every policy with missing episodes, and which these are."""
-    units: dict[str, list[tuple[int, bool]]] = {}
-    for key, name, k, _ in planned:
-        units.setdefault(name, []).append((k, key in done))
-    for name, episodes in units.items():
-        missing = [k for k, there in episodes if not there]
-        if len(missing) == len(episodes):
-            yield name, f"all of its {len(episodes)} insertions"
-        elif missing:
-            tubes = "tubes" if len(set(missing)) > 1 else "tube"
-            yield name, f"{len(missing)} of {len(episodes)} insertions: {tubes} {spans(missing)}"
+    episodes = pd.DataFrame(planned, columns=["key", "policy", "context", "seed"])
+    for name, part in episodes.groupby("policy", sort=False):
+        missing = part.loc[~part["key"].isin(list(done)), "context"]
+        if len(missing) == len(part):
+            yield str(name), f"all of its {len(part)} insertions"
+        elif len(missing):
+            tubes = "tubes" if missing.nunique() > 1 else "tube"
+            yield str(name), f"{len(missing)} of {len(part)} insertions: {tubes} {spans(missing)}"
 
 
 def spans(numbers: Iterable[int]) -> str:

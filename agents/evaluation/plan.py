@@ -10,7 +10,6 @@ import json
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -20,12 +19,12 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import UNFINISHED, Setting, episodes_of, gathered, write_tables
+from agents.evaluation.folder import FILES, UNFINISHED, Setting, episodes_of, gathered, write_tables
 from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import CARRIED, HEARD
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
-from agents.records.provenance import commit, provenance, write_json
+from agents.records.manifest import commit, origin, write_json, write_manifest
 from agents.records.reading import FileError, read_json
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
@@ -84,12 +83,10 @@ class Plan:
         return [(self.key(unit), *unit) for unit in self.units()]
 
     def described(self) -> dict[str, Any]:
-        """Contexts and episodes, JSON-ready."""
-        return {"contexts": [context.model_dump() for context in self.contexts], "episodes": self.planned()}
-
-    def policies_described(self) -> dict[str, Any]:
-        """Descriptions of the policies, JSON-ready."""
-        return {"policies": {name: policy.describe() for name, policy in self.policies.items()}}
+        """Policies, contexts and episodes, JSON-ready."""
+        policies = {name: policy.describe() for name, policy in self.policies.items()}
+        contexts = [context.model_dump() for context in self.contexts]
+        return {"policies": policies, "contexts": contexts, "episodes": self.planned()}
 
     def key(self, unit: Unit) -> str:
         """Identity of an episode: hash of the policy's description, the context, its number and the seed."""
@@ -138,7 +135,7 @@ def run_plan(
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
-    write_json(output / UNFINISHED, provenance(command) | plan.policies_described() | plan.described())
+    write_json(output / UNFINISHED, origin(command) | plan.described())
     if missing:
         write_json(output / "setting.json", plan.setting())
         with (
@@ -151,7 +148,9 @@ def run_plan(
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    write_json(output / "provenance.json", provenance(command, table["commit"]) | plan.policies_described())
+    policies = {name: policy.describe() for name, policy in plan.policies.items()}
+    made: dict[str, Any] = {"command": command, "commits": table["commit"], "seeds": plan.seeds}
+    write_manifest(output, (*FILES, "setting.json"), **made, policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
@@ -186,24 +185,16 @@ def _shared(setting: Setting) -> dict[str, Any]:
 
 
 def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
-    """A line of JSON for each episode, played here or by workers in portions of a batch."""
     if workers.here:
         yield from _play(plan, missing, batch, threads)
         return
-    size, units = portion_size(len(missing), workers.jobs, batch), list(missing)
+    size, units = (
+        max(min(batch, len(missing) // (2 * workers.jobs)), 1),
+        list(missing),
+    )  # two portions a worker, or more
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, line in workers.stream(partial(_portion, plan), portions):
+    for _, line in workers.stream(lambda portion: _play(plan, deque(portion), size, 1), portions):
         yield line
-
-
-def portion_size(episodes: int, jobs: int, batch: int = BATCH) -> int:
-    """Episodes that a worker plays side by side: a batch, or fewer so that each worker has at least two portions."""
-    return max(min(batch, episodes // (2 * jobs)), 1)
-
-
-def _portion(plan: Plan, units: list[Unit]) -> Iterator[str]:
-    """A worker's task: some episodes side by side on one thread."""
-    return _play(plan, deque(units), len(units), 1)
 
 
 def _play(plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> Iterator[str]:
@@ -215,14 +206,10 @@ def _play(plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> 
 def lines_of(plan: Plan, ended: Iterable[Ended]) -> Iterator[str]:
     """A line of JSON for each episode that has ended."""
     for episode in ended:
-        yield _line(plan, episode)
-
-
-def _line(plan: Plan, episode: Ended) -> str:
-    profile = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(episode.profile).items()}
-    record = {"key": plan.key(episode.unit), "unit": episode.unit, "commit": commit(), "kpis": episode.kpis}
-    probe = {"probe": episode.probe} if episode.probe else {}
-    return json.dumps(record | {"profile": profile} | probe) + "\n"
+        profile = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(episode.profile).items()}
+        record = {"key": plan.key(episode.unit), "unit": episode.unit, "commit": commit(), "kpis": episode.kpis}
+        probe = {"probe": episode.probe} if episode.probe else {}
+        yield json.dumps(record | {"profile": profile} | probe) + "\n"
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:

@@ -74,7 +74,6 @@ def traces(
 
 
 def _columns(episode: pd.DataFrame | None, grid: list[float]) -> list[list[int | None]]:
-    """Feed, air and vibration on the grid as whole numbers; None where there is no metre."""
     if episode is None:
         return []
     rows = episode.reindex(grid)
@@ -141,7 +140,6 @@ def _csv(schedule: Schedule, way_back: Description | None) -> str:
 
 
 def _given(described: Description) -> dict[str, Schedule]:
-    """The schedules in a policy's description, without those that are too long."""
     listed = {f"helix of {d} m": s for d, s in described.get("schedules", {}).items()}
     if "schedule" in described:
         listed = {"as it was given": described["schedule"]}
@@ -155,7 +153,6 @@ def _schedule(given: Description) -> Schedule:
 
 
 def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, Schedule]:
-    """Feed and air over inserted length in the episode of the median reward."""
     part = table[table["policy"] == policy].sort_values("reward", kind="stable")
     episode = part.iloc[(len(part) - 1) // 2]
     case, names = ["policy", "context", "seed", "agent"], ["inserted_length", "feed_speed", "air_supply_rate"]

@@ -132,7 +132,6 @@ def insert(
 
 
 def _passage(sensor: Sensor, places: list[float], periods: list[dict[str, Any]], radial: list[np.ndarray]) -> Passage:
-    """Samples of all periods; within a period the sensor moves at constant speed."""
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)

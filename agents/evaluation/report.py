@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import json
 import tempfile
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
@@ -36,8 +34,8 @@ from agents.evaluation.statistics import (
 from agents.policies.fixed import Replayed, Scheduled
 from agents.policies.on_map import Privileged
 from agents.policies.planner import InspectionPlanner, Planner
+from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
-from agents.records.provenance import write_atomically
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
 from probe_env.fidelity import BOTH_WAYS, PRESETS
 
@@ -62,8 +60,6 @@ FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
 MOST_DIAMETERS: Final = 12
 """Number of helix diameters beyond which there is no table by diameter."""
-MOST_LISTED: Final = 60
-"""Numbers of a list in the settings of a policy."""
 DRAWN_AT_FIRST: Final = 4
 """Policies whose traces are visible when the page opens."""
 
@@ -79,17 +75,12 @@ def write_report(folder: Path) -> Path:
     summary = summarise(done.table)
     if done.missing is None:
         write_atomically(folder / "summary.csv", summary.to_csv(index=False, float_format="%.6g"))
-    path = folder / "report.html"
-    write_atomically(path, _template().render(**_content(done, summary), pictures=_pictures(done, summary)))
-    return path
-
-
-def _template() -> Any:
     environment = Environment(undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    parts = {name: Markup(_read(name)) for name in ("report.css", "report.js", "uPlot.iife.min.js", "uPlot.min.css")}
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    environment.globals["part"] = parts.__getitem__
-    return environment.from_string(_read("report.html"))
+    environment.globals["part"] = lambda name: Markup(_read(name))
+    page = environment.from_string(_read("report.html"))
+    write_atomically(folder / "report.html", page.render(**_content(done, summary), pictures=_pictures(done, summary)))
+    return folder / "report.html"
 
 
 def _read(name: str) -> str:
@@ -97,7 +88,6 @@ def _read(name: str) -> str:
 
 
 def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
-    """The variables of the template, except for the pictures."""
     table, task, oracles, order = done.table, done.setting.task, informed(done), ranking(done.table)
     described = descriptions(done)
     kinds = {name: deciding(given).get("policy") for name, given in described.items()}
@@ -123,7 +113,6 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "traces": traces(table, done.profile, drawn, _limit_mm(task)),
         "record": done.record,
         "fidelity": done.setting.fidelity,
-        "settings": json.dumps(_shortened(done.record.policies), indent=1),
     }
 
 
@@ -132,7 +121,6 @@ def _limit_mm(task: TaskConfig) -> float | None:
 
 
 def _facts(done: Evaluation) -> dict[str, str]:
-    """Limit, insertions, tubes, probe and simulation."""
     table, task, scene = done.table, done.setting.task, done.setting.task.scene
     tubes = table.drop_duplicates("context")
     ranges = [f"bore {scene.tube.inner_diameter * MM:g} mm, helix {scene.tube.helix_length:g} m"]
@@ -156,18 +144,7 @@ def _facts(done: Evaluation) -> dict[str, str]:
     }
 
 
-def _shortened(data: Any) -> Any:
-    """JSON data with long lists cut to ``MOST_LISTED`` items."""
-    if isinstance(data, dict):
-        return {key: _shortened(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        rest = [f"and {len(data) - MOST_LISTED} more"] if len(data) > MOST_LISTED else []
-        return [*map(_shortened, data[:MOST_LISTED]), *rest]
-    return data
-
-
 def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
-    """Title, caption and PNG in base64 of each picture."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         drawn = [
@@ -210,8 +187,7 @@ def limit_of(task: TaskConfig) -> str:
     return f"{task.limit * factor:.4g} {unit}"
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """A policy compared with the best other one: a line, and the figures behind it."""
 
     policy: str
@@ -256,7 +232,6 @@ def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: 
 
 
 def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
-    """Mean inspection time and length within the limit of a policy."""
     time, share = (by_context(part, policy, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit"))
     return f"{short(time)} s", f"{short(100.0 * share)} %"
 
@@ -274,8 +249,7 @@ def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
     return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """A figure, a second one below it, and whether it is the best of its kind."""
 
     text: str
@@ -283,8 +257,7 @@ class Cell:
     best: bool = False
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A row of a table: its head, a note below that, and cells."""
 
     head: str
@@ -306,7 +279,13 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
         for kpi, (_, factor, _) in shown_of(table.columns).items():
             row = values[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
-        cells.insert(1, _against(table, policy, best))  # the first is the reward
+        against = Cell("best")
+        if policy != best:
+            difference = paired_difference(table, policy, best, "reward")
+            against = _with_ends(difference.mean, difference.low, difference.high, "+")
+            if difference.low < 0.0 < difference.high:
+                against = against._replace(text=f"{against.text} (unclear)")
+        cells.insert(1, against)  # the first is the reward
         complete, _, reasons = ended(ends[policy]).partition(", ")
         note = "yours" if policy in own else "oracle" if policy in informed else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
@@ -317,15 +296,6 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
 
 def _with_ends(mean: float, low: float, high: float, sign: str = "") -> Cell:
     return Cell(short(mean, sign), f"{short(low, sign)} to {short(high, sign)}" if low < high else "")
-
-
-def _against(table: pd.DataFrame, policy: str, best: str) -> Cell:
-    if policy == best:
-        return Cell("best")
-    difference = paired_difference(table, policy, best, "reward")
-    cell = _with_ends(difference.mean, difference.low, difference.high, "+")
-    unclear = difference.low < 0.0 < difference.high
-    return replace(cell, text=f"{cell.text} (unclear)") if unclear else cell
 
 
 def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
@@ -364,7 +334,6 @@ def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
 
 
 def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
-    """Mean time and length within the limit of every policy in some tubes; the best by reward is marked."""
     order, ends = ranking(part), _endings(part)
     best = next((name for name in order if name not in informed), "")
     cells = {}

@@ -30,7 +30,7 @@ from agents.policies.catalogue import domains_of, named_policies, own_policies
 from agents.policies.places import Place, load_case
 from agents.policies.policy import check_domains
 from agents.policies.wrappers import BothWays, fidelity_of
-from agents.records.provenance import write_json
+from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.episodes.starts import Probes, Starts, settling
@@ -96,7 +96,7 @@ def plan_of(
     """The plan of named policies on the tubes of a case; warns about policies that were not made for them.
 
     Raises:
-        ValueError: an argument is not valid, or ``strict`` and a policy was not made for these tubes.
+        ValueError: an argument is not valid, no episode can begin, or ``strict`` and a policy is out of its range.
     """
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
@@ -107,20 +107,17 @@ def plan_of(
     hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
     plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes, place.vibration)
-    check_begins(plan, place.tube.name)
-    return plan
-
-
-def check_begins(plan: Plan, tubes: str) -> None:
-    """Raise ValueError if an episode could not begin, before anything is played; random probes are not checked."""
-    if plan.probes == "random":
-        return
+    if plan.probes == "random":  # which are drawn as episodes begin
+        return plan
     try:
         episodes = make_episodes(1, plan.config, threads=1, fidelity=plan.fidelity, surrogate_map=plan.vibration)
         for context in plan.contexts:
             episodes.check_tube(context)
     except ValueError as error:
-        raise ValueError(f"{tubes}: {explain(error) if isinstance(error, ValidationError) else error}") from error
+        raise ValueError(
+            f"{place.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
+        ) from error
+    return plan
 
 
 def evaluate_plan(
@@ -184,22 +181,16 @@ def report_again(folder: Path, against: str | None = None) -> Path:
 
 def print_summary(table: pd.DataFrame, against: str) -> None:
     """Print KPIs with intervals, how episodes ended and the comparison with a policy."""
-    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown_of(table.columns).values()))
-    rows = ((policy, *cells) for policy, cells in kpi_cells(table))
+    shown, rows = shown_of(table.columns), []
+    for policy, part in summarise(table).groupby("policy", sort=False):
+        figures, cells = part.set_index("kpi"), [str(policy)]
+        for kpi, (_, factor, _) in shown.items():
+            mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
+            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
+        rows.append(cells)
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown.values()))
     print_table("Means with 95 % intervals over the contexts", header, rows)
     for name, row in endings(table).iterrows():
         print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
     for line in (*strained(table), *sentences(table, against)):
         print(line)
-
-
-def kpi_cells(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
-    """The KPIs of every policy as text: mean and interval, the mean alone where the interval has no width."""
-    rows = []
-    for policy, part in summarise(table).groupby("policy", sort=False):
-        figures, cells = part.set_index("kpi"), []
-        for kpi, (_, factor, _) in shown_of(table.columns).items():
-            mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
-            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
-        rows.append((str(policy), cells))
-    return rows

@@ -18,7 +18,7 @@ from agents.evaluation.statistics import grouped
 from agents.policies.catalogue import make_policy
 from agents.policies.places import Place
 from agents.records.atomic import write_atomically
-from agents.records.provenance import provenance, write_json
+from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
@@ -106,7 +106,9 @@ def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path)
         "sensor": config.sensor.model_dump(), "threshold": chart.threshold, "false_calls": chart.false_calls,
         "noise_and_vibration_correlation": correlation(run, chart), "found": run.detection,
     }  # fmt: skip
-    write_json(output / "signal.json", record | provenance())
+    write_json(output / "signal.json", record)
+    files = ("channels.csv", "flaws.csv", "periods.csv", "signal.json")
+    write_manifest(output, files, seeds=(look.seed,))
     first, last = run.passage.place[[0, -1]]
     for flaw in flaws:
         if flaw not in chart.flaws:

@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from scipy.signal import welch
 from tqdm import tqdm
 
+from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GREY, GRID, MM, RED, save
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
 from probe_env import Run, Scene, Simulator
 from probe_env.physics.simulation.signals import dominant_frequencies, point_statistics
@@ -45,7 +46,7 @@ HIGHEST_FREQUENCY = 100.0  # [Hz]
 def simulate_scene(
     simulator: Simulator, duration: float, statistics_from: float, output: Path, name: str, quiet: bool = False
 ) -> dict[str, float]:
-    """Run a scene with a progress bar and write scene.toml, results.json, signals.npz and figures.
+    """Run a scene with a progress bar and write scene.toml, results.json, signals.npz, manifest.json and figures.
 
     Returns:
         the sensor's statistics and the mean root tension, SI units.
@@ -97,13 +98,14 @@ def _store(simulator: Simulator, run: Run, statistics: dict[str, float], start: 
         "axial_frequencies_hz": dominant_frequencies(run.axial[chosen, column], run.sample_period),
         "radial_frequencies_hz": dominant_frequencies(run.radial[chosen, column], run.sample_period),
     }
-    write_json(output / "results.json", results | provenance())
+    write_json(output / "results.json", results)
     arrays = {key: getattr(run, key) for key in ARRAYS} | {"points": np.array(run.points)}
     if run.shapes is not None:
         arrays |= {f"shapes_{key}": getattr(run.shapes, key) for key in run.shapes.__dataclass_fields__}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     write_atomically(output / "signals.npz", buffer.getvalue())
+    write_manifest(output, ("scene.toml", "results.json", "signals.npz"))
 
 
 def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
-from scipy.stats import t as student
 
 from agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of, label_of
 from probe_env.arrays import FloatArray
@@ -78,13 +76,6 @@ def bootstrap_ends(
     return low, high
 
 
-def redrawn(*counts: int) -> Iterator[tuple[npt.NDArray[np.int64], ...]]:
-    """``RESAMPLES`` tuples of resampled indices with a fixed seed: an array (n,) for each count n."""
-    rng = np.random.default_rng(0)
-    for _ in range(RESAMPLES):
-        yield tuple(rng.integers(count, size=count) for count in counts)
-
-
 def redrawn_means(values: FloatArray) -> FloatArray:
     """(RESAMPLES, d) means of values (n, d) over resampled rows, with a fixed seed."""
     rng, count = np.random.default_rng(0), len(values)
@@ -107,23 +98,6 @@ def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
     return Interval(ratio, *map(float, bootstrap_ends(of_means, values, reference)))
 
 
-def nested_interval(statistic: Callable[..., np.ndarray], *arrays: np.ndarray) -> Interval:
-    """A statistic of several methods' interquartile means over training seeds of means over contexts.
-
-    Args:
-        statistic: takes one mean for each method.
-        arrays: (seeds, contexts) of each method; contexts are resampled jointly, seeds for each method.
-    """
-    drawn = [
-        [part[rows][:, contexts].mean(axis=1) for part, rows in zip(arrays, seeds, strict=True)]
-        for contexts, *seeds in redrawn(arrays[0].shape[1], *map(len, arrays))
-    ]
-    means = [interquartile_means(np.array(part)) for part in zip(*drawn, strict=True)]
-    low, high = np.percentile(statistic(*means), PERCENTILES)
-    measured = statistic(*(interquartile_means(part.mean(axis=1)) for part in arrays))
-    return Interval(float(measured), float(low), float(high))
-
-
 def mean_interval(values: np.ndarray) -> Interval:
     """Mean of independent values with a bootstrap interval (BCa); of no width if all are equal.
 
@@ -139,22 +113,6 @@ def mean_interval(values: np.ndarray) -> Interval:
     return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
 
 
-def student_factor(count: int) -> float:
-    """Half the 95 % interval of a mean of ``count`` normal values, by Student, over its standard error."""
-    return float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
-
-
-def student_interval(values: pd.Series) -> Interval:
-    """Mean of normal values with Student's interval; NaN with fewer than two values."""
-    mean, half = float(values.mean()), float(student_factor(len(values)) * values.std() / np.sqrt(len(values)))
-    return Interval(mean, mean - half, mean + half)
-
-
-def interquartile_means(values: np.ndarray) -> np.ndarray:
-    """Mean of the middle half of each row."""
-    return np.asarray(trim_mean(np.asarray(values, dtype=float), 0.25, axis=-1))
-
-
 def grouped(table: pd.DataFrame) -> pd.DataFrame:
     """The table with the training seeds of a method under one name: NAME@K becomes NAME, column ``agent`` has K."""
     parts = {name: method_and_seed(name) for name in table["policy"].unique()}
@@ -167,11 +125,6 @@ def method_and_seed(policy: str) -> tuple[str, int]:
     """NAME@K as (NAME, K), anything else as (NAME, 0)."""
     name, mark, seed = policy.rpartition("@")
     return (name, int(seed)) if mark and seed.isdecimal() else (policy, 0)
-
-
-def seeds_by_contexts(table: pd.DataFrame, policy: str, kpi: str) -> pd.DataFrame:
-    """A KPI of a method: a row for each training seed, a column for each context, mean over episode seeds."""
-    return table[table["policy"] == policy].pivot_table(index="agent", columns="context", values=kpi)
 
 
 def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:
@@ -232,9 +185,8 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
             values = by_context(table, policy, kpi).to_numpy()
             interval = mean_interval(values)
             worst = part[kpi].min() if kpi in HIGH else part[kpi].max()
-            rows.append(
-                (policy, kpi, interval.mean, interval.low, interval.high, float(interquartile_means(values)), worst)
-            )
+            iqm = float(trim_mean(values, 0.25))
+            rows.append((policy, kpi, interval.mean, interval.low, interval.high, iqm, worst))
         if has_curves(table):
             rows.append((policy, *OVER_TUBES, *[a90_95(table, policy)] * 4, part["a90_percent_wall"].max()))
     return pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high", "iqm", "worst"])

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import count, islice
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -72,7 +72,7 @@ class Workers:
         Raises:
             RuntimeError: the backend is not installed, or workers are lost again and again.
         """
-        return self.stream(partial(_single, function), tasks)
+        return self.stream(lambda task: [function(task)], tasks)
 
     def stream(self, function: Callable[[Any], Iterable[Any]], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
         """Pairs of a task and an item that the function yields for it, as they come; with Ray when the task ends.
@@ -123,10 +123,6 @@ class Workers:
 
 HERE = Workers()
 """This process itself."""
-
-
-def _single(function: Callable[[Any], Any], task: Any) -> Iterator[Any]:
-    yield function(task)
 
 
 def _gathered(function: Callable[[Any], Iterable[Any]], number: int, task: Any) -> tuple[int, list[Any]]:

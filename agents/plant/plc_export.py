@@ -14,7 +14,7 @@ from agents.policies import plc_law
 from agents.policies.places import Place
 from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
-from agents.records.provenance import write_atomically
+from agents.records.atomic import write_atomically
 from agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map

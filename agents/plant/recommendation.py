@@ -26,7 +26,8 @@ from agents.policies.law import Law, OfDiameter
 from agents.policies.lookup import FIRST, SPACING
 from agents.policies.places import place_of
 from agents.policies.policy import OutsideDomain
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import origin, write_json
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
@@ -119,7 +120,7 @@ def recommend(
         "expected_reward": optimum.reward,
         "least_root_tension_n": optimum.tension,
     }
-    write_json(output.with_suffix(".json"), record | provenance())
+    write_json(output.with_suffix(".json"), record | origin())
     named = [f"{NAME}={output}"]
     if law:
         feedback = recommended_law(seen.contexts, response, seen.config)

@@ -48,7 +48,7 @@ class Journal(Generic[S]):
     def appending(self) -> Iterator[Callable[[str], None]]:
         """A function that appends lines, while it is entered; they are on the disk when it returns."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        set_aside(self.path)
+        complete(self.path)
         with self.path.open("ab") as file:
 
             def append(lines: str) -> None:
@@ -59,23 +59,20 @@ class Journal(Generic[S]):
             yield append
 
 
-def set_aside(path: Path) -> None:
-    """Make a journal ready to be appended to: a line that was cut off goes to ``NAME.cut-off`` beside it."""
+def complete(path: Path) -> None:
+    """Make a journal ready to be appended to: a last line that was cut off is removed, a whole one gets its end."""
     last = deque(_lines(path) if path.exists() else (), maxlen=1)
     _, line, begin = last[0] if last else (0, b"\n", 0)
     if line.endswith(b"\n"):
         return
-    cut_off = _cut_off(line)
-    with (path.with_name(f"{path.name}.cut-off") if cut_off else path).open("ab") as file:
-        file.write(line + b"\n" if cut_off else b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-    if cut_off:
+    if _cut_off(line):
         os.truncate(path, begin)
+    else:
+        with path.open("ab") as file:
+            file.write(b"\n")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
-    """Number, content and first byte of every line."""
     with open_regular(path, MOST_JOURNAL) as file:
         begin, number = 0, 0
         while line := file.readline(MOST_LINE + 1):

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from probe_env.files import MEBI, FileError, read_text
@@ -36,27 +36,12 @@ class Machine(Stored):
 
 
 class Record(Stored):
-    """``provenance.json`` and its like."""
+    """``manifest.json``, and records that embed ``manifest.origin``."""
 
     command: str
     commit: str
     packages: dict[str, str]
     machine: Machine
-
-
-class Figures(Stored):
-    """``summary.json`` of a study: figures by name, and what made them."""
-
-    provenance: Record
-
-
-class Quality(Record):
-    """``vibration-map.json``: how the map was made and how well it tells."""
-
-    episodes: int
-    held_out_tubes: int
-    explained_variance: FiniteFloat
-    mean_absolute_error_decades: FiniteFloat
 
 
 def require(field: str, values: Mapping[str, Any], names: Iterable[str]) -> None:

@@ -9,7 +9,8 @@ from typing import Any, Final
 
 import pandas as pd
 
-from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import commit
 from agents.records.reading import FileError, read_csv
 from agents.records.tables import Columns
 
@@ -38,7 +39,7 @@ class Store:
     """Rows of a CSV file with unique keys, each with the commit that made it.
 
     Args:
-        path: of the file; ``NAME-provenance.json`` goes beside it.
+        path: of the file.
         keys: columns that identify a row.
 
     Raises:
@@ -66,4 +67,3 @@ class Store:
         self.table = table.drop_duplicates(list(self.keys), keep="last", ignore_index=True)
         write_atomically(self.path, as_csv(self.table, 6))
         self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
-        write_json(self.path.with_name(f"{self.path.stem}-provenance.json"), provenance())

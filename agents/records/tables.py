@@ -112,7 +112,6 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.Dat
         FileError: not Parquet, more rows than any table has, or a needed column is missing or not of its kind.
     """
     content = read_bytes(path, MOST_PARQUET)
-    texts = [name for name, kind in columns.items() if kind in ("name", "text")]
     try:
         file = pq.ParquetFile(io.BytesIO(content))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
@@ -120,24 +119,15 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.Dat
         _check_header(path, names, columns)
         if not 0 < rows <= MOST_ROWS:
             raise FileError(path, f"{rows} rows: a table has 1 to {MOST_ROWS} - {_HINT}")
-        dictionaries = pq.ParquetFile(io.BytesIO(content), read_dictionary=texts)
-        table = dictionaries.read(columns=[name for name in names if name in columns])
+        table = file.read(columns=[name for name in names if name in columns])
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         if isinstance(error, FileError):
             raise
         raise FileError(path, f"not a Parquet file that can be read: {error} - {_HINT}") from error
-    for name in texts:  # a short dictionary may stand for millions of long texts
-        kind = table.schema.field(name).type
-        if not (pa.types.is_dictionary(kind) and pa.types.is_string(kind.value_type)):
-            raise FileError(path, f"column {name!r}: {kind}, not text - {_HINT}")
-        for chunk in table.column(name).chunks:
-            _check_names(path, name, chunk.dictionary.to_pylist(), columns[name])
-    frame = table.to_pandas(ignore_metadata=True)
-    return check_table(path, frame.astype(dict.fromkeys(texts, str)), columns)
+    return check_table(path, table.to_pandas(ignore_metadata=True), columns)
 
 
 def _present(columns: Columns, newer: Columns, header: list[Any]) -> Columns:
-    """The needed columns, and the newer ones that a table has."""
     return {**columns, **{name: kind for name, kind in newer.items() if name in header}}
 
 

@@ -22,8 +22,9 @@ from agents.evaluation.statistics import (
     share_of_lead,
     short,
 )
+from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GREY, GRID, colours, plain, save
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.manifest import write_manifest
 from agents.studies.run import Setting
 from agents.studies.spec import Changes, Study
 from agents.terminal.tables import print_table
@@ -159,12 +160,12 @@ def _difference(table: pd.DataFrame, name: str, other: str, metric: str) -> Inte
 
 
 def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame, output: Path) -> pd.DataFrame:
-    """Write episodes.csv, comparison.csv, comparison.png and provenance.json, and print the comparison."""
+    """Write episodes.csv, comparison.csv, comparison.png and manifest.json, and print the comparison."""
     table = compare(study, settings, episodes)
     write_atomically(output / "episodes.csv", episodes.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "comparison.csv", table.to_csv(index=False, float_format="%.6g"))
-    record = {"study": study.model_dump(mode="json")}
-    write_json(output / "provenance.json", provenance(commits=episodes["commit"]) | record)
+    files = ("episodes.csv", "comparison.csv")
+    write_manifest(output, files, commits=episodes["commit"], study=study.model_dump(mode="json"))
     shown, columns = _displayed(study, settings, table)
     (_across if study.figure else _forest)(study, shown, columns, output / "comparison.png")
     for baseline, part in shown.groupby("baseline", sort=False):

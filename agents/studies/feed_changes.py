@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import write_manifest
 from agents.studies.builtin import Request
 from agents.terminal.tables import print_table
 from probe_env.fidelity import BOTH_WAYS
@@ -63,7 +64,7 @@ def run(request: Request) -> pd.DataFrame:
             rows.append((exponent, *of_scene, member, ramp, value))
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     write_atomically(request.output / "changes.csv", table.to_csv(index=False, float_format="%.5g"))
-    write_json(request.output / "provenance.json", provenance() | {"fidelity": fidelity.model_dump()})
+    write_manifest(request.output, ("changes.csv",), fidelity=fidelity.model_dump())
     mean = 1e3 * table.groupby(["exponent", "ramp", "carrier_length", "helix_diameter"])["radial_rms_m"].mean()
     cells = []
     for exponent in EXPONENTS:

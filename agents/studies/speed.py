@@ -17,7 +17,8 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import write_manifest
 from agents.studies.tables import print_frame
 from agents.vec_env import ProbeVecEnv
 from probe_env import Scene, SimulatorBatch
@@ -54,7 +55,7 @@ def run_speed(output: Path, repeats: int = 7, environments: tuple[int, ...] = EN
     for name, table in (("methods", methods), ("environments", rates)):
         write_atomically(output / f"{name}.csv", table.to_csv(index=False, float_format="%.4g"))
         print_frame(name, table)
-    write_json(output / "provenance.json", provenance())
+    write_manifest(output, ("methods.csv", "environments.csv"))
     print(f"written: {output}/ (methods.csv, environments.csv)")
     return methods
 

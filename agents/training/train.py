@@ -28,8 +28,10 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
 from agents.policies.policy import ranges_of
+from agents.records.atomic import write_atomically
+from agents.records.manifest import origin as made_by
+from agents.records.manifest import write_json, write_manifest
 from agents.records.models import Stored
-from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.reading import FileError, read_csv, read_json
 from agents.records.tables import CURVE as CURVE_COLUMNS
 from agents.terminal.tables import print_table
@@ -65,7 +67,7 @@ def train_all(
     Raises:
         ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
     """
-    origin = provenance(command)
+    origin = made_by(command)
     folders = prepare(training, output, resume, origin)
     phases = training.phases + (training.imitation is not None)
 
@@ -159,7 +161,7 @@ def train(
         training: settings.
         seed: of weights, episodes and exploration.
         folder: of checkpoint, best agent, learning curve and logs.
-        origin: how the run was started, see ``provenance``.
+        origin: how the run was started, see ``manifest.origin``.
         threads: of the simulation; default: all cores.
         position: line of the progress bar.
         watch: receives the row of every phase once it is stored, also those before the last checkpoint; an exception
@@ -192,6 +194,9 @@ def train(
                 save_checkpoint(model, rows, folder / CHECKPOINT)
                 _write_curve(rows, folder)
                 watch(rows[-1])
+        run = json.loads((folder / RUN).read_text())
+        commits = [part["commit"] for part in (run, *run.get("resumed", ()))]
+        write_manifest(folder, (RUN, CURVE, BEST), seeds=(seed,), command=origin["command"], commits=commits)
         return pd.DataFrame(rows)
 
 

@@ -22,9 +22,11 @@ from optuna.samplers import BaseSampler, PartialFixedSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
+from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, RED, save
+from agents.records.manifest import origin as made_by
+from agents.records.manifest import write_manifest
 from agents.records.models import Stored, valid
-from agents.records.provenance import provenance, write_atomically, write_json
 from agents.records.searches import JOURNAL, open_study
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
@@ -106,7 +108,7 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
         FileError: the folder holds another search, or a damaged one.
     """
     output.mkdir(parents=True, exist_ok=True)
-    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.axes), provenance()
+    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.axes), made_by()
     if "search" in study.user_attrs:
         before, now = valid(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
         different = ", ".join(name for name in now if before[name] != now[name])
@@ -177,7 +179,7 @@ def trials_table(study: optuna.Study) -> pd.DataFrame:
 
 
 def run_tuning(training: Training, trials: int, phases: int | None, output: Path, seed: int) -> pd.DataFrame:
-    """The command ``tune``: stores trials.csv, search.png, found.toml and provenance.json.
+    """The command ``tune``: stores trials.csv, search.png, found.toml and manifest.json.
 
     Args:
         training: starting point; its first seed is trained.
@@ -204,7 +206,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     if not complete:
         raise RuntimeError(f"all {len(table)} trainings broke down: {finished(study)[-1].user_attrs['failed']}")
     number, best = max(complete, key=lambda entry: entry[1].values[0])
-    origin = provenance(commits=table["commit"])
+    origin = made_by(commits=table["commit"])
     heading = (
         f"# Found by: {one_line(origin['command'])}\n# Trial {number} (commit {best.user_attrs['commit']}): reward"
         f" {best.values[0]:.4g} on the validation tubes, the best phase\n# of a training with {phases} instead of"
@@ -214,9 +216,9 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     _draw(table, output / "search.png")
     space = {name: axis if isinstance(axis, tuple) else axis.model_dump() for name, axis in tuning.axes.items()}
     setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
-    write_json(output / "provenance.json", origin | setting)
+    write_manifest(output, (TRIALS, "found.toml"), seeds=(seed,), commits=table["commit"], **setting)
     _print(table)
-    print(f"written: {output}/ (found.toml, trials.csv, search.png, provenance.json, trials/)")
+    print(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
     return table
 
 

@@ -68,7 +68,7 @@ def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp
         episode = table[(table["policy"] == unit[0]) & (table["context"] == unit[1])].iloc[0]
         assert trace["reward"][-1] == episode["reward"]
         assert trace["time"][-1] == episode["inspection_time_s"]
-    command = json.loads((tmp_path / "app" / "provenance.json").read_text())["command"]
+    command = json.loads((tmp_path / "app" / "manifest.json").read_text())["command"]
     assert command == f"probe-env evaluate constant pi --tube {tube} --limit 2 --fidelity fast --output {tmp_path}/app"
 
 

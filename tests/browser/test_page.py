@@ -118,7 +118,7 @@ def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path
     page.get_by_role("button", name="continue", exact=True).first.click()
     page.locator("[data-state=finished]").wait_for()
     folder = max(path for path in app.output.glob("*-my-schedule"))
-    command = json.loads((folder / "provenance.json").read_text())["command"].split()[1:]
+    command = json.loads((folder / "manifest.json").read_text())["command"].split()[1:]
     command[command.index("--output") + 1] = str(tmp_path / "again")
     assert main(command) == 0
     for name in ("episodes.parquet", "profile.parquet"):
@@ -260,7 +260,7 @@ def test_manual_drive_with_the_keyboard(page, app):
     folder = max(path for path in app.output.glob("*-by-hand"))
     table = pd.read_parquet(folder / "episodes.parquet")
     assert set(table["policy"]) == {"by hand", "tension-scheduled"}
-    described = json.loads((folder / "provenance.json").read_text())["policies"]["by hand"]
+    described = json.loads((folder / "manifest.json").read_text())["policies"]["by hand"]
     assert len(set(described["schedule"]["feed_speed"])) == 2  # before and after the key
 
 

@@ -76,7 +76,7 @@ def evaluate_until_file(folder, name):
     evaluate(folder)
 
 
-@pytest.mark.parametrize("name", ["setting.json", "episodes.csv", "profile.parquet", "provenance.json"])
+@pytest.mark.parametrize("name", ["setting.json", "episodes.csv", "profile.parquet", "manifest.json"])
 def test_what_a_kill_leaves_of_a_file_is_no_result_and_goes_with_the_next_run(name, tmp_path, whole):
     killed(evaluate_until_file, tmp_path, name)
     assert not (tmp_path / name).exists()

@@ -52,7 +52,7 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     assert set(table["tube"]) == {"mine (bore 19.5 mm, helix 40 m)"}
     assert table[table["design"] == "own"]["inspected_m"].to_numpy() == pytest.approx(35.0)
     assert table[table["design"] == "long"]["inspected_m"].to_numpy() == pytest.approx(27.5)
-    built = json.loads((tmp_path / "out" / "provenance.json").read_text())["designs"]
+    built = json.loads((tmp_path / "out" / "manifest.json").read_text())["designs"]
     assert (built["own"]["line_density"], built["long"]["line_density"]) == (0.13, 0.13)
     assert built["long"]["carrier_float_diameter"] == 0.016
     before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}

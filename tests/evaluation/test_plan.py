@@ -1,6 +1,8 @@
 """Playing a plan: paired, resumable at any moment, and never mixed with episodes of another setting or commit."""
 
+import itertools
 import json
+import os
 from collections import deque
 
 import numpy as np
@@ -10,6 +12,7 @@ from kills import killed_at
 from plans import CONFIG, make_plan
 
 from agents.evaluation import evaluate
+from agents.evaluation import plan as plan_module
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import CARRIED
 from agents.evaluation.plan import Plan, Playing, per_metre, run_plan
@@ -76,35 +79,25 @@ def test_an_interrupted_evaluation_continues_to_the_same_table(tmp_path, monkeyp
     whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
     folder, stored = tmp_path / "interrupted", []
 
-    def interrupted_at(number, point):
-        calls = 0
+    def interrupted_at(number, owner, name):
+        function, calls = getattr(owner, name), itertools.count(1)
 
-        def counted(function):
-            def call(*arguments, **named):
-                nonlocal calls
-                calls += 1
-                if calls == number:
-                    raise KeyboardInterrupt
-                return function(*arguments, **named)
-
-            return call
+        def call(*arguments, **named):
+            if next(calls) == number:
+                raise KeyboardInterrupt
+            return function(*arguments, **named)
 
         with monkeypatch.context() as patch:
-            module, name = point
-            patch.setattr(module, name, counted(getattr(module, name)))
+            patch.setattr(owner, name, call)
             with pytest.raises(KeyboardInterrupt):
                 run_plan(make_plan(4, 3), folder, batch=2, progress=False)
 
-    import os
-
-    from agents.evaluation import plan as module
-
     for _ in range(3):
-        interrupted_at(4, (module, "_line"))
+        interrupted_at(4, plan_module, "per_metre")
         stored.append(len(episodes_of(folder).read()))
     assert stored == [3, 6, 9]  # nothing is lost, nothing done twice
     for number in range(2, 6):
-        interrupted_at(number, (os, "replace"))
+        interrupted_at(number, os, "replace")
     same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
 
 
@@ -117,7 +110,7 @@ def test_an_evaluation_that_is_killed_continues_to_the_same_table(tmp_path):
     """By SIGKILL, whenever three more episodes are in the journal, then before each of the five files is in place."""
     whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
     folder, stored = tmp_path / "killed", []
-    while killed_at("agents.evaluation.plan._line", 4, play_here, folder):
+    while killed_at("agents.evaluation.plan.per_metre", 4, play_here, folder):
         stored.append(len(episodes_of(folder).read()))
     assert stored == list(range(3, 24, 3))
     for number in range(1, 6):
@@ -125,22 +118,20 @@ def test_an_evaluation_that_is_killed_continues_to_the_same_table(tmp_path):
     same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
 
 
-def test_a_line_that_was_cut_off_is_kept_aside_and_played_again(stored, monkeypatch):
+def test_a_line_that_was_cut_off_is_played_again(stored, monkeypatch):
     journal, table = stored / "episodes.jsonl", pd.read_parquet(stored / "episodes.parquet")
     content = journal.read_bytes()
-    last = content.splitlines(keepends=True)[-1]
     journal.write_bytes(content[:-40])
     same(run_plan(make_plan(), stored, progress=False), table)
     assert journal.read_bytes() == content
-    assert (stored / "episodes.jsonl.cut-off").read_bytes() == last[:-40] + b"\n"
     journal.write_bytes(content[:-1])  # a whole line without its end counts
-    monkeypatch.setattr("agents.evaluation.plan.Episodes", None)  # playing anything would fail
+    monkeypatch.setattr("agents.evaluation.plan.make_episodes", None)  # playing anything would fail
     same(run_plan(make_plan(), stored, progress=False), table)
     assert journal.read_bytes() == content[:-1]
 
 
 def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monkeypatch):
-    monkeypatch.setattr("agents.evaluation.plan.Episodes", None)
+    monkeypatch.setattr("agents.evaluation.plan.make_episodes", None)
     assert len(run_plan(make_plan(), stored, progress=False)) == 12  # nothing is done again
     before = {path: path.read_bytes() for path in stored.iterdir()}
     for plan, name in (
@@ -189,7 +180,8 @@ def test_a_changed_policy_is_played_again_under_its_name(stored):
 
 
 def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
-    arguments = {"limit": 1, "fidelity": "fast", "seeds": 1}
+    (tmp_path / "short.toml").write_text("[tube]\nhelix_length = 7\n")
+    arguments = {"tube": tmp_path / "short.toml", "limit": 1, "fidelity": "fast", "seeds": 1}
     table = evaluate(["slow-down", "constant"], **arguments)
     assert table["policy"].tolist() == ["slow-down", "constant"]
     assert table["complete"].tolist() == [1.0, 1.0]
@@ -197,6 +189,9 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
     stored = evaluate(["slow-down", "constant"], output, against="constant", **arguments)
     same(stored.drop(columns="commit"), table.drop(columns="commit"))
     assert json.loads((output / "report.json").read_text()) == {"against": "constant", "own": []}
+    manifest = json.loads((output / "manifest.json").read_text())
+    assert set(manifest["files"]) == {"episodes.csv", "episodes.parquet", "profile.parquet", "setting.json"}
+    assert (manifest["seeds"], list(manifest["policies"])) == ([0], ["slow-down", "constant"])
 
 
 def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):

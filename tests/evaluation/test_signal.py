@@ -126,20 +126,17 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert "not passed: the flaw at 30 m; the sensor was from 2.50 to 4.5" in said
 
 
-@pytest.mark.parametrize(
-    ("asked", "message"),
-    [
+def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
+    for asked, message in (
         (["--flaws", "30"], "flaws: '30' is not PLACE:DEPTH"),
         (["--flaws", "70:20"], "flaws: place of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
         (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
         (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
         (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
         (["--fidelity", "fast"], "fidelity.time_lapse = 4 leaves out metres"),
-    ],
-)
-def test_what_is_wrong_is_named_before_anything_is_done(asked, message, tmp_path, capsys):
-    assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
-    assert message in capsys.readouterr().err
+    ):
+        assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -156,8 +153,6 @@ def test_the_filter_knows_a_burst_in_its_own_stretch():
     assert power[12] > 0.5 * power.max()
     assert (np.diff(power[9:13]) > 0.0).all()
 
-
-@pytest.mark.parametrize("samples", [100, 125, 250, 1001])
-def test_every_stretch_has_a_spectrum(samples):
-    motion = 1e-4 * np.random.default_rng(0).normal(size=samples)
-    assert len(centred_spectra(Sensor(), motion, np.full(samples, 0.2))) == -(-samples // STRETCH)
+    for samples in (100, 125, 250, 1001):
+        motion = 1e-4 * np.random.default_rng(0).normal(size=samples)
+        assert len(centred_spectra(Sensor(), motion, np.full(samples, 0.2))) == -(-samples // STRETCH)

@@ -70,6 +70,7 @@ def test_every_task_comes_back_once_and_items_come_while_their_task_goes_on(tmp_
     assert sorted(items) == [-3, -2, -1, 1, 2, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a worker was lost")
 def test_what_is_lost_with_a_worker_is_done_again_and_items_come_once(tmp_path):
     items = [item for _, item in TWO.stream(halting, [(str(tmp_path), k) for k in range(3)])]
@@ -125,6 +126,7 @@ def test_a_cluster_s_items_come_with_the_task_s_end(monkeypatch):
     assert sorted(Workers(2, "ray").map(square, range(9))) == [(k, k * k) for k in range(9)]
 
 
+@pytest.mark.slow
 def test_results_by_workers_equal_the_local_ones(tmp_path):
     policies = {f"{u}": Constant(CONFIG, feed_speed=u) for u in (0.1, 0.2)}
     plan = Plan(policies, load_contexts("validation")[:3], (0,), CONFIG)

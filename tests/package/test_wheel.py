@@ -157,7 +157,7 @@ def test_by_name_in_an_empty_folder(run, python):
     assert "pi: 1 of 1 complete" in run("probe-env", *evaluated)[0]
     assert pd.read_csv(run.folder / "out" / "episodes.csv")["policy"].tolist() == policies
     assert (run.folder / "out" / "report.html").stat().st_size > 100_000
-    assert json.loads((run.folder / "out" / "provenance.json").read_text())["commit"] == "unknown"
+    assert json.loads((run.folder / "out" / "manifest.json").read_text())["commit"] == "unknown"
 
     briefly = ["--duration", "0.3", "--statistics-from", "0.1"]
     run("probe-env", "simulate", "fig11_l10", "--method", "superelement32", *briefly)

@@ -35,6 +35,9 @@ def test_a_checkout_ships_what_it_holds():
         "ppo-any-probe": (0, 1, 2),
         "student": (0, 1, 2, 3, 4),
     }
+    assert all(shipped.DEFAULT_SEED in seeds for seeds in shipped_agents().values())
+    names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
+    assert len(set(names)) == len(names)  # none stands for two policies
     assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
     assert {"original", "improved"} <= set(shipped_names("design"))
     assert agent_file("ppo") == ROOT / "results" / "agents" / "ppo" / "seed-0" / "agent.safetensors"
@@ -42,21 +45,18 @@ def test_a_checkout_ships_what_it_holds():
     assert file_or_shipped("scenes", "fig11_l10") == ROOT / "configs" / "scenes" / "fig11_l10.toml"
 
 
-def test_no_name_stands_for_two_policies():
-    names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
-    assert len(set(names)) == len(names)
-
-
 def test_an_installed_package_ships_its_own(installed):
+    folder = installed / "shipped"
     assert shipped_agents(installed) == {"ppo": (0, 3)}
-    assert policy_file("ppo@3", installed) == str(
-        installed / "shipped" / "agents" / "ppo" / "seed-3" / "agent.safetensors"
-    )
-    for given in ("example", "example.csv"):
-        assert policy_file(given, installed) == str(installed / "shipped" / "schedules" / "example.csv")
+    assert policy_file("ppo@3", installed) == str(folder / "agents" / "ppo" / "seed-3" / "agent.safetensors")
+    for name in ("example", "example.csv"):
+        assert policy_file(name, installed) == str(folder / "schedules" / "example.csv")
     assert policy_file("pi", installed) == "pi"
     with pytest.raises(ValueError, match="policy = 'ppo@1': the training seeds of ppo are 0, 3"):
         policy_file("ppo@1", installed)
+    with pytest.raises(FileNotFoundError) as caught:
+        file_or_shipped("scenes", "fig11", installed)
+    assert (caught.value.filename, caught.value.hint) == ("fig11", "scenes that ship, by name: fig11_l10")
 
 
 def test_a_path_that_exists_wins_and_a_folder_is_none(installed, tmp_path, monkeypatch):
@@ -67,13 +67,3 @@ def test_a_path_that_exists_wins_and_a_folder_is_none(installed, tmp_path, monke
         Path(name).touch()
     assert file_or_shipped("scenes", "fig11_l10.toml", installed) == Path("fig11_l10.toml")
     assert policy_file("example.csv", installed) == "example.csv"
-
-
-def test_what_is_neither_is_told_with_the_names(installed):
-    with pytest.raises(FileNotFoundError) as caught:
-        file_or_shipped("scenes", "fig11", installed)
-    assert (caught.value.filename, caught.value.hint) == ("fig11", "scenes that ship, by name: fig11_l10")
-
-
-def test_the_default_seed_is_there_for_every_agent():
-    assert all(shipped.DEFAULT_SEED in seeds for seeds in shipped_agents().values())

@@ -84,7 +84,7 @@ def test_an_evaluation_by_auto_goes_by_its_own_tubes():
 
 
 def test_an_evaluation_keeps_what_it_was_simulated_with():
-    """In the plan, so in setting and provenance, also at half the step and where a finer fidelity checks it."""
+    """In the plan, so in setting and manifest, also at half the step and where a finer fidelity checks it."""
     place = place_of(Plant.model_validate(SHORT | CABLE), "test", 1)
     plan = plan_of(["constant"], place, 1, "fast")
     assert plan.fidelity == resolve_fidelity("fast", Scene.model_validate(CABLE))

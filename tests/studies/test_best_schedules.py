@@ -8,7 +8,7 @@ import pytest
 from kills import SERVER, hook_replace, kill, killed
 
 from agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
-from agents.records.provenance import commit
+from agents.records.manifest import commit
 from agents.studies.builtin import Request
 from agents.studies.shipped import best_schedules as optimise
 from agents.studies.shipped.best_schedules import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search

@@ -10,7 +10,7 @@ import pytest
 
 from agents.policies.catalogue import make_policy
 from agents.policies.plc_law import Constants, PlcLaw, Trim, read_constants, read_trim
-from agents.records.provenance import commit
+from agents.records.manifest import commit
 from agents.studies.builtin import Request
 from agents.studies.shipped import plc_constants as search
 from agents.studies.shipped.best_schedules import MapCost

@@ -219,7 +219,7 @@ def test_the_command_goes_on_and_leaves_a_training_file_with_the_best_parameters
     head = text[: text.index("\n\n")]
     assert f"Trial {best['trial']} (commit {best['commit']}): reward {best['reward']:.4g} " in head
     assert "with 2 instead of 3 of them and seed 3 alone" in head
-    record = json.loads((output / "provenance.json").read_text())
+    record = json.loads((output / "manifest.json").read_text())
     assert (record["best"], record["trials"]) == (best["trial"], TRIALS)
     assert set(record["space"]) == set(PARAMETERS)
     assert (output / "search.png").stat().st_size > 5000

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from agents.records.provenance import CHECKOUT, write_atomically
+from agents.records.atomic import write_atomically
+from agents.records.manifest import CHECKOUT, write_manifest
 from agents.records.reading import read_csv
 from agents.records.store import COLUMNS, as_csv, stored_rows
 from agents.records.tables import COSTS
@@ -73,6 +74,8 @@ def draw_chart(output: Path, target: Path | None = None, study: Path = STUDY) ->
     for name, table in tables.items():
         write_atomically(output / f"{name}.csv", as_csv(table, 4))
     write_atomically(target or output / "measured_errors.csv", as_csv(errors.measured_errors(*whole), 4))
+    commits = pd.concat([table["commit"] for table in (smooth, ensembles, insertions)])
+    write_manifest(output, [f"{name}.csv" for name in (*TABLES, *tables)], commits=commits)
     figures.smooth(smooth, output / "smooth.png")
     figures.chaos(*whole, output / "chaos.png")
     figures.model(tables["choices"], output / "model.png")

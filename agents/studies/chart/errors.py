@@ -13,7 +13,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from agents.evaluation.statistics import ratio_interval
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
 from agents.studies.chart import ensembles
 from agents.studies.chart.ensembles import PEAK, REFERENCE, STATISTICS, STIFFNESSES, Insertion, Setting, converged
 from agents.studies.claims.cases import CASES
@@ -71,7 +71,6 @@ def run_costs(output: Path, lengths: tuple[float, ...] = TIMED_LENGTHS) -> pd.Da
         rows.append((method, nodes, length, min(seconds) / node_steps * 1e9))
     table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "costs-provenance.json", provenance())
     return table
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
+from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, MM, save
-from agents.records.provenance import write_atomically
+from agents.records.manifest import write_manifest
 from agents.records.shipped import shipped_folder
 from agents.studies.claims.cases import DURATION, SUBSET, run_cases
 from agents.studies.claims.claims import GROWTH, RADIAL, Ensemble, claims_of
@@ -47,6 +48,8 @@ def run_claims(
     table = run_cases(folder, output, members, duration, SUBSET if subset else (), jobs)
     claims = claims_of(table, folder)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
+    run = {"members": members, "duration_s": duration}
+    write_manifest(output, ("ensemble.csv", "claims.csv"), commits=table["commit"], **run)
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
     print_frame(f"Claims: {members} run(s) a case, {duration:g} s each", claims, columns, texts=4)
     written = "ensemble.csv, claims.csv"

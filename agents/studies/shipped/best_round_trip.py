@@ -25,7 +25,8 @@ from agents.policies.lookup import FIRST
 from agents.policies.places import Place, load_case
 from agents.policies.policy import Policy
 from agents.policies.wrappers import BothWays, fidelity_of, way_in
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request
 from agents.terminal.tables import print_table
 from probe_env import Context
@@ -139,7 +140,7 @@ def run(request: Request) -> Numbers:
     }  # fmt: skip
     write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / f"{NAME}.csv", csv_of(config, best))
-    write_json(output / f"{NAME}.json", provenance(commits=[*commits, *table["commit"]]) | record)
+    write_json(output / f"{NAME}.json", origin(commits=[*commits, *table["commit"]]) | record)
     rows = [
         (one, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[one][kpi]:.3g}" for kpi in KPIS))
         for one, numbers in compared.items()

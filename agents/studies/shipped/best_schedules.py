@@ -16,7 +16,8 @@ from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.policies.fixed import Scheduled
 from agents.policies.lookup import FIRST, least_air
 from agents.policies.places import map_of, place_of, plant_at
-from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import commit, origin, write_json
 from agents.studies.builtin import Request
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
@@ -164,7 +165,7 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
     setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
     write_atomically(output / f"{name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
     write_atomically(output / f"{name}.csv", best.to_csv())
-    write_json(output / f"{name}.json", provenance(commits=[*simulated["commit"], commit()]) | setting)
+    write_json(output / f"{name}.json", origin(commits=[*simulated["commit"], commit()]) | setting)
     print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in setting.items()))
     print(best.to_csv())
     return best

@@ -22,7 +22,8 @@ from agents.policies.fixed import FixedPolicy
 from agents.policies.places import Place, place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
-from agents.records.provenance import commit, provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import commit, origin, write_json
 from agents.studies.builtin import Request
 from agents.terminal.tables import print_table
 from probe_env import Context
@@ -115,7 +116,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
         "rewards": {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)},
         "tubes": {"map": len(whole.contexts), "simulated": limit},
     }
-    write_json(output / "plc-law.json", record | {"provenance": provenance(commits=simulated.commits)})
+    write_json(output / "plc-law.json", record | {"provenance": origin(commits=simulated.commits)})
     return best
 
 
@@ -183,7 +184,7 @@ def search_trim(limit: int, request: Request) -> Trim:
     chosen = Trim(aim=best["aim"], time=best["time"])
     write_atomically(request.output / "trimmed-law-trials.csv", trials.to_csv(index=False, float_format="%.6g"))
     record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
-    write_json(request.output / "trimmed-law.json", record | {"provenance": provenance(commits=table["commit"])})
+    write_json(request.output / "trimmed-law.json", record | {"provenance": origin(commits=table["commit"])})
     by_place = {(row["aim"], row["time"]): row for row in rows}
     cells = []
     for aim in AIMS:

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.plant.inference import LEAST_METRES
 from agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, observed
-from agents.records.provenance import provenance, write_json
+from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request
 from agents.studies.shipped.insertions import FIDELITY, make_bank
 from agents.studies.shipped.network import fit_network
@@ -161,7 +161,7 @@ def run(request: Request) -> Response:
     target = request.output / "response.npz"
     response.save(target)
     setting = {"insertions": len(np.unique(bank["specimen"])), "metres": len(bank["length"]), "fidelity": FIDELITY}
-    write_json(target.with_suffix(".json"), provenance() | setting | quality)
+    write_json(target.with_suffix(".json"), origin() | setting | quality)
     print_terms(
         {
             name: f"{value:.4g}" if isinstance(value, float) else str(value)

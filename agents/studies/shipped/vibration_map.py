@@ -16,7 +16,8 @@ from agents.evaluation.folder import PROFILE, PROFILE_HEARD
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import FixedPolicy
 from agents.policies.places import plant_at
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import origin, write_json
 from agents.records.reading import read_parquet
 from agents.records.shipped import file_or_shipped, ships
 from agents.studies.builtin import Request
@@ -135,7 +136,7 @@ def make_map(seeds: int, request: Request, target: Path) -> VibrationMap:
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
     write_atomically(target, fitted.to_bytes())
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
-    write_json(target.with_suffix(".json"), provenance(commits=episodes["commit"]) | setting | quality)
+    write_json(target.with_suffix(".json"), origin(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
     return fitted
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from agents.records.provenance import provenance, write_atomically, write_json
+from agents.records.atomic import write_atomically
+from agents.records.manifest import write_manifest
 from agents.studies.stability import figures
 from agents.studies.stability.one_mass import run_one_mass
 from agents.studies.stability.passive import run_digits, run_energy
@@ -38,7 +39,7 @@ def run_stability(output: Path, runs: list[Cell] | None = None, jobs: int = 2) -
     }
     for name, part in tables.items():
         write_atomically(output / f"{name}.csv", part.to_csv(index=False, float_format="%.5g"))
-    write_json(output / "provenance.json", provenance())
+    write_manifest(output, [f"{name}.csv" for name in tables])
     figures.stability_map(verdicts(table), output / "map.png")
     figures.one_mass(tables["one_mass"], output / "one_mass.png")
     figures.digits(tables["digits"], output / "digits.png")

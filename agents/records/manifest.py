@@ -1,7 +1,8 @@
-"""Where a stored result comes from: versions, commit, machine and command."""
+"""Writes ``manifest.json`` beside a result: what made it and the hashes of its files."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -12,32 +13,62 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from agents.records.atomic import write_atomically as write_atomically
+from agents.records.atomic import write_atomically
 from probe_env.machine import available_cores
 
-CHECKOUT = Path(__file__).parents[2]
-CODE = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
+CHECKOUT: Final = Path(__file__).parents[2]
+CODE: Final = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
 """What a result depends on: changes of anything else do not make a commit unclean."""
-DATA = ("probe_env/data", "agents/policies/data", "agents/plant/data", "configs/tubes/*-map.*")
-"""Results that ship with the packages, each with its own provenance."""
-STAGE_VARIABLE = "PROBE_ENV_STAGE"
-"""Environment variable that names the stage of `probe-env results` that a command is run for."""
-PACKAGES = ("probe-env", "numpy", "scipy", "numba", "pydantic")
+DATA: Final = ("probe_env/data", "agents/policies/data", "agents/plant/data", "configs/tubes/*-map.*")
+"""Results that ship with the packages."""
+CHANGED: Final = "+changes"
+PACKAGES: Final = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
 
-def provenance(command: str | None = None, commits: Iterable[str] | None = None) -> dict[str, Any]:
-    """Versions, commit, machine and command as a JSON-ready dictionary.
+def write_manifest(
+    folder: Path,
+    files: Iterable[str] = (),
+    *,
+    seeds: Iterable[int] = (),
+    command: str | None = None,
+    commits: Iterable[str] | None = None,
+    name: str = "manifest.json",
+    **settings: Any,
+) -> None:
+    """Write the manifest of a result, after its files.
+
+    Args:
+        folder: of the result.
+        files: their names relative to the folder; the SHA-256 of each is stored.
+        seeds: of the result.
+        command: default: that of this process.
+        commits: of the rows that its tables hold; default: the present one.
+        name: of the manifest.
+        settings: further fields, JSON-ready.
+
+    Raises:
+        FileNotFoundError: one of the files is not there.
+    """
+    hashes = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in files}
+    write_json(folder / name, origin(command, commits) | {"seeds": list(seeds), "files": hashes} | settings)
+
+
+def origin(command: str | None = None, commits: Iterable[str] | None = None) -> dict[str, Any]:
+    """Command, version, commit, packages and machine as a JSON-ready dictionary.
 
     Args:
         command: default: that of this process.
         commits: of the rows that a table holds; default: the present one.
     """
-    stage = os.environ.get(STAGE_VARIABLE)
-    return ({"stage": stage} if stage else {}) | {
+    names = list(dict.fromkeys(commits if commits is not None else [commit()]))
+    known = bool(names) and "unknown" not in names
+    return {
         "command": command or "probe-env " + shlex.join(sys.argv[1:]),
-        "commit": ", ".join(dict.fromkeys(commits if commits is not None else [commit()])),
+        "version": version("probe-env"),
+        "commit": ", ".join(names),
+        "clean": not any(name.endswith(CHANGED) for name in names) if known else None,
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
         "machine": {
@@ -50,7 +81,7 @@ def provenance(command: str | None = None, commits: Iterable[str] | None = None)
 
 
 def _kernels() -> str:
-    """What linear algebra and numba choose code for: it decides the last digits, and in chaos all that follows.
+    """Instruction sets of linear algebra and numba, which decide the last digits of results.
 
     Processors of one name need not agree, and environment variables change both.
     """
@@ -72,30 +103,11 @@ def commit() -> str:
     head = _git("rev-parse", "--short=12", "HEAD")
     if head is None:
         return "unknown"
-    return head + ("+changes" if changed_code() else "")
-
-
-@lru_cache
-def changed_code() -> tuple[str, ...]:
-    """Files of code and configuration that differ from the commit, new ones included, as this process began."""
     excluded = (f":(exclude){folder}" for folder in DATA)
-    listed = _git("status", "--porcelain", "--untracked-files=all", "--", *CODE, *excluded)
-    return tuple(line[3:] for line in (listed or "").splitlines())
-
-
-def committed_at(name: str) -> int:
-    """When a commit of this history was made [s since 1970]."""
-    git = ["git", "-C", str(CHECKOUT), "show", "--no-patch", "--format=%ct", name]
-    return int(subprocess.run(git, check=True, capture_output=True, text=True).stdout.split()[-1])
-
-
-def in_history(name: str) -> bool:
-    """Whether a stored commit is a clean one of this checkout's history."""
-    return _git("merge-base", "--is-ancestor", name, "HEAD") is not None
+    return head + (CHANGED if _git("status", "--porcelain", "--untracked-files=all", "--", *CODE, *excluded) else "")
 
 
 def _git(*arguments: str) -> str | None:
-    """What git prints in the checkout; None where it fails or is not there."""
     if not (CHECKOUT / ".git").exists():  # an installed package may stand in a repository of somebody else's
         return None
     try:
