@@ -8,7 +8,6 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
-from probe_env.inspection.spectrum import FREQUENCY
 
 from agents.app.run_store import new_folder, read_request, stored_run, stored_runs
 from agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
@@ -16,6 +15,7 @@ from agents.evaluation.folder import episodes_of
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.places import place_at
 from probe_env.inspection.detection import threshold
+from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import GROOVE, Sensor
 
 LONG = 120.0
