@@ -198,7 +198,6 @@ class Run:
     info: RunStarted = field(default_factory=RunStarted)  # number of episodes, warnings, limit and sensor
     frame: Frame | None = None  # last frame
     motion: Motion | None = None  # last slow motion
-    motions: int = 0  # number of slow motions
     traces: dict[Unit, list[FloatArray]] = field(default_factory=dict)  # (p, columns) parts of every episode
     commands: list[Command] = field(default_factory=list)  # given before it began
 
@@ -222,7 +221,7 @@ class Run:
                 for unit, rows in message.rows:
                     self.traces.setdefault(unit, []).append(rows)
             case Motion():
-                self.motion, self.motions = message, self.motions + 1
+                self.motion = message
             case RunEnded():
                 self.state, self.problem = message.state, message.problem or self.problem
                 self.done = self.info.planned if message.state == "finished" else self.done

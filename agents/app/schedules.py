@@ -17,7 +17,7 @@ from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
 from agents.policies.maps.lookup import FIRST
 from agents.policies.places import Place
-from agents.records.shipped import file_or_shipped, shipped_names
+from agents.records.shipped import file_or_shipped
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, metre_reward
 from probe_env.envs.vibration_map import CONTEXT, expected_cost
@@ -30,16 +30,11 @@ NAMES: Final = (LENGTH, FEED, AIR)
 """Columns of the points, in the units of schedule files."""
 MISSING: Final = -1.0
 """Value of a new point in the column of the other chart; it is interpolated."""
-MIN_GAP: Final = 0.01
-"""Between two points [m]."""
-LINE_STEP: Final = 0.25
-"""Of the lines of policies [m]."""
-MAP_UNIT: Final = 1e-4
-"""Unit of the vibration map [m]."""
-BAND: Final = 1.2816
-"""Standard deviations on each side of the 80 % band of a normal distribution."""
+MIN_GAP, LINE_STEP = 0.01, 0.25  # between two points, and points of the lines of policies [m]
+MAP_UNIT: Final = 1e-4  # unit of the vibration map [m]
+BAND: Final = 1.2816  # standard deviations on each side of the 80 % band of a normal distribution
 BY_LENGTH: Final = ("constant", "slow-down", *STORED, BY_DIAMETER, "privileged")
-"""Policies that depend on the inserted length and the tube alone."""
+"""Policies that depend on the inserted length and the tube alone; these and shipped schedules can be overlaid."""
 Points = dict[str, list[float]]
 
 
@@ -111,9 +106,9 @@ class Prediction:
     """Prediction of the vibration map for a schedule in several tubes."""
 
     length: FloatArray  # (m,) middles of the metres [m]
-    low: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
-    middle: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
-    high: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
+    low: FloatArray  # (m,) lower end of the 80 % band over tubes and scatter, radial rms [m]
+    middle: FloatArray  # (m,) median [m]
+    high: FloatArray  # (m,) upper end of the band [m]
     within: float  # share of the length within the limit
     seconds: float  # duration of the insertion [s]
     air: float  # volume of air [m3]
@@ -157,11 +152,6 @@ class Line(NamedTuple):
     length: FloatArray
     feed: FloatArray
     air: FloatArray
-
-
-def overlay_names() -> tuple[str, ...]:
-    """Names of policies and schedules that can be shown as an overlay."""
-    return (*BY_LENGTH, *shipped_names("schedules"))
 
 
 def policy_line(spec: str, place: Place) -> Line:

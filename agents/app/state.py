@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 from agents.app.forms import TubeForm
 from agents.app.run_store import new_folder
@@ -18,9 +17,6 @@ from agents.terminal.names import checked_name, name_of
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.schedule import Interpolation, Schedule
-
-EXPECTED_TUBES: Final = 6
-"""Number of tubes in the prediction of the vibration map."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,7 @@ class Session:
     interpolation: Interpolation = "linear"  # schedule
     run: Run | None = None  # run to show; None: none yet
 
-    def place(self, limit: int = EXPECTED_TUBES) -> Place:
+    def place(self, limit: int = 6) -> Place:
         """Task, tubes and vibration map of the present tube.
 
         Raises:

@@ -12,6 +12,7 @@ from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
 from agents.policies.catalogue import DATA
 from agents.policies.places import place_at
+from agents.records.shipped import shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
@@ -169,7 +170,7 @@ def test_the_prediction_is_the_objective_of_the_search_for_schedules():
 
 def test_every_offered_overlay_is_a_line():
     place = place_at(EXAMPLE, "test", 1)
-    for name in schedules.overlay_names():
+    for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
         line = schedules.policy_line(name, place)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from bokeh import models
 
-from agents.app.runs import FlawSignal, ProbeShape, flaw_signal
+from agents.app.runs import ProbeShape, flaw_signal
 from agents.app.screens import widgets as ui
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.strip import FRAME_PERIOD, Motion
@@ -70,7 +70,7 @@ class LengthCharts:
         """Draw insertions by name.
 
         Args:
-            lines: (p,) values of the ui.columns of each, SI units.
+            lines: (p,) values of the columns of each, SI units.
             limit: of the radial rms [m].
             bold: name of a thicker line.
         """
@@ -228,12 +228,8 @@ class FlawChart:
         x, y = signal.voltages.T
         self.signals.data = {"time": signal.time, "x": x, "y": y}
         self.loop.data = {"x": x[signal.near], "y": y[signal.near]}
-        self.caption.text = _result(signal, self.depth.value)
-
-
-def _result(signal: FlawSignal, percent: float) -> str:
-    called = "called" if signal.filtered > signal.threshold else "not called"
-    return (
-        f"<p>A flaw of {percent:.0f} % has a signal-to-noise ratio of {signal.snr:.1f}. Filtered signal"
-        f" {signal.filtered:.1f}, threshold {signal.threshold:.1f}: <b>{called}</b>.</p>"
-    )
+        called = "called" if signal.filtered > signal.threshold else "not called"
+        self.caption.text = (
+            f"<p>A flaw of {self.depth.value:.0f} % has a signal-to-noise ratio of {signal.snr:.1f}. Filtered signal"
+            f" {signal.filtered:.1f}, threshold {signal.threshold:.1f}: <b>{called}</b>.</p>"
+        )

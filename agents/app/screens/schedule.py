@@ -117,7 +117,7 @@ class ScheduleScreen(ui.Screen):
         self.save = ui.control(models.TextInput, "save as", save, 150, **text)
         choice = {"options": ["linear", "steps"], "value": self.session.interpolation}
         self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
-        choice = {"options": list(schedules.overlay_names()), "value": ["constant"]}
+        choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
         self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
         self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
         return [self.open, self.save, self.kind, self.overlay, self.log]
@@ -197,7 +197,7 @@ class ScheduleScreen(ui.Screen):
         given = self.open.value.strip()
         if not given:
             return
-        if given in self.overlay.options and given not in shipped_names("schedules"):
+        if given in schedules.BY_LENGTH:
             line = schedules.policy_line(given, self.place)
             every = max(len(line.length) // 12, 1)
             length, feed, air = (tuple(map(float, values[::every])) for values in line)
