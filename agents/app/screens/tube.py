@@ -157,7 +157,7 @@ def _helix_drawing() -> tuple[Callable[[Plant], None], Any]:
             drawn = radius * (1.0 - 0.35 * along / length)  # inwards, so that the turns do not cover each other
             source.data = {"x": drawn * np.cos(along / radius), "y": drawn * np.sin(along / radius)}
         turns = length / (2.0 * np.pi * radius)
-        plot.title.text = f"{length:g} m of helix, {turns:.1f} turns of {2.0 * radius:g} m (spiral for clarity)"
+        plot.title.text = f"Helix: {length:g} m, {turns:.1f} turns of {2.0 * radius:g} m"
 
     return draw, plot
 
