@@ -39,11 +39,7 @@ Points = dict[str, list[float]]
 
 
 def points_of(schedule: Schedule) -> Points:
-    """The points of a schedule over inserted length.
-
-    Raises:
-        ValueError: it is over time.
-    """
+    """The points of a schedule over inserted length."""
     if schedule.over != "inserted_length":
         raise ValueError("a schedule over time cannot be edited here: show it as an overlay, or run it as it is")
     air = [float(f"{value * HOUR:.6g}") for value in schedule.air_supply_rate]
@@ -67,11 +63,7 @@ def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
 
 
 def schedule_of(points: Mapping[str, Sequence[object]], interpolation: Interpolation = "linear") -> Schedule:
-    """The schedule of points, read as its file is.
-
-    Raises:
-        FileError: not valid.
-    """
+    """The schedule of points, read as its file is."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "schedule.csv"
         path.write_text(csv_text(points, interpolation), encoding="utf-8")
@@ -116,11 +108,7 @@ class Prediction:
 
 
 def predict(schedule: Schedule, place: Place) -> Prediction:
-    """Prediction for a schedule in the tubes of a place; the simulation can differ.
-
-    Raises:
-        ValueError: the schedule is over time, or the task's vibration measure is not the displacement.
-    """
+    """Prediction for a schedule in the tubes of a place; the simulation can differ."""
     if schedule.over != "inserted_length":
         raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
     config = place.config
@@ -155,12 +143,7 @@ class Line(NamedTuple):
 
 
 def policy_line(spec: str, place: Place) -> Line:
-    """Feed and air of a policy or a schedule file in the first tube of a place.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: no such policy, or it depends on what it measures.
-    """
+    """Feed and air of a policy or a schedule file in the first tube of a place."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the line shows what the device can feed
         policy = make_policy(spec, place.config.all_shown, place.vibration)
@@ -178,11 +161,6 @@ def policy_line(spec: str, place: Place) -> Line:
 
 
 def log_line(path: Path) -> Line:
-    """Feed and air of a rig log, by its path or the name of a shipped one.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not a log.
-    """
+    """Feed and air of a rig log, by its path or the name of a shipped one."""
     log = read_log(file_or_shipped("logs", path))
     return Line(log.inserted_length, log.feed_speed, log.air_supply_rate)

@@ -60,11 +60,6 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         port: port; 0: any free one.
         output: folder of runs, schedules and tubes.
         show: open a browser.
-
-    Raises:
-        FileNotFoundError: no such tube.
-        ValueError: the tube file or the port is not valid.
-        OSError: the port is in use.
     """
     if not 0 <= port <= 65535:
         raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to 65535")

@@ -27,10 +27,6 @@ def parsed(name: str, kind: type[Any], arguments: Sequence[str], default: Any = 
         kind: its dataclass.
         arguments: after the name.
         default: command whose fields are the defaults of the options.
-
-    Raises:
-        ValueError: an option is not known, or its value is not valid.
-        SystemExit: help was asked for, and printed.
     """
     settings = {} if default is None else {"default": default}
     printed = io.StringIO()

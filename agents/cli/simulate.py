@@ -47,12 +47,7 @@ class Simulate:
 
     @classmethod
     def of_scene(cls, given: str | None) -> Simulate | None:
-        """The command with the defaults of a scene file or shipped scene; None if none is given.
-
-        Raises:
-            FileNotFoundError: no such file, nor a scene of this name that ships.
-            ValueError: not a scene.
-        """
+        """The command with the defaults of a scene file or shipped scene; None if none is given."""
         if given is None:
             return None
         path = file_or_shipped("scenes", given)

@@ -42,12 +42,15 @@ class Study:
 
     def run(self) -> None:
         """Run what is missing, store, draw, print."""
-        from agents.records.shipped import NoSuchFileError, file_or_shipped
+        from agents.records.shipped import NoSuchFileError, file_or_shipped, shipped_names
         from agents.studies.builtin import BUILT_IN, Request
+        from agents.studies.spec import Study as Spec
         from agents.terminal.tables import print_terms
 
         if self.list:
-            print_terms(_questions())
+            names = shipped_names("studies")
+            files = {name: Spec.from_toml(file_or_shipped("studies", name)).question for name in names}
+            print_terms(files | {name: study.question for name, study in BUILT_IN.items()})
             return
         if not self.study:
             raise ValueError("study: give a file or a name; probe-env study --list prints the names")
@@ -83,12 +86,3 @@ class Study:
             raise FileError(path, str(error)) from error
         write_comparison(spec, settings, run_study(settings, output, self.workers), output)
         print(f"written: {output}/ (episodes.csv, comparison.csv, comparison.png)")
-
-
-def _questions() -> dict[str, str]:
-    from agents.records.shipped import file_or_shipped, shipped_names
-    from agents.studies.builtin import BUILT_IN
-    from agents.studies.spec import Study as Spec
-
-    questions = {name: Spec.from_toml(file_or_shipped("studies", name)).question for name in shipped_names("studies")}
-    return questions | {name: study.question for name, study in BUILT_IN.items()}

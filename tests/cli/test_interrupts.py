@@ -15,7 +15,6 @@ from agents.cli import main
 from agents.design.problem import DesignProblem
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import Constant
-from agents.terminal.work import Work
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -85,14 +84,6 @@ def test_an_interrupted_search_says_how_many_designs_are_stored(tmp_path, capsys
     output = tmp_path / "run"
     assert main(["design", "--limit", "1", "--trials", "8", "--output", str(output)]) == 130
     assert f"4 of 8 designs are stored in {output}; the same command goes on" in last_line(capsys)
-
-
-def test_the_account_of_stored_work():
-    work = Work("phase", 8, lambda: 3, Path("output/run"), "the same command with --resume goes on")
-    assert work.ahead() == "5 of 8 phases to do, stored in output/run one by one"
-    assert work.account() == "3 of 8 phases are stored in output/run; the same command with --resume goes on"
-    assert Work("run", 1, lambda: 0, Path("x")).ahead() == "1 run to do, stored in x one by one"
-    assert Work("run", 2, lambda: 2, Path("x")).ahead() == ""
 
 
 def command(prelude, *arguments, pipe=""):

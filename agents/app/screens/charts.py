@@ -62,7 +62,8 @@ class LengthCharts:
             tips = [("", "@name"), ("m", "$x{0.0}"), (label, "$y")]
             plot.add_tools(models.HoverTool(renderers=[lines], tooltips=tips))
             plots.append(plot)
-        ui.legend_above(plots[0])
+        plots[0].legend[0].orientation = "horizontal"
+        plots[0].add_layout(plots[0].legend[0], "above")
         self.show_limit = ui.limit_line(plots[0])
         self.layout = ui.column(*plots)
 
@@ -131,14 +132,14 @@ class UnrolledProbe:
         legend = f'<p class="quiet">{blocks} &nbsp; <span style="color:{ui.GREEN}">●</span>&nbsp;sensor</p>'
         self.layout = ui.column(ui.Text(legend), self.tube.plot, *(plots if with_forces else ()))
 
-    def show(self, shape: ProbeShape, whole: bool = False) -> None:
-        """Draw the last metres of a probe, or the whole probe."""
+    def show(self, shape: ProbeShape) -> None:
+        """Draw the last metres of a probe."""
         centre = (shape.radial + shape.lever) * MM
         self.tube.floats.data = float_columns(shape.position, shape.radial, shape.lever, shape.outer_gap)
         self.cable.data = {"position": shape.position, "centre": centre}
         self.sensor.data = {"position": shape.position[[shape.sensor]], "centre": centre[[shape.sensor]]}
         tip = float(shape.position.max())
-        self.tube.set_range(0.0 if whole else max(tip - TIP_LENGTH, 0.0), tip + 0.3, shape.bore)
+        self.tube.set_range(max(tip - TIP_LENGTH, 0.0), tip + 0.3, shape.bore)
 
     def show_forces(self, shape: ProbeShape) -> None:
         """Draw axial displacement and tension."""

@@ -111,7 +111,7 @@ class InsertionScreen(RunScreen):
     def _show(self, run: Run, frame: Frame) -> None:
         shape, now = frame.shape, time.monotonic()
         if shape is not None:
-            self.probe.show(shape, self.whole.active)
+            self.probe.show(shape)
         if now - self._drawn_at < CHART_PERIOD and run.state == "running" and not frame.paused:
             return
         self._drawn_at = now
@@ -139,9 +139,7 @@ class InsertionScreen(RunScreen):
         look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
         stop = ui.button("stop", lambda: self.send(Command("stop")), 70)
         self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
-        self.whole = models.Switch(label="whole probe")
-        self.whole.on_change("active", lambda attr, old, new: self.refresh())
-        return [self.pause, step, look, stop, self.pace, self.watch, self.whole]
+        return [self.pause, step, look, stop, self.pace, self.watch]
 
     def _run_list(self) -> list[Any]:
         self.table, self.notice = ui.Text(), ui.Text()

@@ -53,7 +53,9 @@ class ScheduleScreen(ui.Screen):
         vibration.varea("length", "low", "high", source=self.band, color=ui.ORANGE, alpha=0.25)
         vibration.line("length", "middle", source=self.band, color=ui.VERMILLION, line_width=2.5)
         self.show_limit = ui.limit_line(vibration)
-        add = ui.button("add a point", self._add, 110)
+        add = ui.button(
+            "add a point", lambda: self._put(schedules.with_point(self.session.points, self.place.config)), 110
+        )
         remove = ui.button("remove selected", self._remove, 150)
         charts, table = ui.column(*self.charts, vibration), ui.column(self._table(), ui.row(add, remove))
         self.layout = ui.column(
@@ -144,9 +146,6 @@ class ScheduleScreen(ui.Screen):
     def _interpolated(self) -> None:
         self.session.interpolation = "steps" if self.kind.value == "steps" else "linear"
         self._predict()
-
-    def _add(self) -> None:
-        self._put(schedules.with_point(self.session.points, self.place.config))
 
     def _remove(self) -> None:
         chosen = set(self.points.selected.indices)
