@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any, Final
 
@@ -54,19 +54,10 @@ def methods() -> str:
         stable, contact = (limit(scene, 4) for limit in (method.stable_step, method.contact_step))
         steps = [f"{step:.2g} s" if math.isfinite(step) else "any" for step in (stable, contact)]
         least = f"{method.least_step:g} s" if method.least_step else "-"
-        rows.append(
-            (f"`{method.name}`", str(method.order), f"{method.usual_step:g} s", *steps, least, str(method.width))
-        )
-    header = (
-        "method",
-        "order",
-        "usual step",
-        "known to hold up to",
-        "contact allows",
-        "at least",
-        "probes side by side",
-    )
-    return _table(header, rows)
+        usual = f"{method.usual_step:g} s"
+        rows.append((f"`{method.name}`", str(method.order), usual, *steps, least, str(method.width)))
+    header = "method,order,usual step,known to hold up to,contact allows,at least,probes side by side"
+    return _table(header.split(","), rows)
 
 
 def presets() -> str:
@@ -111,9 +102,8 @@ def _short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else repr(value)
 
 
-def _table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    names = list(header)
-    lines = [names, ["---"] * len(names), *rows]
+def _table(header: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -125,13 +125,11 @@ def _field(table: str, name: str, model: type[Model]) -> Field:
     if default is None and table in ("feed", "air"):
         default = getattr(TaskConfig(), name, None)  # the task's
     description = " ".join((info.description or "").replace("`", "").split())
-    return Field(table, name, description, kind, _default_text(default), range_of(model, name), choices)
-
-
-def _default_text(default: Any) -> str:
     if isinstance(default, tuple):
-        return " to ".join(f"{value:.4g}" for value in default)
-    return f"{default:.6g}" if isinstance(default, float) else text_of(default)
+        text = " to ".join(f"{value:.4g}" for value in default)
+    else:
+        text = f"{default:.6g}" if isinstance(default, float) else text_of(default)
+    return Field(table, name, description, kind, text, range_of(model, name), choices)
 
 
 def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
@@ -186,12 +184,7 @@ class TubeForm:
         return self.path is None and not self.tables
 
     def open(self, given: Path) -> None:
-        """Read a file by its path, or a shipped one by its name.
-
-        Raises:
-            FileNotFoundError: neither.
-            ValueError: not valid; nothing has changed.
-        """
+        """Read a file by its path, or a shipped one by its name."""
         path = file_or_shipped("tubes", given)
         plant = plant_at(path)
         assert plant is not None
@@ -210,11 +203,7 @@ class TubeForm:
         return file if isinstance(file, str) else ""
 
     def change(self, field: Field, text: str) -> None:
-        """Set a field; an empty text leaves it out.
-
-        Raises:
-            ValueError: not valid, with the message of the command; nothing has changed.
-        """
+        """Set a field; an empty text leaves it out."""
         tables = _copy(self.tables)
         table = dict(tables.pop(field.table, {}))
         table.pop(field.name, None)
@@ -228,11 +217,7 @@ class TubeForm:
         self._validate(({POSTERIOR: text.strip()} if text.strip() else {}) | tables)
 
     def save(self, path: Path) -> None:
-        """Write the file.
-
-        Raises:
-            ValueError: its name does not end with .toml, or it is a shipped file.
-        """
+        """Write the file."""
         if path.suffix != ".toml":
             raise FileError(path, "the name of a tube file must end with .toml")
         if ships("tubes", path):

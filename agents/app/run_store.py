@@ -62,12 +62,7 @@ def write_request(request: RunRequest) -> None:
 
 
 def read_request(folder: Path) -> RunRequest:
-    """The request of a stored run.
-
-    Raises:
-        FileNotFoundError: none is stored: the folder was not written by the app.
-        ValueError: it is damaged, or a manual drive, which cannot be resumed.
-    """
+    """The request of a stored run."""
     request = read_json(folder / REQUEST, RunRequest).model_copy(update={"output": folder})
     if request.manual:
         raise ValueError(f"{folder}: a manual drive cannot be resumed: start another one under Manual")

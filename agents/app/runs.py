@@ -104,12 +104,7 @@ class RunRequest(Stored):
         return "probe-env evaluate " + shlex.join([*self.policies, *tube, *options, "--output", str(self.output)])
 
     def plan(self) -> Plan:
-        """The evaluation plan.
-
-        Raises:
-            FileNotFoundError: no such tube or schedule.
-            ValueError: an argument is not valid, as in ``probe-env evaluate``.
-        """
+        """The evaluation plan."""
         place = place_at(self.tube, "test", self.limit)
         plan = plan_of(self.policies or ("constant",), place, 1, self.fidelity)
         if not self.manual:
@@ -198,7 +193,6 @@ class Run:
     info: RunStarted = field(default_factory=RunStarted)  # number of episodes, warnings, limit and sensor
     frame: Frame | None = None  # last frame
     motion: Motion | None = None  # last slow motion
-    motions: int = 0  # number of slow motions
     traces: dict[Unit, list[FloatArray]] = field(default_factory=dict)  # (p, columns) parts of every episode
     commands: list[Command] = field(default_factory=list)  # given before it began
 
@@ -222,7 +216,7 @@ class Run:
                 for unit, rows in message.rows:
                     self.traces.setdefault(unit, []).append(rows)
             case Motion():
-                self.motion, self.motions = message, self.motions + 1
+                self.motion = message
             case RunEnded():
                 self.state, self.problem = message.state, message.problem or self.problem
                 self.done = self.info.planned if message.state == "finished" else self.done
@@ -242,7 +236,7 @@ class RunQueue:
         self._waiting: deque[Run] = deque()
         self._changed = threading.Condition()
         self._closed = False
-        self._process, self._pipe = started("agents.app.worker:serve")
+        self._process, self._pipe = start_worker()
         self._thread = threading.Thread(target=self._serve, name="queue", daemon=True)
         self._thread.start()
 
@@ -305,7 +299,7 @@ class RunQueue:
                 self._end_worker()
                 died = f"the worker process died (exit status {self._process.wait()})"
                 self._update(run, RunEnded("failed", f"{died}: finished insertions are stored, resume the run"))
-                self._process, self._pipe = started("agents.app.worker:serve")
+                self._process, self._pipe = start_worker()
 
     def _update(self, run: Run, message: Message) -> None:
         with self._changed:
@@ -353,17 +347,10 @@ def flaw_signal(sensor: Sensor, shape: ProbeShape, before: float, depth: float) 
     return FlawSignal(time, smoothed(passage, voltages), near, snr, highest, threshold(sensor, shape.helix_length))
 
 
-def started(place: str) -> tuple[subprocess.Popen[bytes], Connection]:
-    """A process that calls a function with the file descriptor of a pipe, and the other end of the pipe.
-
-    The process has a session of its own, so that Ctrl-C reaches this process alone.
-
-    Args:
-        place: of the function, "module:function".
-    """
+def start_worker() -> tuple[subprocess.Popen[bytes], Connection]:
+    """The worker process and a pipe to it; in a session of its own, so that Ctrl-C reaches this process alone."""
     ours, theirs = Pipe()
-    module, _, function = place.partition(":")
-    code = f"import sys; sys.path[:] = {sys.path!r}; from {module} import {function}; {function}({theirs.fileno()})"
+    code = f"import sys; sys.path[:] = {sys.path!r}; from agents.app.worker import serve; serve({theirs.fileno()})"
     with theirs:
         process = subprocess.Popen(
             [sys.executable, "-c", code], pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,

@@ -17,7 +17,7 @@ from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
 from agents.policies.lookup import FIRST
 from agents.policies.places import Place
-from agents.records.shipped import file_or_shipped, shipped_names
+from agents.records.shipped import file_or_shipped
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, metre_reward
 from probe_env.envs.vibration_map import CONTEXT, expected_cost
@@ -30,25 +30,16 @@ NAMES: Final = (LENGTH, FEED, AIR)
 """Columns of the points, in the units of schedule files."""
 MISSING: Final = -1.0
 """Value of a new point in the column of the other chart; it is interpolated."""
-MIN_GAP: Final = 0.01
-"""Between two points [m]."""
-LINE_STEP: Final = 0.25
-"""Of the lines of policies [m]."""
-MAP_UNIT: Final = 1e-4
-"""Unit of the vibration map [m]."""
-BAND: Final = 1.2816
-"""Standard deviations on each side of the 80 % band of a normal distribution."""
+MIN_GAP, LINE_STEP = 0.01, 0.25  # between two points, and points of the lines of policies [m]
+MAP_UNIT: Final = 1e-4  # unit of the vibration map [m]
+BAND: Final = 1.2816  # standard deviations on each side of the 80 % band of a normal distribution
 BY_LENGTH: Final = ("constant", "slow-down", *STORED, BY_DIAMETER, "privileged")
-"""Policies that depend on the inserted length and the tube alone."""
+"""Policies that depend on the inserted length and the tube alone; these and shipped schedules can be overlaid."""
 Points = dict[str, list[float]]
 
 
 def points_of(schedule: Schedule) -> Points:
-    """The points of a schedule over inserted length.
-
-    Raises:
-        ValueError: it is over time.
-    """
+    """The points of a schedule over inserted length."""
     if schedule.over != "inserted_length":
         raise ValueError("a schedule over time cannot be edited here: show it as an overlay, or run it as it is")
     air = [float(f"{value * HOUR:.6g}") for value in schedule.air_supply_rate]
@@ -72,11 +63,7 @@ def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
 
 
 def schedule_of(points: Mapping[str, Sequence[object]], interpolation: Interpolation = "linear") -> Schedule:
-    """The schedule of points, read as its file is.
-
-    Raises:
-        FileError: not valid.
-    """
+    """The schedule of points, read as its file is."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "schedule.csv"
         path.write_text(csv_text(points, interpolation), encoding="utf-8")
@@ -111,9 +98,9 @@ class Prediction:
     """Prediction of the vibration map for a schedule in several tubes."""
 
     length: FloatArray  # (m,) middles of the metres [m]
-    low: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
-    middle: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
-    high: FloatArray  # (m,) radial rms [m]: median, and the 80 % band over tubes and scatter
+    low: FloatArray  # (m,) lower end of the 80 % band over tubes and scatter, radial rms [m]
+    middle: FloatArray  # (m,) median [m]
+    high: FloatArray  # (m,) upper end of the band [m]
     within: float  # share of the length within the limit
     seconds: float  # duration of the insertion [s]
     air: float  # volume of air [m3]
@@ -121,11 +108,7 @@ class Prediction:
 
 
 def predict(schedule: Schedule, place: Place) -> Prediction:
-    """Prediction for a schedule in the tubes of a place; the simulation can differ.
-
-    Raises:
-        ValueError: the schedule is over time, or the task's vibration measure is not the displacement.
-    """
+    """Prediction for a schedule in the tubes of a place; the simulation can differ."""
     if schedule.over != "inserted_length":
         raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
     config = place.config
@@ -159,18 +142,8 @@ class Line(NamedTuple):
     air: FloatArray
 
 
-def overlay_names() -> tuple[str, ...]:
-    """Names of policies and schedules that can be shown as an overlay."""
-    return (*BY_LENGTH, *shipped_names("schedules"))
-
-
 def policy_line(spec: str, place: Place) -> Line:
-    """Feed and air of a policy or a schedule file in the first tube of a place.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: no such policy, or it depends on what it measures.
-    """
+    """Feed and air of a policy or a schedule file in the first tube of a place."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the line shows what the device can feed
         policy = make_policy(spec, place.config.all_shown, place.vibration)
@@ -188,11 +161,6 @@ def policy_line(spec: str, place: Place) -> Line:
 
 
 def log_line(path: Path) -> Line:
-    """Feed and air of a rig log, by its path or the name of a shipped one.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not a log.
-    """
+    """Feed and air of a rig log, by its path or the name of a shipped one."""
     log = read_log(file_or_shipped("logs", path))
     return Line(log.inserted_length, log.feed_speed, log.air_supply_rate)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import socket
 import webbrowser
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,6 @@ from agents.records.shipped import file_or_shipped
 from probe_env import Plant
 
 HOSTS: Final = ("localhost", "127.0.0.1")
-MAX_PORT: Final = 65535
 
 
 def check_host(handler: RequestHandler) -> str:
@@ -37,15 +35,8 @@ def check_host(handler: RequestHandler) -> str:
 class LocalAuth(NullAuth):  # type: ignore[misc]  # bokeh is not typed
     """Authentication of pages and their connections: requests to this machine only."""
 
-    @property
-    def get_user(self) -> Callable[[RequestHandler], str]:
-        """The check of a request."""
-        return check_host
-
-    @property
-    def login_url(self) -> str:
-        """Unused, but required by Bokeh."""
-        return "/"
+    get_user = property(lambda self: check_host)
+    login_url = property(lambda self: "/")  # unused, but required by Bokeh
 
 
 class ReportHandler(RequestHandler):
@@ -61,13 +52,6 @@ class ReportHandler(RequestHandler):
         self.write((folder / "report.html").read_bytes())
 
 
-def _collect_garbage(session: Any) -> None:
-    """Free the memory of closed pages."""
-    gc.unfreeze()
-    gc.collect()
-    gc.freeze()
-
-
 def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
     """Serve the page until interrupted.
 
@@ -76,14 +60,9 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         port: port; 0: any free one.
         output: folder of runs, schedules and tubes.
         show: open a browser.
-
-    Raises:
-        FileNotFoundError: no such tube.
-        ValueError: the tube file or the port is not valid.
-        OSError: the port is in use.
     """
-    if not 0 <= port <= MAX_PORT:
-        raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to {MAX_PORT}")
+    if not 0 <= port <= 65535:
+        raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to 65535")
     path = None if tube is None else file_or_shipped("tubes", tube)
     if path is not None:
         Plant.from_toml(path)
@@ -103,9 +82,14 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
 def make_server(app: AppState, tube: Path | None, port: int) -> Server:
     """A server that has not started; pages load everything from it."""
 
+    def collect_garbage(session: Any) -> None:  # of closed pages
+        gc.unfreeze()
+        gc.collect()
+        gc.freeze()
+
     def open_document(document: Document) -> None:
         open_page(app, tube).add_to(document)
-        document.on_session_destroyed(_collect_garbage)
+        document.on_session_destroyed(collect_garbage)
         gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 
     if port == 0:  # the accepted origins must name it before the server starts

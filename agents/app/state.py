@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 from agents.app.forms import TubeForm
 from agents.app.run_store import new_folder
@@ -18,9 +17,6 @@ from agents.terminal.names import checked_name, name_of
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.schedule import Interpolation, Schedule
-
-EXPECTED_TUBES: Final = 6
-"""Number of tubes in the prediction of the vibration map."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +38,15 @@ class Session:
     interpolation: Interpolation = "linear"  # schedule
     run: Run | None = None  # run to show; None: none yet
 
-    def place(self, limit: int = EXPECTED_TUBES) -> Place:
-        """Task, tubes and vibration map of the present tube.
-
-        Raises:
-            ValueError: the map next to the tube file is damaged or of another tube.
-        """
+    def place(self, limit: int = 6) -> Place:
+        """Task, tubes and vibration map of the present tube."""
         if self.tube.is_study:
             return place_of(None, "test", limit)
         vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
         return place_of(self.tube.plant, "test", limit, vibration)
 
     def open_schedule(self, path: Path) -> None:
-        """Take the points of a schedule file.
-
-        Raises:
-            FileNotFoundError: no such file.
-            FileError: not a schedule over inserted length; nothing has changed.
-        """
+        """Take the points of a schedule file."""
         schedule = Schedule.read(path)
         try:
             self.points, self.interpolation = points_of(schedule), schedule.interpolation
@@ -68,20 +55,12 @@ class Session:
         self.name = name_of(path)
 
     def save_schedule(self, name: str) -> Path:
-        """Write the schedule to ``schedules/`` in the app's folder.
-
-        Raises:
-            ValueError: not a valid name or schedule.
-        """
+        """Write the schedule to ``schedules/`` in the app's folder."""
         self.name = checked_name(name.removesuffix(".csv"), "schedule")
         return self._write_schedule(self.app.output / "schedules")
 
     def start(self, policies: Sequence[str], limit: int, fidelity: str, with_schedule: bool = True) -> Run:
-        """Add a run of policies, and of the session's schedule under its own name.
-
-        Raises:
-            ValueError: the points are not a valid schedule, or there is nothing to run.
-        """
+        """Add a run of policies, and of the session's schedule under its own name."""
         if with_schedule:
             schedule_of(self.points, self.interpolation)
         elif not policies:

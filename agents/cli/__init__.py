@@ -45,6 +45,7 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _run_command(name: str, arguments: Sequence[str]) -> int:
+    import logging
     import warnings
 
     from agents.cli.extras import extra_with
@@ -56,12 +57,15 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         from probe_env.files import one_line
 
         warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
-        _show_choices()
+        logger = logging.getLogger("probe_env")  # what "auto" picks and why, and how much there is to do
+        logger.handlers = [logging.StreamHandler(sys.stderr)]
+        logger.setLevel(logging.INFO)
         command = _command(name, arguments)
         with said_when_compiling():
             command.run()
     except ImportError as error:
-        module = _missing(error)
+        # the message of Stable-Baselines3 begins with the name of the module
+        module = (error.name or str(error)).replace(".", " ").partition(" ")[0]
         extra = extra_with(module)
         if extra is None:
             raise
@@ -73,20 +77,6 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
     return 0
 
 
-def _missing(error: ImportError) -> str:
-    """The module that an import did not find; the message of Stable-Baselines3 begins with its name."""
-    return (error.name or str(error)).replace(".", " ").partition(" ")[0]
-
-
-def _show_choices() -> None:
-    """Log what "auto" picks and why, and how much there is to do."""
-    import logging
-
-    logger = logging.getLogger("probe_env")
-    logger.handlers = [logging.StreamHandler(sys.stderr)]
-    logger.setLevel(logging.INFO)
-
-
 def _command(name: str, arguments: Sequence[str]) -> Any:
     """The command with its arguments; a named scene gives the defaults of --scene options."""
     from importlib import import_module
@@ -94,14 +84,14 @@ def _command(name: str, arguments: Sequence[str]) -> Any:
     from agents.cli.parsing import parsed, positional
     from agents.cli.registry import COMMANDS
 
-    module, _, kind = COMMANDS[name].target.partition(":")
+    module, _, kind = COMMANDS[name][0].partition(":")
     command_class = getattr(import_module(f"agents.cli.{module}"), kind)
     default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
-    return parsed(name, command_class, arguments, COMMANDS[name].example, default)
+    return parsed(name, command_class, arguments, default)
 
 
-def _fail(message: str, status: int = 2) -> int:
+def _fail(message: str) -> int:
     from probe_env.files import one_line
 
     print(f"probe-env: error: {one_line(message)}", file=sys.stderr)
-    return status
+    return 2

@@ -8,19 +8,21 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class App:
-    """Open a page on this machine on which a schedule is dragged, run on your tube, watched and compared.
+    """Open the app in the browser: edit a schedule, run it in your tube, watch and compare.
 
-    Nothing leaves the machine, and nobody else is let in.
+    The page is served to this machine only.
+
+    Example: probe-env app --tube mine.toml
     """
 
     tube: Path | None = None
-    """Your own plant (tube.toml) to begin with; default: the study's tubes."""
+    """Tube file (tube.toml) to open; default: the study's tubes."""
     port: int = 5006
-    """To listen at; 0: any that is free."""
+    """Port of the server; 0: any free port."""
     output: Path = Path("output/app")
-    """Folder of runs (ordinary evaluation folders), schedules and tubes; what is there is listed."""
+    """Folder of runs, schedules and tubes."""
     show: bool = True
-    """Open a browser."""
+    """Open the page in the default browser."""
 
     def run(self) -> None:
         """Serve until it is interrupted."""

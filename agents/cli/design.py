@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -15,32 +15,31 @@ if TYPE_CHECKING:
     from probe_env import Design
     from probe_env.scene import Probe
 
-USUAL_TUBES: Final = 6
-"""Tubes that designs are tried in by a search."""
-
 
 @dataclass(frozen=True)
 class Compare:
-    """Compare probe designs on the same tubes under one feed: KPIs with intervals, changes against the first."""
+    """Compare probe designs on the same tubes under one feed: KPIs with intervals, differences from the first.
+
+    Example: probe-env compare original improved my-design.toml --limit 6
+    """
 
     designs: tyro.conf.Positional[tuple[Path, ...]]
-    """Design files (TOML), or names of designs that ship: original, improved, ..."""
+    """Design files (.toml) or names of shipped designs (original, improved, ...)."""
     feed: str = "constant"
-    """A schedule over inserted length: constant, best-constant, best-schedule, example or a file; with --full any
+    """Schedule over inserted length: constant, best-constant, best-schedule, example or a file. With --full, any
     policy."""
     full: bool = False
-    """Whole insertions instead of sections of constant length."""
+    """Simulate whole insertions instead of sections of constant length."""
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of tubes."""
     limit: int = 0
-    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
+    """Number of tubes, the first of the list; 0: all."""
     tube: Path | None = None
-    """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list. What
-    a design file does not name is the plant's probe's."""
+    """Your plant (tube.toml). Its tubes replace the shipped list; its probe has what a design file leaves out."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
+    """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
     output: Path = Path("output/compare")
-    """Folder of designs.csv and summary.csv; what is there already is not run again."""
+    """Folder of designs.csv and summary.csv; stored trials are not run again."""
 
     def run(self) -> None:
         """Run what is missing, store, print."""
@@ -69,7 +68,7 @@ class Compare:
 
 
 def _design(path: Path, own: Probe) -> Design:
-    """A design file; what it does not name is the plant's own probe's."""
+    """The design of a file; fields that it leaves out are those of the plant's probe."""
     from probe_env import Design
     from probe_env.files import FileError
 
@@ -83,28 +82,30 @@ def _design(path: Path, own: Probe) -> Design:
 
 @dataclass(frozen=True)
 class DesignSearch:
-    """Search for probes: vibration, inspection time and drive margin at once, on the same tubes."""
+    """Search for probe designs with little vibration, short inspection time and large drive margin.
+
+    Example: probe-env design --trials 100 --limit 6 --jobs 2
+    """
 
     feed: str = "best-constant"
-    """best-constant searches feed speed and air with the probe; else a schedule, or with --full any policy."""
+    """best-constant: feed speed and air are searched with the probe. Else a schedule; with --full, any policy."""
     full: bool = False
-    """Whole insertions instead of sections of constant length."""
+    """Simulate whole insertions instead of sections of constant length."""
     trials: int = 240
-    """Designs tried."""
+    """Number of designs."""
     contexts: Literal["train", "validation", "test"] = "train"
-    """Shipped list of tubes that designs are tried in."""
-    limit: int = USUAL_TUBES
-    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
+    """Shipped list of tubes."""
+    limit: int = 6
+    """Number of tubes, the first of the list; 0: all."""
     tube: Path | None = None
-    """Your own plant (tube.toml), see `probe-env compare --help`: searched for and tried in its tubes, among the floats
-    that fit its bore."""
+    """Your plant (tube.toml). Its tubes replace the shipped list; floats are limited by its bore."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast (saves time in whole insertions only) or auto."""
+    """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
     output: Path = Path("output/design")
-    """Folder of the trials, the tables and the figures; a search that was interrupted goes on."""
+    """Folder of the trials, tables and figures; an interrupted search continues."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     seed: int = 0
-    """Of the search."""
+    """Seed of the search."""
 
     def run(self) -> None:
         """Search, store, print."""

@@ -13,40 +13,43 @@ from agents.evaluation.workers import Workers
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report."""
+    """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report.
+
+    Given the folder of a stored evaluation, also an interrupted one, it writes the report again.
+
+    Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
+    """
 
     policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
-    """Policies and trained agents by name (probe-env agents lists them; ppo@2 is another training seed), schedule files
-    (.csv, .toml), feedback laws (.json) or agents' bundles (.npz). NAME=FILE names one, NAME@K=FILE the training seeds
-    of one method. shielded:POLICY blows more where its feed and air would leave too little drive. Alone, the folder
-    of a stored evaluation, also an interrupted one: its report is written again, with --against of another policy."""
+    """Names of policies and trained agents (see `probe-env agents`; ppo@2 is training seed 2), schedule files (.csv,
+    .toml), feedback laws (.json) or trained agents (.safetensors). NAME=FILE sets the name in tables, NAME@K=FILE also
+    the training seed. shielded:POLICY raises the air supply where the drive would be too low."""
     probes: Literal["scene", "random"] = "scene"
-    """scene: the study's probe; random: one for every tube and seed, drawn from the design space."""
+    """scene: the probe of the task; random: another probe of the design space for every tube and seed."""
     against: str | None = None
-    """Policy that the others are compared with; default: the first."""
+    """Reference policy of the comparison; default: the first."""
     output: Path = Path("output/evaluation")
-    """Folder of the tables and the report; what is there already is not run again."""
+    """Folder of the tables and the report; stored episodes are not run again."""
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of tubes."""
     limit: int = 0
-    """Take so many tubes of the list only, the first of it, which are balanced; 0: all."""
+    """Number of tubes, the first of the list; 0: all."""
     seeds: int = 1
-    """Seeds of sensor noise and start for every tube."""
+    """Number of seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast, one of version 0 (fast-v0), auto or auto:TOLERANCE;
-    with --passes both study, standard, unlapsed or fast, which has time-lapse on the way in alone. Or settings in
-    braces, as errors advise them."""
+    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE; with --passes
+    both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     tube: Path | None = None
-    """Your own plant (tube.toml): its task, and as many tubes drawn from what is known of it instead of the list."""
+    """Your plant (tube.toml). Its tubes replace the shipped list."""
     strict: bool = False
-    """Refuse policies that were not made for these tubes, instead of saying so."""
+    """Refuse policies that were made for other tubes, instead of a warning."""
     passes: Literal["in", "both"] | None = None
-    """Default: in, or what the tube's file says. both: feed the probe in and draw it back. Policies are for the way in;
-    schedule files may have columns for the way back (return_feed_speed_m_per_s, return_air_supply_m3_per_h), others
-    come back as fast as the device can. Agents that were trained for both passes act on both."""
+    """in: insertion; both: insertion and withdrawal. Default: in, or as the tube file says. Schedule files may have
+    columns for the withdrawal (return_feed_speed_m_per_s, return_air_supply_m3_per_h), agents may be trained for both
+    passes; other policies withdraw at the highest feed speed."""
     inspects: Literal["in", "back", "best"] | None = None
-    """What a metre counts for with --passes both: the way in, the way back, or the better of both (default)."""
+    """Pass that is scored with --passes both: the insertion, the withdrawal, or the better of both (default)."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report; of a stored evaluation the report alone."""
@@ -78,7 +81,10 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Agents:
-    """List the trained agents that ship: name, what each sees, what it was trained for, training seeds."""
+    """List trained agents with their observations, training tasks and seeds, and the names of other policies.
+
+    Example: probe-env agents
+    """
 
     def run(self) -> None:
         """Print."""
@@ -94,39 +100,38 @@ class Agents:
 
 @dataclass(frozen=True)
 class Render:
-    """Film a probe under a policy: an episode, or the motion near its tip in slow motion."""
+    """Film an episode of a policy, or the motion near the tip in slow motion.
+
+    Example: probe-env render --policy ppo --fidelity fast --output output/ppo.gif
+    """
 
     output: Path = Path("output/insertion.gif")
-    """File to write: .gif, .mp4, or .png for the last picture alone."""
+    """File: .gif, .mp4, or .png for the last picture."""
     view: Literal["helix", "strip"] = "helix"
-    """helix: a whole episode, the helix with the probe in it, feed, air, vibration, reward; strip: the tube unrolled
-    near the tip, 8 times slowed, with walls, floats, contacts and the sensor's motion."""
-    env_id: Literal[
-        "probe_env/Insertion-v1",
-        "probe_env/Snapshot-v1",
-        "probe_env/Inspection-v0",
-        "probe_env/Insertion-v0",
-        "probe_env/Snapshot-v0",
-    ] = "probe_env/Insertion-v1"
-    """Which environment; version 0 has the coarser mesh of before."""
+    """helix: an episode, with the probe in the helix, feed, air, vibration and reward. strip: the unrolled tube near
+    the tip, 8 times slower, with floats, contacts and the sensor's motion."""
+    env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
+        "probe_env/Insertion-v1"
+    )
+    """Environment."""
     policy: str = "constant"
-    """Policy or trained agent by name, schedule file or agent's bundle."""
+    """Name of a policy or trained agent, schedule file, or trained agent (.safetensors)."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast (for Insertion-v1 alone) or auto."""
+    """Accuracy of the simulation: study, reference, standard, fast or auto."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
-    """Shipped list that the tube is drawn from; random: from the ranges that the lists were drawn from."""
+    """List from which the tube is drawn; random: from the ranges of all lists."""
     every: int = 4
-    """Of the helix, control periods a frame: of 1 s in Insertion-v1, 0.1 s in Snapshot-v1."""
+    """Control periods per frame of the helix: 1 s each in Insertion-v1, 0.1 s in Snapshot-v1."""
     at: float | None = None
-    """Of the strip, the inserted length at which it begins [m]; default: three quarters of the helix."""
+    """Inserted length at which the strip begins [m]; default: three quarters of the helix."""
     length: float = 10.0
-    """Of the strip, how far behind the tip it reaches [m]."""
+    """Length of the strip, behind the tip [m]."""
     duration: float = 0.5
-    """Of the strip, how much of the probe's motion it shows [s], up to 2; a picture each 5 ms."""
+    """Simulated duration of the strip [s], at most 2; a picture every 5 ms."""
     seed: int = 0
-    """Of the tube and the sensors' noise."""
+    """Seed of the tube and the sensor noise."""
     tube: Path | None = None
-    """Your own plant (tube.toml), of which a random tube is drawn."""
+    """Your plant (tube.toml), from which a tube is drawn."""
 
     def run(self) -> None:
         """Simulate, draw, write."""
@@ -148,31 +153,33 @@ class Render:
 
 @dataclass(frozen=True)
 class Signal:
-    """Simulate a run as the sensor shows it: X and Y with supports and flaws, Lissajous figures, what is called."""
+    """Simulate the sensor signals of a run: X and Y with supports and flaws, Lissajous figures, calls.
+
+    Example: probe-env signal best-schedule --flaws 10:20 30:20 50:40
+    """
 
     policy: tyro.conf.Positional[str] = "constant"
-    """Policy or trained agent by name, schedule file, feedback law or agent's bundle."""
+    """Name of a policy or trained agent, schedule file, feedback law (.json), or trained agent (.safetensors)."""
     flaws: tuple[str, ...] = ()
-    """Flaws to put into the tube, PLACE:DEPTH in metres from the helix's entrance and % of the wall: 10:20 30:40.
-    Default: 20 % every 5 m."""
+    """Flaws as PLACE:DEPTH, in metres from the entrance of the helix and % of the wall: 10:20 30:40. Default: 20 %
+    every 5 m."""
     output: Path = Path("output/signal")
-    """Folder of strip.png, flaws.png, channels.csv (X and Y, a row a millisecond), flaws.csv, periods.csv (noise,
-    vibration and S/N) and signal.json."""
+    """Folder of strip.png, flaws.png, channels.csv (X and Y every millisecond), flaws.csv, periods.csv (noise,
+    vibration, signal-to-noise ratio) and signal.json."""
     evaluation: Path | None = None
-    """Folder of an evaluation (probe-env evaluate) whose policies' curves of detection are drawn as well: pod.png and
-    pod.csv."""
+    """Folder of an evaluation; the probability of detection of its policies is written to pod.png and pod.csv."""
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of tubes."""
     context: int = 0
-    """Which tube of the list."""
+    """Index of the tube in the list."""
     until: float | None = None
-    """Inserted length at which to stop [m]; default: the helix's end."""
+    """Inserted length at the end [m]; default: the end of the helix."""
     fidelity: str = "standard"
-    """How closely to simulate: standard, reference or settings without time-lapse, which would leave metres out."""
+    """Accuracy of the simulation: study, reference or standard; time-lapse would leave metres out."""
     seed: int = 0
-    """Of sensor noise, start and electronic noise."""
+    """Seed of the start, the sensor noise and the electronic noise."""
     tube: Path | None = None
-    """Your own plant (tube.toml): its tubes, its [sensor], its support_spacing."""
+    """Your plant (tube.toml), with its tubes, sensor and support_spacing."""
 
     def run(self) -> None:
         """Simulate, draw, write, print."""

@@ -19,27 +19,22 @@ OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.
 """Model -> prefix of the options that fill it."""
 
 
-def parsed(name: str, kind: type[Any], arguments: Sequence[str], example: str, default: Any = None) -> Any:
+def parsed(name: str, kind: type[Any], arguments: Sequence[str], default: Any = None) -> Any:
     """The command that the arguments ask for.
 
     Args:
         name: of the command.
         kind: its dataclass.
         arguments: after the name.
-        example: of its use, for the help.
         default: command whose fields are the defaults of the options.
-
-    Raises:
-        ValueError: an option is not known, or its value is not valid.
-        SystemExit: help was asked for, and printed.
     """
-    settings: dict[str, Any] = {"description": f"{inspect.getdoc(kind)}\n\nExample: {example}"}
-    if default is not None:
-        settings["default"] = default
+    settings = {} if default is None else {"default": default}
     printed = io.StringIO()
     try:
         with redirect_stderr(printed):
-            return tyro.cli(kind, prog=f"probe-env {name}", args=arguments, **settings)
+            return tyro.cli(
+                kind, prog=f"probe-env {name}", args=arguments, description=inspect.getdoc(kind), **settings
+            )
     except SystemExit as stop:
         if not stop.code:
             raise

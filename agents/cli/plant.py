@@ -14,34 +14,37 @@ from agents.evaluation.workers import Workers
 
 @dataclass(frozen=True)
 class ReadLog:
-    """Read a rig's log (text or Excel), show it, and write a clean file that all commands take as a schedule."""
+    """Read the log of a rig (text or Excel) and write a clean file that other commands accept as a schedule.
+
+    Example: probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png
+    """
 
     file: tyro.conf.Positional[Path]
-    """The log, or the name of one that ships: example-rig."""
+    """Log file, or the name of a shipped log: example-rig."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """What columns are whose heads are not known: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Quantities: time,
-    inserted_length, feed_speed, air_supply, root_tension, radial_acceleration_rms, axial_acceleration_rms,
-    rf_noise_rms; or date, of a clock in another column. May be given several times."""
+    """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Quantities:
+    time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
+    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms. Can be repeated."""
     output: Path | None = None
-    """The clean file (.csv); default: output/NAME-clean.csv. Never the log itself."""
+    """Clean file (.csv); default: output/NAME-clean.csv."""
     plot: Path | None = None
-    """Picture of all channels over time and length (.png, .pdf or .svg)."""
+    """Figure of all channels over time and length (.png, .pdf or .svg)."""
     sheet: str | None = None
     """Sheet of an Excel workbook; default: the first."""
     decimal: Literal["auto", "point", "comma"] = "auto"
-    """Decimal sign, where the file leaves it open."""
+    """Decimal sign; auto: from the file."""
     air_supply: float | None = None
-    """Air supply of a log without that column [m3/h]."""
+    """Air supply, for a log without this column [m3/h]."""
     start_length: float = 5.0
-    """Inserted length at the beginning of a log without an encoder [m]."""
+    """Inserted length at the start, for a log without an encoder [m]."""
     every: float = 1.0
-    """Rows of the clean file are no further apart [s]."""
+    """Longest time between rows of the clean file [s]."""
     tolerance: float = 1e-3
-    """How far the inserted length may be off after thinning [m]."""
+    """Largest error of the inserted length between rows of the clean file [m]."""
     gap: float = 5.0
-    """Gaps in time and missing values are bridged up to this [s]."""
+    """Longest gap that is interpolated [s]."""
     backward: float = 0.02
-    """Motion of the encoder backwards that is taken for its noise [m]."""
+    """Largest backward motion of the encoder that counts as noise [m]."""
 
     def run(self) -> None:
         """Read, write, print."""
@@ -72,22 +75,24 @@ class ReadLog:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Learn friction, contact stiffness, drag and damping of your plant from its logs, with intervals and a verdict."""
+    """Estimate friction, contact stiffness, drag and damping from logs, with intervals and a check of the fit.
+
+    Example: probe-env calibrate rig.csv --tube mine.toml --output output/calibration
+    """
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
-    """Logs of insertions (see `probe-env log`), or the name of one that ships: example-rig. Each needs one at least of
-    root tension, radial and axial acceleration, eddy-current noise."""
+    """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig. Each needs root tension,
+    radial or axial acceleration, or eddy-current noise."""
     tube: Path | None = None
-    """Your plant (tube.toml) with what is known beforehand; default: table 2's, and nothing known."""
+    """Your plant (tube.toml), with prior knowledge; default: the study's plant, without."""
     output: Path = Path("output/calibration")
     """Folder of calibration.json, corner.png and bands.png."""
     helix_diameters: tuple[float, ...] = ()
-    """Of the tube of each log [m], or one for all; needed where the file lists several."""
+    """Helix diameter of the tube of each log [m], or one for all; needed if the tube file lists several."""
     tubes: tuple[str, ...] = ()
-    """Name of the tube of each log: logs of one tube share its friction. Default: one tube, or one for each helix
-    diameter."""
+    """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """What columns are whose heads are not known, see `probe-env log --help`."""
+    """Quantities of columns with unknown headings, see `probe-env log --help`."""
 
     def run(self) -> None:
         """Read, sample, store, print."""
@@ -120,26 +125,28 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Recommend:
-    """Recommend a schedule for your plant: the best expected over what is known of it, and simulated against others."""
+    """Recommend the schedule with the best expected reward for your plant, and simulate it with others.
+
+    Example: probe-env recommend my-schedule.csv --tube mine.toml --output output/mine.csv
+    """
 
     schedules: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Schedules of your own to compare it with (.csv), as `probe-env evaluate` takes them; best-schedule and
-    tension-scheduled are compared in any case."""
+    """Schedules (.csv) to compare with; best-schedule and tension-scheduled are always compared."""
     tube: Path | None = None
-    """Your plant (tube.toml), best with the posterior of a calibration; default: table 2's in the shipped lists."""
+    """Your plant (tube.toml), with the posterior of a calibration if there is one; default: the study's plant."""
     output: Path = Path("output/recommended.csv")
-    """The schedule, which `probe-env evaluate` takes; how it was found beside it (.json)."""
+    """Schedule file; a description is written next to it (.json)."""
     policy: Path | None = None
-    """File (.json) of the feedback law for this plant, which reads the friction from the root tension: a table over
-    helix diameter, friction and inserted length, which `probe-env evaluate` takes; default: none."""
+    """Also write a feedback law (.json): a table over helix diameter, friction and inserted length, where the friction
+    is estimated from the root tension."""
     folder: Path | None = None
-    """Folder of the simulated episodes and the page (report.html); default: NAME-confirmed beside the output."""
+    """Folder of the simulated episodes and the report; default: NAME-confirmed next to the output."""
     limit: int = 24
-    """Tubes on which it is simulated, drawn anew from what is known; 0: all of them."""
+    """Number of simulated tubes; 0: all."""
     simulated: bool = True
-    """Whether it is simulated against others at all."""
+    """Simulate the schedules."""
     fidelity: str = "standard"
-    """How closely to simulate: study, reference, standard, fast or auto."""
+    """Accuracy of the simulation: study, reference, standard, fast, surrogate or auto."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 
     def run(self) -> None:
@@ -161,16 +168,19 @@ class Recommend:
 
 @dataclass(frozen=True)
 class Plc:
-    """A feedback law of ten constants, as structured text and table for your plant."""
+    """Write a feedback law of ten constants for your plant as PLC code or as a table.
+
+    Example: probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml
+    """
 
     st: Path | None = None
-    """Write the law as IEC 61131-3 structured text here."""
+    """File of the law as IEC 61131-3 structured text."""
     csv: Path | None = None
-    """Write it as a table by helix diameter, friction and length here."""
+    """File of the law as a table over helix diameter, friction and length."""
     trimmed: bool = False
-    """With --st: with integral action on the noise, as the policy trimmed-law acts."""
+    """Add integral action on the noise, as in the policy trimmed-law; needs --st."""
     tube: Path | None = None
-    """Your own plant (tube.toml), whose bore, air, probe and ranges the law takes."""
+    """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
 
     def run(self) -> None:
         """Write, print."""

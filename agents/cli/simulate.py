@@ -17,40 +17,37 @@ from probe_env.settings import within
 
 @dataclass(frozen=True)
 class Simulate:
-    """Simulate one scene: statistics as a table; scene, results, signals and figures in a folder."""
+    """Simulate one scene: print statistics, store scene, results, signals and figures.
+
+    Example: probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2
+    """
 
     scene_file: tyro.conf.Positional[Path]
-    """Scene file (TOML), or the name of one that ships: fig11_l10, ...; single fields can be changed with the --scene
-    options."""
+    """Scene file (TOML), or the name of a shipped scene: fig11_l10, ...; the --scene options change single fields."""
     scene: Scene = field(default_factory=Scene)
     method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
-    """newmark and wilson are the study's, imex is the fast scheme, superelement a converged mesh condensed to its
-    floats, imex32 and superelement32 the same in single precision, implicit holds with any step, explicit is central
+    """newmark and wilson: the study's methods; imex: the fast scheme; superelement: a converged mesh condensed to the
+    floats; imex32 and superelement32: in single precision; implicit: stable with any step; explicit: central
     differences."""
     time_step: float | None = None
-    """Time step [s]; default: the one that the study's probe is simulated with by this method."""
+    """Time step [s]; default: the usual one of the method."""
     nodes_per_pitch: int = 4
-    """Nodes in one float pitch."""
+    """Nodes per float pitch."""
     solver: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(SOLVERS)}}}")] = "ticm"
-    """Linear solver of a step of newmark and wilson."""
+    """Linear solver of newmark and wilson."""
     start: Literal["inner", "outer"] = "inner"
-    """Wall that the probe lies on at rest; outer is for the return: --scene.feed-speed -0.2 --scene.air-supply-rate
+    """Wall on which the probe lies at rest. outer is for withdrawal: --scene.feed-speed -0.2 --scene.air-supply-rate
     -0.0175 --scene.couple tangent."""
     duration: float = 8.0
     """Simulated time [s]."""
     statistics_from: float | None = None
-    """Start of the statistics [s]; None: after a quarter of the duration."""
+    """Start of the statistics [s]; default: after a quarter of the duration."""
     output: Path | None = None
-    """Output folder; default: output/NAME-OF-THE-SCENE."""
+    """Folder; default: output/NAME."""
 
     @classmethod
     def of_scene(cls, given: str | None) -> Simulate | None:
-        """The command for a scene file or the name of one, whose fields options change; None if none is given.
-
-        Raises:
-            FileNotFoundError: no such file, nor a scene of this name that ships.
-            ValueError: not a scene.
-        """
+        """The command with the defaults of a scene file or shipped scene; None if none is given."""
         if given is None:
             return None
         path = file_or_shipped("scenes", given)

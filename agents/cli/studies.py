@@ -13,39 +13,44 @@ from agents.evaluation.workers import Workers
 
 @dataclass(frozen=True)
 class Study:
-    """Run a study: policies in tasks that vary, compared tube by tube; also what makes the shipped data.
+    """Run a study: policies in varied tasks, compared tube by tube. Some studies make the shipped data.
 
-    A study is a TOML file (configs/studies holds those that ship): a question, policies, tubes, fields that are varied,
-    metrics that are compared. It writes episodes.csv, comparison.csv and comparison.png.
+    A study is a TOML file with policies, tubes, varied fields and compared metrics. It writes episodes.csv,
+    comparison.csv and comparison.png.
+
+    Example: probe-env study robustness --limit 2
     """
 
     study: tyro.conf.Positional[str] = ""
-    """File (.toml), or the name of a study that ships."""
+    """Study file (.toml), or the name of a shipped study."""
     list: bool = False
-    """Print the names of all studies and their questions."""
+    """List the shipped studies and their questions."""
     limit: int | None = None
-    """Tubes (claims: any number is five cases; response: groups of insertions), the first so many; 0: all. Default:
-    what the study says."""
+    """Number of tubes; 0: all. claims: 1 or more runs five cases; response: number of groups of insertions. Default: as
+    the study says."""
     policies: tuple[str, ...] = ()
-    """Policies instead of the study's, as `evaluate` takes them; those it compares with stay."""
+    """Policies instead of the study's, as in `evaluate`; the reference policies stay."""
     fidelity: tuple[str, ...] = ()
     """Fidelities instead of the study's."""
     tube: Path | None = None
-    """Your own plant (tube.toml)."""
+    """Your plant (tube.toml)."""
     trials: int | None = None
-    """Of shipped data: schedules or laws that are tried, or insertions on each tube; of claims: runs of each case."""
+    """For shipped data: number of schedules or laws, or insertions per tube; claims: runs per case."""
     output: Path | None = None
-    """Folder of what is made; what is there already is not run again. Default: output/NAME."""
+    """Folder; stored episodes are not run again. Default: output/NAME."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 
     def run(self) -> None:
         """Run what is missing, store, draw, print."""
-        from agents.records.shipped import NoSuchFileError, file_or_shipped
+        from agents.records.shipped import NoSuchFileError, file_or_shipped, shipped_names
         from agents.studies.builtin import BUILT_IN, Request
+        from agents.studies.spec import Study as Spec
         from agents.terminal.tables import print_terms
 
         if self.list:
-            print_terms(_questions())
+            names = shipped_names("studies")
+            files = {name: Spec.from_toml(file_or_shipped("studies", name)).question for name in names}
+            print_terms(files | {name: study.question for name, study in BUILT_IN.items()})
             return
         if not self.study:
             raise ValueError("study: give a file or a name; probe-env study --list prints the names")
@@ -81,12 +86,3 @@ class Study:
             raise FileError(path, str(error)) from error
         write_comparison(spec, settings, run_study(settings, output, self.workers), output)
         print(f"written: {output}/ (episodes.csv, comparison.csv, comparison.png)")
-
-
-def _questions() -> dict[str, str]:
-    from agents.records.shipped import file_or_shipped, shipped_names
-    from agents.studies.builtin import BUILT_IN
-    from agents.studies.spec import Study as Spec
-
-    questions = {name: Spec.from_toml(file_or_shipped("studies", name)).question for name in shipped_names("studies")}
-    return questions | {name: study.question for name, study in BUILT_IN.items()}

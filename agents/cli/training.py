@@ -13,19 +13,22 @@ from agents.evaluation.workers import Workers
 
 @dataclass(frozen=True)
 class Train:
-    """Train agents with Stable-Baselines3: checkpoints, validation, the best agent of each seed as a bundle."""
+    """Train agents with Stable-Baselines3; the agent that is best in validation is stored for each seed.
+
+    Example: probe-env train ppo --seeds 7 --output output/train/mine
+    """
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, student, ppo-any-probe, both-ways."""
+    """Training file (TOML), or the name of a shipped one: ppo, student, ppo-any-probe, both-ways."""
     output: Path | None = None
-    """Folder of the runs, seed-K in it; default: output/train/NAME-OF-THE-FILE."""
+    """Folder of the runs seed-K; default: output/train/NAME."""
     seeds: tuple[int, ...] = ()
-    """Seeds instead of the file's."""
+    """Training seeds; default: as the file says."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     resume: bool = False
-    """Go on from the last checkpoints in the folder."""
+    """Continue from the last checkpoints in the folder."""
     tube: Path | None = None
-    """Your own plant (tube.toml) instead of the file's."""
+    """Your plant (tube.toml); default: as the file says."""
 
     def run(self) -> None:
         """Train, print the learning curves."""
@@ -47,20 +50,22 @@ class Train:
 
 @dataclass(frozen=True)
 class Tune:
-    """Search for the hyperparameters of an agent: short trainings, judged by their reward on the validation tubes."""
+    """Search for hyperparameters: short trainings, scored by their reward on the validation tubes.
+
+    Example: probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo
+    """
 
     config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of one that ships: ppo, student, ppo-any-probe, both-ways.
-    Its table [search] is the search space, else the usual ranges of its algorithm; its first seed is trained."""
+    """Training file (TOML), or the name of a shipped one. Its table [search] is the search space; default: ranges of
+    its algorithm. Its first seed is trained."""
     trials: int = 40
-    """Trainings, those included that are ended early."""
+    """Number of trainings, including those that are stopped early."""
     phases: int | None = None
-    """Phases of a training behind its warm start, 1 to the file's; default: half of the file's."""
+    """Phases of a training after its warm start; default: half of the file's."""
     output: Path | None = None
-    """Folder of the study, the trainings and what was found; a search that was interrupted goes on. Default:
-    output/tune/NAME-OF-THE-FILE."""
+    """Folder of the search; an interrupted search continues. Default: output/tune/NAME."""
     seed: int = 0
-    """Of the search."""
+    """Seed of the search."""
 
     def run(self) -> None:
         """Search, store, print."""

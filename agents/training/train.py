@@ -7,6 +7,7 @@ episodes. A run that was killed therefore continues from its last checkpoint to 
 from __future__ import annotations
 
 import io
+import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

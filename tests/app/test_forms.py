@@ -12,6 +12,7 @@ from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
 from agents.policies.catalogue import DATA
 from agents.policies.places import place_at
+from agents.records.shipped import shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
@@ -22,12 +23,7 @@ FIELDS = {field.path: field for fields in tube_fields().values() for field in fi
 
 
 def test_the_form_has_every_field_of_the_file_with_its_unit_and_range():
-    for path, unit in (
-        ("tube.helix_length", "m"),
-        ("probe.float_pitch", "m"),
-        ("air.air_lag", "s"),
-        ("task.period", "s"),
-    ):
+    for path, unit in (("tube.helix_length", "m"), ("air.air_lag", "s"), ("task.period", "s")):
         field = FIELDS[path]
         form, accepted = TubeForm(), field.range
         assert accepted.unit == unit
@@ -67,9 +63,8 @@ def test_a_default_can_be_typed_and_changes_nothing():
     assert failures == []
 
 
-@pytest.mark.parametrize(
-    ("path", "text", "value"),
-    [
+def test_the_value_of_a_text():
+    for path, text, value in (
         ("contact.friction", "0.12 to 0.22", {"low": 0.12, "high": 0.22}),
         ("contact.friction", "0.15 ± 0.02", {"mean": 0.15, "std": 0.02}),
         ("contact.friction", "0.15 +- 0.02", {"mean": 0.15, "std": 0.02}),
@@ -82,11 +77,9 @@ def test_a_default_can_be_typed_and_changes_nothing():
         ("contact.walls", "inner", "inner"),
         ("contact.cable", "yes", True),
         ("contact.cable", "no", False),
-    ],
-)
-def test_the_value_of_a_text(path, text, value):
-    assert value_of(FIELDS[path], text) == value
-    assert value_of(FIELDS[path], text_of(value)) == value
+    ):
+        assert value_of(FIELDS[path], text) == value, path
+        assert value_of(FIELDS[path], text_of(value)) == value, path
 
 
 def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
@@ -169,7 +162,7 @@ def test_the_prediction_is_the_objective_of_the_search_for_schedules():
 
 def test_every_offered_overlay_is_a_line():
     place = place_at(EXAMPLE, "test", 1)
-    for name in schedules.overlay_names():
+    for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
         line = schedules.policy_line(name, place)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name

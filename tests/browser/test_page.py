@@ -176,14 +176,10 @@ def test_a_dragged_flaw_moves_in_x_and_y(page):
 
 INVALID = [
     ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 50 m"),
-    ("helix diameter [m]", "abc", "tube.helix_diameter"),
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
-    ("inner diameter [m]", "nan", "tube.inner_diameter: nan m is outside the accepted range 0.005 to 0.1 m"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
-    ("feed speeds [m/s]", "0 to 0.4", "feed_speeds = (0.0, 0.4) must ascend within the accepted range 1e-06 to 2"),
     ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
     ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
-    ("calibration", "nothing.json", "nothing.json"),
 ]
 
 
@@ -198,7 +194,7 @@ def test_invalid_input_is_refused_at_its_field(page):
         page.get_by_role("alert").filter(has_text=message).wait_for()
         given.fill(before)
         given.press("Enter")
-        if label not in ("open a tube file", "save as", "calibration"):
+        if label not in ("open a tube file", "save as"):
             page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
 
 
@@ -206,7 +202,6 @@ def test_an_invalid_schedule_file_is_refused(page, tmp_path):
     (tmp_path / "bad.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,9,60\n")
     for text, message in (
         (str(tmp_path / "bad.csv"), "line 2, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
-        (str(tmp_path / "none.csv"), "no such file"),
         ("shift", "a schedule over time cannot be edited here"),
     ):
         fill(page, "open a schedule", text)
@@ -268,9 +263,9 @@ PICTURES = os.environ.get("PROBE_ENV_PICTURES")
 TITLES = ("tube", "schedule", "insertion", "compare", "manual")
 
 
-@pytest.mark.parametrize("width", [1280, 820, 420])
+@pytest.mark.parametrize("width", [1280, 420])
 def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
-    """Pictures of the docs, in the study's tubes: PROBE_ENV_PICTURES=docs/inspection/app."""
+    """Pictures of the docs, in the study's tubes: PROBE_ENV_PICTURES=docs/app."""
     folder = Path(PICTURES or tmp_path)
     folder.mkdir(parents=True, exist_ok=True)
     with served(tmp_path / "output") as app, opened(browser, app, width) as page:
@@ -302,12 +297,9 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
                 page.locator("[data-state=finished]").wait_for()
 
 
-@pytest.mark.parametrize("address", ["report/?folder=/etc", "report/?folder=."])
-def test_only_reports_are_served(page, app, address, tmp_path):
-    assert page.request.get(app.address + address).status == 404
-
-
-def test_another_host_name_is_refused(page, app):
+def test_only_reports_are_served_and_only_to_this_host(page, app):
     """DNS rebinding: another site can point its own name to this machine."""
+    for address in ("report/?folder=/etc", "report/?folder=."):
+        assert page.request.get(app.address + address).status == 404
     answer = page.request.get(app.address, headers={"Host": f"evil.example:{app.address.split(':')[-1].strip('/')}"})
     assert answer.status == 403

@@ -1,9 +1,8 @@
-"""The probe-env command as a user meets it: outputs, overrides, resumption and errors."""
+"""The commands simulate, render and agents as a user meets them: outputs, overrides and errors."""
 
 import json
-import os
-import subprocess
-import sys
+import math
+from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,22 +10,26 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
+from numba import njit
 
+import probe_env
 from agents.cli import main
+from agents.terminal.notices import said_when_compiling
 from probe_env import Scene
+from probe_env.physics.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
+TUBE = ROOT / "configs" / "tubes" / "snr.toml"
 
 
 def test_simulate_writes_everything(tmp_path, capsys):
     output = tmp_path / "run"
     options = ["--duration", "0.6", "--statistics-from", "0.2", "--output", str(output)]
     assert main(["simulate", SCENE, *options, "--scene.contact.friction", "0.2"]) == 0
-    printed = capsys.readouterr()
-    assert "radial rms" in printed.out
-    assert "root tension" in printed.out
-    assert "known to hold up to 0.0003 s" in printed.out
+    printed = capsys.readouterr().out
+    assert "radial rms" in printed
+    assert "known to hold up to 0.0003 s" in printed
     scene = Scene.from_toml(output / "scene.toml")
     assert (scene.contact.friction, scene.carrier_length) == (0.2, 10.0)  # override and file both count
     results = json.loads((output / "results.json").read_text())
@@ -44,78 +47,73 @@ def test_simulate_writes_everything(tmp_path, capsys):
         assert (output / f"{picture}.png").stat().st_size > 5000
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
-        (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a scene file, which is TOML"),
-        (["simulate", SCENE, "--duration", "1", "--statistics-from", "2"], "statistics_from = 2.0"),
-        (["simulate", SCENE, "--duration", "3.00005"], "duration = 3.00005"),
-        (["simulate", SCENE, "--duration", "-1"], "duration = -1.0 s is outside the accepted range 0.001 to 100000 s"),
-        (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
-        (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
-        (
-            ["evaluate", "constant", "--passes", "both", "--fidelity", "reference"],
-            "fidelity = 'reference' does not simulate the way back; give one of standard, unlapsed, fast, study",
-        ),
-        (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
-        (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
-        (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
-        (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
-        (["render", "--every", "0"], "every = 0"),
-        (["render", "--policy", "fastest"], "policy = 'fastest'"),
-    ],
-)
+def test_simulate_runs_every_method_with_its_usual_step(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("agents.evaluation.simulate._draw", lambda *_: None)
+    for method, entry in METHODS.items():
+        brief = ["--duration", "0.02", "--scene.carrier-length", "6", "--output", str(tmp_path / method)]
+        assert main(["simulate", "fig11_l10", "--method", method, *brief]) == 0
+        printed = capsys.readouterr().out
+        assert f"{method}, time step {entry.usual_step:g} s" in printed
+        assert "inf" not in printed
+        results = json.loads((tmp_path / method / "results.json").read_text(), parse_constant=pytest.fail)
+        assert (results["method"], results["time_step_s"]) == (method, entry.usual_step)
+        assert results["statistics"]["radial_rms_m"] > 0.0
+        limit = entry.stable_step(Scene.from_toml(tmp_path / method / "scene.toml"), results["nodes_per_pitch"])
+        assert results["stable_time_step_s"] == (limit if math.isfinite(limit) else None)
+
+
+STRIP = ["render", "--view", "strip"]
+REFUSED = [
+    (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
+    (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a scene file, which is TOML"),
+    (["simulate", SCENE, "--duration", "1", "--statistics-from", "2"], "statistics_from = 2.0"),
+    (["simulate", SCENE, "--duration", "3.00005"], "duration = 3.00005"),
+    (["simulate", SCENE, "--duration", "-1"], "duration = -1.0 s is outside the accepted range 0.001 to 100000 s"),
+    (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
+    (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
+    (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
+    (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
+    (
+        ["evaluate", "constant", "--passes", "both", "--fidelity", "reference"],
+        "fidelity = 'reference' does not simulate the way back; give one of standard, fast, study",
+    ),
+    (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
+    (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
+    (["render", "--every", "0"], "every = 0"),
+    (["render", "--policy", "fastest"], "policy = 'fastest'"),
+    (["render", "--at", "45"], "at = 45.0 m is of the strip: add --view strip"),
+    ([*STRIP, "--at", "60"], "at = 60.0 m is outside the accepted range 5 m, where it starts, to less than 60 m"),
+    ([*STRIP, "--at", "46", "--tube", "example"], "to less than 45 m"),
+    ([*STRIP, "--at", "nan"], "at = nan m"),
+    ([*STRIP, "--at", "30", "--env-id", "probe_env/Snapshot-v1"], "at = 30.0 m needs a probe that is fed in"),
+    ([*STRIP, "--length", "2"], "length = 2.0 m is outside the accepted range 2.5 to 1000 m"),
+    ([*STRIP, "--duration", "2.5"], "duration = 2.5 s is outside the accepted range 0.005 to 2 s"),
+    ([*STRIP, "--duration", "0.1005"], "duration = 0.1005 s is not a whole number"),
+    ([*STRIP, "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
+    ([*STRIP, "--policy", "fastest"], "policy = 'fastest'"),
+]
+
+
 @pytest.mark.filterwarnings("ignore:time_step = 0.001 s is beyond the known stable limit")  # and then it diverges
-def test_errors_are_one_line_and_leave_nothing_behind(arguments, message, tmp_path, capsys, monkeypatch):
+def test_errors_are_one_line_and_leave_nothing_behind(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert "Traceback" not in error
+    monkeypatch.setattr("probe_env.envs.episodes.Episodes.reset", lambda *_: pytest.fail("simulated"))
+    failures = []
+    for arguments, message in REFUSED:
+        status, error = main(arguments), capsys.readouterr().err
+        line = error.strip().splitlines()[-1]
+        if status != 2 or not line.startswith("probe-env: error: ") or message not in line or "Traceback" in error:
+            failures.append((arguments, error))
+    assert failures == []
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bad_scene_option_names_the_field_and_the_range(capsys):
-    assert main(["simulate", SCENE, "--scene.contact.friction", "1.2"]) == 2
-    message = "--scene.contact.friction: 1.2 is outside the accepted range 0 to 1 (given: 1.2)"
-    assert capsys.readouterr() == ("", f"probe-env: error: {message}\n")
-
-
-FILMS = [("film.gif", 3), ("film.mp4", 3), ("picture.png", 1)]
-
-
-@pytest.mark.parametrize(("name", "pictures"), FILMS)
-def test_render_writes_a_film(name, pictures, tmp_path, capsys):
-    output = tmp_path / name
-    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--every", "40"]
-    assert main(["render", *arguments]) == 0
-    assert "share_within_limit" in capsys.readouterr().out
-    assert output.stat().st_size > 20_000
-    check_film(output, pictures)
-
-
-@pytest.mark.parametrize(("name", "pictures"), [(name, 11 if count > 1 else 1) for name, count in FILMS])
-def test_render_writes_slow_motion(name, pictures, tmp_path, capsys):
-    """A picture each 5 ms of 0.05 s, 40 ms each where the file says how long."""
-    output = tmp_path / name
-    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--duration", "0.05"]
-    assert main(["render", "--view", "strip", *arguments]) == 0
-    printed = capsys.readouterr().out
-    assert "times_slowed                             8\n" in printed
-    assert "inserted_length_m                        52.5\n" in printed
-    check_film(output, pictures)
-    if output.suffix == ".gif":
-        assert iio.immeta(output)["duration"] == 40
-    if output.suffix == ".mp4":
-        assert count_frames_and_secs(output)[1] == pytest.approx(11 / 25, abs=0.01)
-
-
 def check_film(path, pictures):
-    """So many, of the size that was drawn, mostly white, and none like another; of an MP4 the number alone.
+    """Number of pictures; in GIF and PNG also the size, the share of white, and that pictures differ.
 
     A palette of 256 colours has white a few levels lower, by processor; the lightest lines are at 217.
     """
+    assert path.stat().st_size > 20_000
     if path.suffix == ".mp4":
         assert count_frames_and_secs(path)[0] == pictures
         return
@@ -126,67 +124,80 @@ def check_film(path, pictures):
     assert all((np.abs(a - b) > 50).any() for a, b in pairwise(frames))
 
 
-def test_slow_motion_begins_where_it_is_asked_to(tmp_path, capsys):
+FILMS = [
+    pytest.param("film.gif", True, marks=pytest.mark.slow),
+    pytest.param("film.mp4", True, marks=pytest.mark.slow),
+    ("picture.png", False),
+]
+
+
+@pytest.mark.parametrize(("name", "is_film"), FILMS)
+def test_render_writes_an_episode(name, is_film, tmp_path, capsys):
+    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(tmp_path / name), "--every", "40"]
+    assert main(["render", *arguments]) == 0
+    assert "share_within_limit" in capsys.readouterr().out
+    check_film(tmp_path / name, 3 if is_film else 1)
+
+
+@pytest.mark.parametrize(("name", "is_film"), FILMS)
+def test_render_writes_slow_motion(name, is_film, tmp_path, capsys):
+    """A picture every 5 ms of 0.05 s, each shown for 40 ms."""
+    output = tmp_path / name
+    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--duration", "0.05"]
+    assert main([*STRIP, *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "times_slowed                             8\n" in printed
+    assert "inserted_length_m                        52.5\n" in printed
+    check_film(output, 11 if is_film else 1)
+    if output.suffix == ".gif":
+        assert iio.immeta(output)["duration"] == 40
+    if output.suffix == ".mp4":
+        assert count_frames_and_secs(output)[1] == pytest.approx(11 / 25, abs=0.01)
+
+
+def test_slow_motion_begins_at_a_length_or_says_that_it_was_not_reached(tmp_path, capsys):
     output = tmp_path / "strip.png"
     where = ["--at", "6.5", "--length", "4", "--duration", "0.6", "--tube", "example"]
-    assert main(["render", "--view", "strip", "--fidelity", "fast", "--output", str(output), *where]) == 0
+    assert main([*STRIP, "--fidelity", "fast", "--output", str(output), *where]) == 0
     figures = dict(line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("written"))
     assert 6.5 <= float(figures["inserted_length_m"]) <= 6.5 + 0.35  # at the first control period of 1 s behind it
     assert float(figures["shown_s"]) == pytest.approx(0.6)  # over three periods of 0.25 s of the dynamics
     assert {"sensor_axial_rms_m", "sensor_radial_rms_m", "sensor_axial_peak_hz"} <= set(figures)
-
-
-def test_slow_motion_that_is_not_reached_is_told(tmp_path, capsys):
-    short = ["--fidelity", "fast", "--at", "59", "--policy", str(tmp_path / "slow.csv"), "--output"]
+    (tmp_path / "short.toml").write_text("[tube]\nhelix_length = 9.0\n[task]\ntime_limit = 10.0\n")
+    short = ["--tube", str(tmp_path / "short.toml"), "--policy", str(tmp_path / "slow.csv")]
     (tmp_path / "slow.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.02,30\n")
-    assert main(["render", "--view", "strip", *short, str(tmp_path / "strip.gif")]) == 2
-    error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "at = 59 m was not reached: the episode ended at " in error
-    assert not (tmp_path / "strip.gif").exists()
+    assert main([*STRIP, "--fidelity", "fast", "--at", "8.5", *short, "--output", str(tmp_path / "no.png")]) == 2
+    assert "at = 8.5 m was not reached: the episode ended at " in capsys.readouterr().err.strip().splitlines()[-1]
+    assert not (tmp_path / "no.png").exists()
 
 
-STRIP = ["render", "--view", "strip"]
+def test_version_and_agents(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"probe-env {version('probe-env')}\n"
+    assert probe_env.__version__ == version("probe-env")
+    assert main(["agents"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "ppo seeds 0, 1, 2, 3, 4" in printed
+    assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in printed
+    assert "schedules best-both-ways, example, fast-in, shift, slow-back, steady-back" in printed
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["render", "--at", "45"], "at = 45.0 m is of the strip: add --view strip"),
-        ([*STRIP, "--at", "60"], "at = 60.0 m is outside the accepted range 5 m, where it starts, to less than 60 m"),
-        ([*STRIP, "--at", "46", "--tube", "example"], "to less than 45 m"),
-        ([*STRIP, "--at", "nan"], "at = nan m"),
-        ([*STRIP, "--at", "30", "--env-id", "probe_env/Snapshot-v1"], "at = 30.0 m needs a probe that is fed in"),
-        ([*STRIP, "--length", "2"], "length = 2.0 m is outside the accepted range 2.5 to 1000 m"),
-        ([*STRIP, "--duration", "2.5"], "duration = 2.5 s is outside the accepted range 0.005 to 2 s"),
-        ([*STRIP, "--duration", "0.1005"], "duration = 0.1005 s is not a whole number"),
-        ([*STRIP, "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
-        ([*STRIP, "--policy", "fastest"], "policy = 'fastest'"),
-    ],
-)
-def test_what_a_strip_cannot_show_is_refused_before_anything_is_simulated(arguments, message, capsys, monkeypatch):
-    monkeypatch.setattr("probe_env.envs.episodes.Episodes.reset", lambda *_: pytest.fail("simulated"))
-    assert main(arguments) == 2
-    (error,) = capsys.readouterr().err.strip().splitlines()
-    assert error.startswith("probe-env: error: ")
-    assert message in error
+def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("torch")
+    targets = []
+    maker = "agents.studies.shipped.vibration_map.make_map"
+    monkeypatch.setattr(maker, lambda seeds, request, target: targets.append(target))
+    monkeypatch.chdir(ROOT)
+    (tmp_path / "mine.toml").write_text(TUBE.read_text())
+    for tube in ("snr", str(TUBE), "configs/design/../tubes/snr.toml", str(tmp_path / "mine.toml")):
+        assert main(["study", "vibration-map", "--tube", tube]) == 0
+    assert targets == [Path("output/vibration-map/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
+    assert capsys.readouterr().err.count("its map stays: the new one is output/vibration-map/vibration-map.npz") == 3
 
 
-def test_a_reader_that_has_enough_is_no_error():
-    """Such as head: what is left to print goes nowhere, without a word."""
-    done = subprocess.run(
-        f"{sys.executable} -m agents.cli agents | head -1", shell=True, cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.stdout == "both-ways\n"
-    assert done.stderr == ""
-
-
-@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
-def test_blas_has_one_thread_unless_the_environment_says_otherwise(given, threads):
-    """It is said before numpy is loaded, which is when OpenBLAS reads it."""
-    code = (
-        "import os, sys; from agents.cli import main; assert 'numpy' not in sys.modules;"
-        " sys.argv = ['probe-env', '--version']; main(); print(os.environ['OPENBLAS_NUM_THREADS'])"
-    )
-    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | given
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == threads
+def test_compiling_is_said_once(capsys):
+    first, second = (njit(lambda x, k=k: x + k) for k in (1.0, 2.0))
+    for message in ("compiling kernels, which are kept for later runs\n", ""):
+        with said_when_compiling():
+            assert first(1.0) + second(1.0) == 5.0
+        assert capsys.readouterr().err == message

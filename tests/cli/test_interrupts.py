@@ -1,6 +1,7 @@
 """Ctrl-C and SIGTERM: one line that says what is stored, the signal's status, never a traceback."""
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -14,7 +15,6 @@ from agents.cli import main
 from agents.design.problem import DesignProblem
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import Constant
-from agents.terminal.work import Work
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -60,7 +60,7 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, 
 
 def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_path, capsys, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("agents.study.simulate.point_statistics", signalling(signal.SIGINT))
+        patch.setattr("agents.evaluation.simulate.point_statistics", signalling(signal.SIGINT))
         assert main(["simulate", SCENE, *BRIEF, str(tmp_path / "run")]) == 130
     assert last_line(capsys) == "probe-env: interrupted: nothing was stored"
     assert not (tmp_path / "run").exists()
@@ -86,22 +86,26 @@ def test_an_interrupted_search_says_how_many_designs_are_stored(tmp_path, capsys
     assert f"4 of 8 designs are stored in {output}; the same command goes on" in last_line(capsys)
 
 
-def test_words():
-    work = Work("phase", 8, lambda: 3, Path("output/run"), "the same command with --resume goes on")
-    assert work.ahead() == "5 of 8 phases to do, stored in output/run one by one"
-    assert work.account() == "3 of 8 phases are stored in output/run; the same command with --resume goes on"
-    assert Work("run", 1, lambda: 0, Path("x")).ahead() == "1 run to do, stored in x one by one"
-    assert Work("run", 2, lambda: 2, Path("x")).ahead() == ""
-
-
-def command(prelude, *arguments):
-    """The command as a process of its own, with something done to it before; one that hangs is ended and fails."""
+def command(prelude, *arguments, pipe=""):
+    """The command as a process of its own, after a prelude; one that hangs is ended and fails."""
     code = f"import os, signal, sys\n{prelude}\nfrom agents.cli import main\nsys.exit(main())"
-    asked = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, timeout=300.0)
+    line = shlex.join([sys.executable, "-c", code, *arguments]) + pipe
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    return subprocess.run(
+        line,
+        shell=True,
+        executable="/bin/bash",
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=300.0,
+        env=environment,
+    )
 
 
 IN_IMPORT = """
+import agents.cli
+assert not {"numpy", "tyro", "pydantic", "typing_extensions", "probe_env"} & set(sys.modules)
 class Finder:
     def find_spec(self, name, *_):
         if name == "numba":
@@ -120,24 +124,30 @@ def work(_):
     print("went on")
 agents.cli._run = work
 """
-IGNORED = """
+MANY_LINES = """
 import agents.cli
-signal.signal(signal.SIGHUP, signal.SIG_IGN)
-agents.cli._run = lambda _: os.kill(os.getpid(), signal.SIGHUP) or 7
+agents.cli._run = lambda _: [print(os.environ["OPENBLAS_NUM_THREADS"]) for _ in range(100_000)]
 """
 
 
-def test_in_an_import_and_at_the_second_signal_the_command_ends_and_ignored_signals_stay_ignored(tmp_path):
-    """The first signal may be swallowed where nothing can be raised; a job under nohup has SIGHUP ignored."""
+def test_exit_codes_of_processes(tmp_path):
+    """In an import, at the second signal (the first may be swallowed in a finaliser), and behind a closed pipe."""
     ended = command(IN_IMPORT, "simulate", SCENE, "--output", str(tmp_path / "run"))
     assert (ended.returncode, ended.stderr) == (143, "probe-env: interrupted: nothing was stored\n")
     ended = command(SWALLOWED_ONCE)
     assert (ended.returncode, ended.stdout) == (130, "")
     assert ended.stderr.splitlines()[-1] == "probe-env: interrupted: nothing was stored"
-    assert command(IGNORED).returncode == 7
+    ended = command(MANY_LINES, pipe="| head -1; exit ${PIPESTATUS[0]}")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "1\n", "")
 
 
-def test_the_entry_point_loads_no_packages_before_it_handles_signals():
-    code = "import sys; import agents.cli; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT).stdout.split()
-    assert not {"numpy", "tyro", "pydantic", "typing_extensions", "probe_env"} & set(loaded)
+def test_ignored_signals_and_threads_that_are_set_stay(monkeypatch):
+    """A job under nohup has SIGHUP ignored."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    monkeypatch.setattr("agents.cli._run", lambda _: os.kill(os.getpid(), signal.SIGHUP) or 7)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert main() == 7
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "2"

@@ -1,11 +1,48 @@
-"""Options: mistyped ones and values are one line, quantities have units, help breaks where the terminal ends."""
+"""Help and options: mistyped options and values are one line, quantities have units."""
 
 import re
 
 import pytest
 
 from agents.cli import main
-from agents.cli.registry import COMMANDS
+from agents.cli.parsing import positional
+from agents.cli.registry import COMMANDS, GROUPS, first_page
+from agents.terminal.fidelities import fidelity_given
+from probe_env import Fidelity
+from probe_env.fidelity import resolve_fidelity
+from probe_env.physics.methods import METHODS
+
+
+def test_the_first_page_has_every_command_once(capsys):
+    for arguments, status in (([], 2), (["-h"], 0), (["--help"], 0)):
+        assert main(arguments) == status
+        assert capsys.readouterr().out == first_page() + "\n"
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
+    assert max(map(len, first_page().splitlines())) <= 80
+    assert main(["simulat"]) == 2
+    assert "command = 'simulat' is not one of simulate, evaluate" in capsys.readouterr().err
+
+
+def test_every_help_has_an_example_and_units(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    failures = []
+    for name in COMMANDS:
+        with pytest.raises(SystemExit) as done:
+            main([name, "--help"])
+        options, page = [], capsys.readouterr().out
+        for line in (line.strip("│ ") for line in page.splitlines()):
+            if re.match("--?[a-z]", line):
+                options.append(line)
+            elif options:
+                options[-1] += f" {line}"
+        quantities = [text.split("FLOAT", 1)[1] for text in options if "FLOAT" in text]
+        failures += [(name, text) for text in quantities if not re.search(r"\[[^]]+\]", text)]
+        if done.value.code or f"Example: probe-env {name}" not in page:
+            failures.append(name)
+        if name == "simulate":
+            meanings = page[page.index("--method") : page.index("--time-step")].partition("}")[2]
+            failures += [method for method in METHODS if not re.search(rf"\b{method}\b", meanings)]
+    assert failures == []
 
 
 def test_what_is_not_understood_is_one_line(capsys, monkeypatch):
@@ -22,7 +59,10 @@ def test_what_is_not_understood_is_one_line(capsys, monkeypatch):
         ("simulate fig11_l10 fig11_l20", "Unrecognized options: fig11_l20"),
         ("simulate fig11_l10 --scene.air.drag 1", "Perhaps you meant: --scene.air.drag-coefficient"),
         ("simulate fig11_l10 --scene.carrier-lenght 3", "Perhaps you meant: --scene.carrier-length"),
-        ("simulate fig11_l10 --scene.contact.friction -1", "--scene.contact.friction: -1.0 is outside the accepted"),
+        (
+            "simulate fig11_l10 --scene.contact.friction 1.2",
+            "--scene.contact.friction: 1.2 is outside the accepted range",
+        ),
     ):
         for columns in ("60", "200"):
             monkeypatch.setenv("COLUMNS", columns)
@@ -34,24 +74,27 @@ def test_what_is_not_understood_is_one_line(capsys, monkeypatch):
     assert failures == []
 
 
-def entries(name, capsys, monkeypatch):
-    """The options of a command with what its help says of each."""
-    monkeypatch.setenv("COLUMNS", "120")
-    with pytest.raises(SystemExit):
-        main([name, "--help"])
-    texts = []
-    for line in (line.strip("│ ") for line in capsys.readouterr().out.splitlines()):
-        if re.match("--?[a-z]", line):
-            texts.append(line)
-        elif texts:
-            texts[-1] += f" {line}"
-    return texts
+def test_the_scene_is_found_among_the_options():
+    for arguments, scene in (
+        (["fig11_l10", "--duration", "1"], "fig11_l10"),
+        (["--duration", "1", "--output=x", "-h", "fig11_l10"], "fig11_l10"),
+        (["--scene.contact.friction", "-1", "--", "-x.toml"], "-x.toml"),
+        (["--help"], None),
+        (["--duration"], None),
+    ):
+        assert positional(arguments) == scene
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_quantity_has_a_unit(name, capsys, monkeypatch):
-    options = entries(name, capsys, monkeypatch)
-    assert "-h, --help" in options[0]
-    assert [
-        text for text in options if "FLOAT" in text and not re.search(r"\[[^]]+\]", text.split("FLOAT", 1)[1])
-    ] == []
+def test_a_fidelity_is_a_name_or_settings():
+    settings = Fidelity(method="superelement32", time_step=1e-4, time_lapse=4.0)
+    assert fidelity_given("fast") == "fast"
+    assert resolve_fidelity(fidelity_given(str(settings.model_dump()))) == settings
+    assert fidelity_given(" {'method': 'imex'}") == Fidelity(method="imex")
+    for text, message in (
+        ("{'method'", "fidelity = \"{'method'\" is neither a name nor settings"),
+        ("{'method': open('x')}", "is neither a name nor settings"),
+        ("{'methd': 'imex'}", "fidelity.methd: there is no such field; accepted: method, time_step"),
+        ("{'method': 'euler'}", "fidelity.method"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(message)):
+            fidelity_given(text)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -97,9 +96,4 @@ def _nowhere(path: Path, link: str, pages: dict[Path, Page], site: Path) -> str:
 
 def _named_in(style: str) -> list[str]:
     """Addresses in a style sheet."""
-    return list(_matches(style))
-
-
-def _matches(style: str) -> Iterator[str]:
-    for match in STYLE.finditer(style):
-        yield next(group for group in match.groups() if group)
+    return [next(group for group in match.groups() if group) for match in STYLE.finditer(style)]

@@ -6,6 +6,7 @@ installed is hidden by an import hook.
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,12 +19,16 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.cli.extras import modules_of
+from agents.cli.extras import EXTRAS, modules_of
 from agents.records.shipped import shipped_agents, shipped_names
 from probe_env.kernel_cache import STAMP
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
-AGENTS, COMMANDS = modules_of("agents"), modules_of("commands")
+COMMANDS = modules_of("commands")
+BEYOND = set().union(*map(modules_of, EXTRAS)) - COMMANDS
+"""Modules that the extras plant, agents and app bring."""
 NO_BACKEND = ("No matching distribution found for hatchling", "Failed to establish a new connection", "ConnectionError")
 TRAINING = """
 seeds = [0]
@@ -56,7 +61,7 @@ sys.meta_path.insert(0, Hidden())
 def hiding(folder, modules):
     """The folder for PYTHONPATH with which these modules are not installed."""
     folder.mkdir()
-    (folder / "sitecustomize.py").write_text(f"HIDDEN = {modules}\n{HIDDEN}")
+    (folder / "sitecustomize.py").write_text(f"HIDDEN = {set(modules)}\n{HIDDEN}")
     return str(folder)
 
 
@@ -90,7 +95,7 @@ def python(wheel, tmp_path_factory):
     assert done.returncode == 0, done.stdout + done.stderr
     for path in (*(ROOT / "probe_env").rglob("*.nb[ic]"), *(ROOT / "probe_env").rglob(STAMP)):
         target = site / path.relative_to(ROOT)
-        target.parent.mkdir(exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, target)
     return python
 
@@ -119,29 +124,20 @@ def test_the_wheel_holds_what_users_name(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
-    bundles = {
-        f"agents/shipped/agents/{name}/seed-{k}/agent.safetensors"
-        for name, seeds in shipped_agents().items()
-        for k in seeds
-    }
-    files = {
-        f"agents/shipped/{kind}/{name}.toml" for kind in ("scenes", "design", "train") for name in shipped_names(kind)
-    }
+    shipped = "agents/shipped"
+    agents = shipped_agents().items()
+    bundles = {f"{shipped}/agents/{name}/seed-{k}/agent.safetensors" for name, seeds in agents for k in seeds}
+    kinds = ("scenes", "design", "train", "studies")
+    files = {f"{shipped}/{kind}/{name}.toml" for kind in kinds for name in shipped_names(kind)}
     data = {
-        "probe_env/data/contexts.csv",
-        "probe_env/data/vibration-map.npz",
-        "agents/shipped/schedules/example.csv",
-        "agents/shipped/logs/example-rig.csv",
-        "agents/shipped/tubes/example.toml",
-    }
-    assert bundles | files | data | {"probe_env/py.typed", "agents/py.typed"} <= names
-    assert not [
-        name for name in names if name.endswith("-trials.csv") or name.startswith(("results/", "configs/", "tests/"))
-    ]
+        "probe_env/data/contexts.csv", "probe_env/data/vibration-map.npz", "probe_env/py.typed", "agents/py.typed",
+        *(f"{shipped}/{name}" for name in ("schedules/example.csv", "logs/example-rig.csv", "tubes/example.toml")),
+    }  # fmt: skip
+    assert (bundles | files | data) - names == set()
+    assert not [n for n in names if n.endswith("-trials.csv") or n.startswith(("results/", "configs/", "tests/"))]
     assert any(name.endswith("licenses/LICENSE") for name in names)
-    assert f"Version: {version('probe-env')}" in metadata
-    assert "License-Expression: MIT" in metadata
-    assert "Provides-Extra: commands" in metadata
+    for line in (f"Version: {version('probe-env')}", "License-Expression: MIT", *(f"Extra: {e}" for e in EXTRAS)):
+        assert line in metadata
 
 
 def test_by_name_in_an_empty_folder(run, python):
@@ -150,6 +146,7 @@ def test_by_name_in_an_empty_folder(run, python):
     assert all(Path(line).is_relative_to(site) for line in out.splitlines())
     assert run("probe-env", "--version")[0] == f"probe-env {version('probe-env')}\n"
     assert "ppo-any-probe" in run("probe-env", "agents")[0]
+    assert "robustness" in run("probe-env", "study", "--list")[0]
     before = installed_files(site)
 
     policies = ["ppo", "pi"] if find_spec("torch") else ["pi"]
@@ -167,56 +164,45 @@ def test_by_name_in_an_empty_folder(run, python):
     if find_spec("torch"):
         (run.folder / "out" / "mine.toml").write_text(TRAINING)
         run("probe-env", "train", "out/mine.toml", "--output", "out/train")
-        assert (
-            "mine"
-            in run("probe-env", "evaluate", "mine=out/train/seed-0/agent.safetensors", *SHORT, "--output", "out/mine")[
-                0
-            ]
-        )
+        mine = "mine=out/train/seed-0/agent.safetensors"
+        assert "mine" in run("probe-env", "evaluate", mine, *SHORT, "--output", "out/mine")[0]
     assert {path.name for path in run.folder.iterdir()} == {"out", "output"}
     assert installed_files(site) == before  # nothing was written there
 
 
-def test_without_the_extra_one_line_names_it(run, tmp_path):
-    hidden = hiding(tmp_path / "hidden", AGENTS)
-    for arguments, missing in (
-        (["train", "ppo"], "torch"),
-        (["design"], "moocore"),
-        (["study", "best-schedules"], "cmaes"),
-        (["study", "vibration-map"], "torch"),
-        (["log", "example-rig"], "pint"),
-        (["evaluate", "pi", "ppo"], "torch"),
-        (["calibrate", "example-rig"], "emcee"),
-        (["study", "response"], "torch"),
+def test_without_an_extra_one_line_names_it(run, tmp_path):
+    hidden = hiding(tmp_path / "hidden", BEYOND)
+    for arguments, extra in (
+        (["train", "ppo"], "agents"),
+        (["design"], "agents"),
+        (["study", "best-schedules"], "agents"),
+        (["study", "vibration-map"], "agents"),
+        (["evaluate", "pi", "ppo"], "agents"),
+        (["log", "example-rig"], "plant"),
+        (["calibrate", "example-rig"], "plant"),
+        (["app", "--port", "0", "--no-show"], "app"),
     ):
-        output = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
-        line = f'this command needs {missing}, which is not installed: pip install "probe-env[agents]"'
-        assert output == ("", f"probe-env: error: {line}\n"), arguments
+        printed, error = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
+        line = r'probe-env: error: this command needs (\w+), which is not installed: pip install "probe-env\[(\w+)\]"\n'
+        match = re.fullmatch(line, error)
+        assert printed == ""
+        assert match, (arguments, error)
+        assert match[1] in BEYOND, arguments
+        assert match[2] == extra, (arguments, error)
     assert list(run.folder.iterdir()) == []
 
 
 def test_a_plain_install_is_the_simulator_and_the_environments(run, tmp_path):
-    hidden = hiding(tmp_path / "hidden", (*COMMANDS, *AGENTS))
-    code = "import gymnasium, probe_env; gymnasium.make('probe_env/Insertion-v1').reset(seed=0); print('reset')"
-    assert run("python", "-c", code, PYTHONPATH=hidden)[0] == "reset\n"
+    """An environment loads nothing that commands alone need, and every command names their extra."""
+    hidden = hiding(tmp_path / "hidden", COMMANDS | BEYOND)
+    code = "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v1').reset(seed=0)"
+    assert run("python", "-c", f"{code}; print('reset')", PYTHONPATH=hidden)[0] == "reset\n"
+    loaded = set(run("python", "-c", f"{code}; print(*sys.modules)")[0].split())
+    assert not loaded & {"agents", "matplotlib", "pandas", *COMMANDS, *BEYOND}
     line = 'this command needs tyro, which is not installed: pip install "probe-env[commands]"'
-    for arguments in (["simulate", "fig11_l10"], ["evaluate"], ["agents"], ["train", "ppo"]):
+    for arguments in (["simulate", "fig11_l10"], ["agents"], ["train", "ppo"]):
         assert run("probe-env", *arguments, status=2, PYTHONPATH=hidden) == ("", f"probe-env: error: {line}\n")
     assert "usage: probe-env" in run("probe-env", "--help", PYTHONPATH=hidden)[0]
-
-
-def test_an_environment_loads_nothing_that_commands_alone_need(run):
-    code = (
-        "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v1').reset(seed=0); print(*sys.modules)"
-    )
-    loaded = set(run("python", "-c", code)[0].split())
-    assert not loaded & {"agents", "matplotlib", "pandas", *COMMANDS, *AGENTS}
-
-
-def test_what_needs_a_checkout_says_so(run):
-    for arguments in (["results", "--plan"], ["world", "--limit", "1"]):
-        refused = f"{arguments[0]} works in a checkout of the project, and this is an installed package"
-        assert run("probe-env", *arguments, status=2) == ("", f"probe-env: error: {refused}\n")
 
 
 def installed_files(site):

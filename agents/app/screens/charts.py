@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from bokeh import models
 
-from agents.app.runs import FlawSignal, ProbeShape, flaw_signal
+from agents.app.runs import ProbeShape, flaw_signal
 from agents.app.screens import widgets as ui
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.strip import FRAME_PERIOD, Motion
@@ -62,7 +62,8 @@ class LengthCharts:
             tips = [("", "@name"), ("m", "$x{0.0}"), (label, "$y")]
             plot.add_tools(models.HoverTool(renderers=[lines], tooltips=tips))
             plots.append(plot)
-        ui.legend_above(plots[0])
+        plots[0].legend[0].orientation = "horizontal"
+        plots[0].add_layout(plots[0].legend[0], "above")
         self.show_limit = ui.limit_line(plots[0])
         self.layout = ui.column(*plots)
 
@@ -70,7 +71,7 @@ class LengthCharts:
         """Draw insertions by name.
 
         Args:
-            lines: (p,) values of the ui.columns of each, SI units.
+            lines: (p,) values of the columns of each, SI units.
             limit: of the radial rms [m].
             bold: name of a thicker line.
         """
@@ -131,14 +132,14 @@ class UnrolledProbe:
         legend = f'<p class="quiet">{blocks} &nbsp; <span style="color:{ui.GREEN}">●</span>&nbsp;sensor</p>'
         self.layout = ui.column(ui.Text(legend), self.tube.plot, *(plots if with_forces else ()))
 
-    def show(self, shape: ProbeShape, whole: bool = False) -> None:
-        """Draw the last metres of a probe, or the whole probe."""
+    def show(self, shape: ProbeShape) -> None:
+        """Draw the last metres of a probe."""
         centre = (shape.radial + shape.lever) * MM
         self.tube.floats.data = float_columns(shape.position, shape.radial, shape.lever, shape.outer_gap)
         self.cable.data = {"position": shape.position, "centre": centre}
         self.sensor.data = {"position": shape.position[[shape.sensor]], "centre": centre[[shape.sensor]]}
         tip = float(shape.position.max())
-        self.tube.set_range(0.0 if whole else max(tip - TIP_LENGTH, 0.0), tip + 0.3, shape.bore)
+        self.tube.set_range(max(tip - TIP_LENGTH, 0.0), tip + 0.3, shape.bore)
 
     def show_forces(self, shape: ProbeShape) -> None:
         """Draw axial displacement and tension."""
@@ -228,12 +229,8 @@ class FlawChart:
         x, y = signal.voltages.T
         self.signals.data = {"time": signal.time, "x": x, "y": y}
         self.loop.data = {"x": x[signal.near], "y": y[signal.near]}
-        self.caption.text = _result(signal, self.depth.value)
-
-
-def _result(signal: FlawSignal, percent: float) -> str:
-    called = "called" if signal.filtered > signal.threshold else "not called"
-    return (
-        f"<p>A flaw of {percent:.0f} % has a signal-to-noise ratio of {signal.snr:.1f}. Filtered signal"
-        f" {signal.filtered:.1f}, threshold {signal.threshold:.1f}: <b>{called}</b>.</p>"
-    )
+        called = "called" if signal.filtered > signal.threshold else "not called"
+        self.caption.text = (
+            f"<p>A flaw of {self.depth.value:.0f} % has a signal-to-noise ratio of {signal.snr:.1f}. Filtered signal"
+            f" {signal.filtered:.1f}, threshold {signal.threshold:.1f}: <b>{called}</b>.</p>"
+        )

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-import pandas as pd
 from bokeh.models import Select, TextInput
 
 from agents.app.run_store import stored_runs
@@ -15,7 +14,6 @@ from agents.app.screens import widgets as ui
 from agents.app.state import Session
 from agents.design.compare import STORED, cells, header, read_comparison, summarise
 from agents.evaluation.report import write_report
-from agents.evaluation.statistics import Interval
 
 INTRO: Final = "<h2>Compare</h2><p class='quiet'>Reports of stored evaluations, and comparisons of probe designs.</p>"
 FRAME: Final = (
@@ -29,14 +27,11 @@ class CompareScreen(ui.Screen):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session)
-        self.folder: Path | None = None
         text = {"placeholder": "results/evaluation", "name": "open-evaluation"}
         self.chosen = ui.control(Select, "run", self.guarded(self._choose), 300, options=[])
         self.open = ui.control(TextInput, "open an evaluation folder", self.guarded(self._open), 260, **text)
         self.content = ui.Text()
-        write = ui.button("write report again", self.guarded(self._write), 160)
-        controls = ui.row(self.chosen, self.open, write)
-        self.layout = ui.column(ui.Text(INTRO), controls, self.problem, self.content)
+        self.layout = ui.column(ui.Text(INTRO), ui.row(self.chosen, self.open), self.problem, self.content)
 
     def refresh(self) -> None:
         """List the stored runs; a new one is shown."""
@@ -56,40 +51,17 @@ class CompareScreen(ui.Screen):
         if self.open.value.strip():
             self._show(Path(self.open.value.strip()))
 
-    def _write(self) -> None:
-        if self.folder is None:
-            raise ValueError("run = none: choose one, or open a folder")
-        self._show(self.folder, again=True)
-
-    def _show(self, folder: Path, again: bool = False) -> None:
-        if (folder / STORED).exists():
-            self.content.text = _designs(read_comparison(folder))
+    def _show(self, folder: Path) -> None:
+        if (folder / STORED).exists():  # a comparison of designs
+            summary = summarise(read_comparison(folder))
+            self.content.text = ui.table_html(header(summary), (map(escape, texts) for texts in cells(summary)))
             return
         report = folder / "report.html"
-        if again or not report.exists() or report.stat().st_mtime < _stored_at(folder):
+        stored_at = max((path.stat().st_mtime for path in folder.glob("episodes.*")), default=0.0)
+        if not report.exists() or report.stat().st_mtime < stored_at:
             write_report(folder)
-        self.folder = folder
         link = f"{ui.REPORT_URL}?folder={quote(str(folder))}&written={report.stat().st_mtime_ns}"
         self.content.text = (
             f"<p><a href='{link}' target='_blank'>open the report</a> <code>{escape(str(report))}</code></p>"
             f"<iframe {FRAME} src='{link}'></iframe>"
         )
-
-
-def _stored_at(folder: Path) -> float:
-    """When the episodes of a folder were last written; 0: there are none."""
-    return max((path.stat().st_mtime for path in folder.glob("episodes.*")), default=0.0)
-
-
-def _designs(table: pd.DataFrame) -> str:
-    """A comparison of designs as the command prints it, as HTML."""
-    summary, first = summarise(table), table["design"].iloc[0]
-    best = summary[summary["kpi"] == "reward"].sort_values("mean", ascending=False).iloc[0]
-    change = Interval(best["change"], best["change_low"], best["change_high"]).text()
-    against = "" if best["design"] == first else f", {change} compared with {escape(str(first))}"
-    rows = (map(escape, texts) for texts in cells(summary))
-    return (
-        f"<p class='big'><b>{escape(str(best['design']))}</b> has the highest reward{against}.</p>"
-        f"<p class='quiet'>Designs in {table['context'].nunique()} tubes; means with 95 % intervals.</p>"
-        + ui.table_html(header(summary), rows)
-    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from html import escape
-from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from bokeh import models
@@ -19,6 +18,7 @@ from agents.evaluation.plan import Unit
 from agents.policies.catalogue import NAMES
 from agents.records.shipped import shipped_agents, shipped_names
 from probe_env.envs.contexts import SPLIT_SIZES
+from probe_env.envs.pictures.strip import Motion
 from probe_env.fidelity import PRESETS
 
 CHART_PERIOD: Final = 0.4
@@ -77,7 +77,8 @@ class InsertionScreen(RunScreen):
         signal = ui.chart("time before now [s]", "sensor [mm]", 150)
         self.signal = signal.line([], [], line_width=1.2, color=ui.GREEN).data_source
         self.status, self.observation = ui.Text(name="run-status"), ui.Text()
-        self._motions, self._drawn_at = 0, -math.inf
+        self._motion: Motion | None = None
+        self._drawn_at = -math.inf
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
         self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
         self.pictures.visible = False
@@ -103,14 +104,14 @@ class InsertionScreen(RunScreen):
         if run.frame is not None:
             self.pictures.visible = True
             self._show(run, run.frame)
-        if run.motion is not None and run.motions != self._motions:
-            self._motions = run.motions
+        if run.motion is not None and run.motion is not self._motion:
+            self._motion = run.motion
             self.slow_motion.show(run.motion)
 
     def _show(self, run: Run, frame: Frame) -> None:
         shape, now = frame.shape, time.monotonic()
         if shape is not None:
-            self.probe.show(shape, self.whole.active)
+            self.probe.show(shape)
         if now - self._drawn_at < CHART_PERIOD and run.state == "running" and not frame.paused:
             return
         self._drawn_at = now
@@ -138,9 +139,7 @@ class InsertionScreen(RunScreen):
         look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
         stop = ui.button("stop", lambda: self.send(Command("stop")), 70)
         self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
-        self.whole = models.Switch(label="whole probe")
-        self.whole.on_change("active", lambda attr, old, new: self.refresh())
-        return [self.pause, step, look, stop, self.pace, self.watch, self.whole]
+        return [self.pause, step, look, stop, self.pace, self.watch]
 
     def _run_list(self) -> list[Any]:
         self.table, self.notice = ui.Text(), ui.Text()
@@ -158,14 +157,14 @@ class InsertionScreen(RunScreen):
 
     def _show_run(self, run: Run) -> None:
         self.session.run = run
-        self._motions, self.slow_motion.layout.visible = run.motions, False
+        self._motion, self.slow_motion.layout.visible = run.motion, False
         self._drawn_at = -math.inf
         self.refresh()
 
     def _list_episodes(self, run: Run) -> None:
         """List the episodes in progress."""
         units = run.frame.units if run.frame and run.state == "running" else ()
-        options = [(str(k), _unit_name(unit)) for k, unit in enumerate(units) if unit is not None]
+        options = [(str(k), f"{unit[0]}, tube {unit[1]}") for k, unit in enumerate(units) if unit is not None]
         if self.watch.options != options:
             self.watch.options = options
         if run.frame and options:
@@ -198,12 +197,6 @@ class InsertionScreen(RunScreen):
             self.chosen.options = names
             self.chosen.value = names[0] if names else ""
 
-    @property
-    def _folder(self) -> Path:
-        if not self.chosen.value:
-            raise ValueError("run = none: nothing has been run yet")
-        return self.session.app.output / str(self.chosen.value)
-
     def _chosen_run(self) -> Run | None:
         runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
         return runs[-1] if runs else None
@@ -218,7 +211,9 @@ class InsertionScreen(RunScreen):
         run = self._chosen_run()
         if run is not None and run.state in ACTIVE:
             raise ValueError(f"{self.chosen.value} is already {run.state}")
-        self._show_run(self.session.app.queue.add(read_request(self._folder)))
+        if self.chosen.value:
+            request = read_request(self.session.app.output / str(self.chosen.value))
+            self._show_run(self.session.app.queue.add(request))
 
 
 def _watched(run: Run) -> Unit | None:
@@ -226,10 +221,6 @@ def _watched(run: Run) -> Unit | None:
     frame = run.frame
     unit = frame.units[frame.watched] if frame and frame.watched < len(frame.units) else None
     return unit or next(iter(run.traces), None)
-
-
-def _unit_name(unit: Unit) -> str:
-    return f"{unit[0]}, tube {unit[1]}"
 
 
 def _last(run: Run, unit: Unit | None) -> dict[str, float]:
@@ -242,7 +233,7 @@ def _status(run: Run) -> str:
     last = _last(run, unit)
     if unit and last:
         now = (
-            f" <b>{escape(_unit_name(unit))}</b>: {last['inserted_length']:.1f} m after {last['time']:.0f} s,"
+            f" <b>{escape(unit[0])}, tube {unit[1]}</b>: {last['inserted_length']:.1f} m after {last['time']:.0f} s,"
             f" radial rms {MM * last[RMS]:.3f} mm, reward {last['reward']:.2f}"
         )
     done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else "starting"

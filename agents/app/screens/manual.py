@@ -42,10 +42,14 @@ class ManualScreen(RunScreen):
         self.rival = ui.control(Select, "against", options=rivals, value="tension-scheduled")
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
         stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
+
+        def send() -> None:
+            self.send(self._setting())
+
         feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
         air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
-        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._set, 340, **feed)
-        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", self._set, 340, **air)
+        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", send, 340, **feed)
+        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", send, 340, **air)
         counter = {"start": 0, "end": 1_000_000, "step": 1, "value": 0, "visible": False}
         self.space_bar = ui.control(Slider, "", self.toggle, **counter)
         self.score = ui.Text()
@@ -97,9 +101,6 @@ class ManualScreen(RunScreen):
             self.send(Command("stop"))
         self.session.drive(self.rival.value, [self.pace_command(), self._setting()])
         self.refresh()
-
-    def _set(self) -> None:
-        self.send(self._setting())
 
     def _setting(self) -> Command:
         return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))

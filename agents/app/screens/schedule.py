@@ -53,7 +53,9 @@ class ScheduleScreen(ui.Screen):
         vibration.varea("length", "low", "high", source=self.band, color=ui.ORANGE, alpha=0.25)
         vibration.line("length", "middle", source=self.band, color=ui.VERMILLION, line_width=2.5)
         self.show_limit = ui.limit_line(vibration)
-        add = ui.button("add a point", self._add, 110)
+        add = ui.button(
+            "add a point", lambda: self._put(schedules.with_point(self.session.points, self.place.config)), 110
+        )
         remove = ui.button("remove selected", self._remove, 150)
         charts, table = ui.column(*self.charts, vibration), ui.column(self._table(), ui.row(add, remove))
         self.layout = ui.column(
@@ -117,7 +119,7 @@ class ScheduleScreen(ui.Screen):
         self.save = ui.control(models.TextInput, "save as", save, 150, **text)
         choice = {"options": ["linear", "steps"], "value": self.session.interpolation}
         self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
-        choice = {"options": list(schedules.overlay_names()), "value": ["constant"]}
+        choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
         self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
         self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
         return [self.open, self.save, self.kind, self.overlay, self.log]
@@ -144,9 +146,6 @@ class ScheduleScreen(ui.Screen):
     def _interpolated(self) -> None:
         self.session.interpolation = "steps" if self.kind.value == "steps" else "linear"
         self._predict()
-
-    def _add(self) -> None:
-        self._put(schedules.with_point(self.session.points, self.place.config))
 
     def _remove(self) -> None:
         chosen = set(self.points.selected.indices)
@@ -197,7 +196,7 @@ class ScheduleScreen(ui.Screen):
         given = self.open.value.strip()
         if not given:
             return
-        if given in self.overlay.options and given not in shipped_names("schedules"):
+        if given in schedules.BY_LENGTH:
             line = schedules.policy_line(given, self.place)
             every = max(len(line.length) // 12, 1)
             length, feed, air = (tuple(map(float, values[::every])) for values in line)

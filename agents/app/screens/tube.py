@@ -20,8 +20,6 @@ from probe_env import Plant
 
 TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
 STUDY: Final = "the study's tubes"
-UNITS: Final = {"contact_stiffness": " [N/m]", "damping_time": " [s]"}
-"""Of calibrated quantities."""
 INTRO: Final = (
     "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs, predictions and drawings"
     " are of this tube.</p>"
@@ -39,7 +37,6 @@ class TubeScreen(ui.Screen):
         self.errors: dict[str, ui.Text] = {}
         self._draw_helix, helix = _helix_drawing()
         self._draw_section, section = _section_drawing()
-        self.calibrated = ui.column(ui.Text())
         choice = {"options": [STUDY, *shipped_names("tubes")], "value": STUDY}
         self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
         self.open = ui.control(models.TextInput, "open a tube file", self.guarded(self._open), placeholder="mine.toml")
@@ -52,7 +49,7 @@ class TubeScreen(ui.Screen):
             ui.row(self.shipped, self.open, self.calibration, self.save),
             self.problem,
             self.summary,
-            ui.columns((tables, 430, 3), (ui.column(helix, section, self.calibrated), 300, 2)),
+            ui.columns((tables, 430, 3), (ui.column(helix, section), 300, 2)),
         )
         self.fill()
 
@@ -141,7 +138,6 @@ class TubeScreen(ui.Screen):
             self.summary.text = f"<p>Your own tube, {source}{changes}. Uncertain values are drawn for every tube.</p>"
         self._draw_helix(tube.plant)
         self._draw_section(tube.plant)
-        self.calibrated.children = _calibration_charts(tube.plant)
 
 
 def _helix_drawing() -> tuple[Callable[[Plant], None], Any]:
@@ -161,7 +157,7 @@ def _helix_drawing() -> tuple[Callable[[Plant], None], Any]:
             drawn = radius * (1.0 - 0.35 * along / length)  # inwards, so that the turns do not cover each other
             source.data = {"x": drawn * np.cos(along / radius), "y": drawn * np.sin(along / radius)}
         turns = length / (2.0 * np.pi * radius)
-        plot.title.text = f"{length:g} m of helix, {turns:.1f} turns of {2.0 * radius:g} m (spiral for clarity)"
+        plot.title.text = f"Helix: {length:g} m, {turns:.1f} turns of {2.0 * radius:g} m"
 
     return draw, plot
 
@@ -188,14 +184,3 @@ def _section_drawing() -> tuple[Callable[[Plant], None], Any]:
         }
 
     return draw, plot
-
-
-def _calibration_charts(plant: Plant) -> list[Any]:
-    """Histograms of the calibrated quantities."""
-    plots = []
-    for name, draws in plant.posterior.draws.items() if plant.posterior else ():
-        counts, edges = np.histogram(draws, bins=24)
-        plot = ui.chart(name.replace("_", " ") + UNITS.get(name, ""), "draws", 150, "reset")
-        plot.quad(left=edges[:-1], right=edges[1:], bottom=0, top=counts, color=ui.VERMILLION, alpha=0.7)
-        plots.append(plot)
-    return [ui.Text("<h2>Calibration</h2>" if plots else "").pane, *plots]

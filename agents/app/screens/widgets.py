@@ -171,12 +171,6 @@ def chart(x: str, y: str, height: int = 230, tools: str = "xpan,xwheel_zoom,box_
     return plot
 
 
-def legend_above(plot: Any) -> None:
-    """Move the legend of a chart above it."""
-    plot.legend[0].orientation = "horizontal"
-    plot.add_layout(plot.legend[0], "above")
-
-
 def limit_line(plot: Any) -> Callable[[float | None], None]:
     """A dashed line at the limit of the radial rms [m]; returns how to move it, and None hides it."""
     line = Span(location=0.0, dimension="width", line_dash="dashed", line_width=1.5, visible=False)

@@ -48,8 +48,8 @@ def run_claims(
     table = run_cases(folder, output, members, duration, SUBSET if subset else (), jobs)
     claims = claims_of(table, folder)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
-    run = {"members": members, "duration_s": duration}
-    write_manifest(output, ("ensemble.csv", "claims.csv"), commits=table["commit"], **run)
+    files = ("ensemble.csv", "claims.csv")
+    write_manifest(output, files, commits=table["commit"], members=members, duration_s=duration)
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
     print_frame(f"Claims: {members} run(s) a case, {duration:g} s each", claims, columns, texts=4)
     written = "ensemble.csv, claims.csv"
