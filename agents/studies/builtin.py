@@ -83,7 +83,6 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "claims": BuiltIn(f"{HERE}.builtin:claims", "What of the published study's claims does the simulator confirm?"),
     "chart": BuiltIn(f"{HERE}.builtin:chart", "Which method is how accurate at which cost?"),
     "stability": BuiltIn(f"{HERE}.builtin:stability", "Which time steps hold, by method, stiffness and length?"),
-    "feed-changes": BuiltIn(f"{HERE}.feed_changes:run", "What does a change of the feed do to a probe drawn back?"),
     "vibration-map": BuiltIn(f"{HERE}.shipped.vibration_map:run", "Makes the vibration map, also of your own tube."),
     "best-schedules": BuiltIn(f"{HERE}.shipped.best_schedules:run", "Searches best-constant and best-schedule."),
     "best-round-trip": BuiltIn(f"{HERE}.shipped.best_round_trip:run", "Searches feed and air in and back."),

@@ -45,7 +45,7 @@ def run_claims(
     within("duration", duration, 0.5, 1e4, "s")
     folder = scenes or shipped_folder("scenes")
     table = run_cases(folder, output, members, duration, SUBSET if subset else (), jobs)
-    claims = claims_of(table, folder)
+    claims = claims_of(table)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
     print_frame(f"Claims: {members} run(s) a case, {duration:g} s each", claims, columns, texts=4)
