@@ -35,6 +35,14 @@ class Request:
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} = {str(getattr(self, name))!r}: this study has no such option")
 
+    def budget(self, name: str, usual: int, most: int = 10**9) -> int:
+        """``limit`` or ``trials``, the usual one if it is not given; ValueError if it is not 1 to ``most``."""
+        value: int = usual if getattr(self, name) is None else getattr(self, name)
+        if not 1 <= value <= most:
+            accepted = "1 and more" if most == 10**9 else f"1 to {most}"
+            raise ValueError(f"{name} = {value!r} is outside the accepted range {accepted}")
+        return value
+
 
 class BuiltIn(NamedTuple):
     """A study that is code.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -17,14 +16,13 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
-from agents.evaluation.workers import Workers
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import Place, place_of
+from agents.policies.places import place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
 from agents.records.provenance import commit, provenance, write_atomically, write_json
 from agents.studies.builtin import Request
-from agents.terminal.tables import print_table
+from agents.studies.tables import print_frame
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
@@ -85,12 +83,10 @@ def run(request: Request) -> None:
         ValueError: the limit is out of range.
     """
     request.without("tube")
-    limit = LIMIT if request.limit is None else request.limit
-    if not 0 < limit <= SPLIT_SIZES["train"]:
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
-    trials = TRIALS if request.trials is None else request.trials
-    search_law(trials, GENERATIONS, limit, request)
-    search_trim(TRIM_LIMIT if request.limit is None else limit, request)
+    most = SPLIT_SIZES["train"]
+    limit, trim_limit = request.budget("limit", LIMIT, most), request.budget("limit", TRIM_LIMIT, most)
+    search_law(TRIALS if request.trials is None else request.trials, GENERATIONS, limit, request)
+    search_trim(trim_limit, request)
     print(f"written: {request.output}/ (plc-law.json, trimmed-law.json, the trials of both)")
 
 
@@ -99,14 +95,24 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     vibration, output = stored_map(), request.output
     whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
     config = whole.config.all_shown
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
+    commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
     def by_map(laws: list[Constants]) -> list[float]:
         by_law = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
         return [float(rewards.mean()) for rewards in by_law]
 
+    def simulated(laws: list[Constants]) -> list[float]:
+        nonlocal done
+        policies = {f"law-{done + k}": PlcLaw(place.config.all_shown, law) for k, law in enumerate(laws)}
+        plan = Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity("fast"))
+        table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
+        done += len(laws)
+        commits.extend(table["commit"])
+        means = table.groupby("policy")["reward"].mean()
+        return [float(means[name]) for name in policies]
+
     best = _searched(by_map, point_of(Constants()), WIDE, max(trials // POPULATION, 1), ("map", rows))
-    simulated = _Simulated(place, output / "episodes", request.workers)
     best = _searched(simulated, point_of(best), NEAR, generations, ("simulated", rows)) if generations else best
     table = pd.DataFrame(rows)
     write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
@@ -115,26 +121,8 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
         "rewards": {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)},
         "tubes": {"map": len(whole.contexts), "simulated": limit},
     }
-    write_json(output / "plc-law.json", record | {"provenance": provenance(commits=simulated.commits)})
+    write_json(output / "plc-law.json", record | {"provenance": provenance(commits=commits)})
     return best
-
-
-class _Simulated:
-    """Mean rewards of laws on some tubes, by simulation; episodes are kept."""
-
-    def __init__(self, place: Place, folder: Path, workers: Workers) -> None:
-        self.place, self.folder, self.workers, self.done = place, folder, workers, 0
-        self.commits = [commit()]  # of the laws tried on the map, which are tried anew each time
-
-    def __call__(self, laws: list[Constants]) -> list[float]:
-        config = self.place.config.all_shown
-        policies = {f"law-{self.done + k}": PlcLaw(config, law) for k, law in enumerate(laws)}
-        plan = Plan(policies, self.place.contexts, config=config, fidelity=resolve_fidelity("fast"))
-        table = run_plan(plan, self.folder / f"{self.done:04d}", progress=False, workers=self.workers)
-        self.done += len(laws)
-        self.commits += list(table["commit"])
-        means = table.groupby("policy")["reward"].mean()
-        return [float(means[name]) for name in policies]
 
 
 def _searched(
@@ -142,7 +130,7 @@ def _searched(
     start: FloatArray,
     spread: float,
     generations: int,
-    record: tuple[str, list[dict[str, object]]],
+    record: tuple[str, list[dict[str, Any]]],
 ) -> Constants:
     """The best that a CMA-ES around ``start`` tried; at its end the mean of the search is tried as well."""
     bounds = np.tile([0.0, 1.0], (len(start), 1))
@@ -184,14 +172,7 @@ def search_trim(limit: int, request: Request) -> Trim:
     write_atomically(request.output / "trimmed-law-trials.csv", trials.to_csv(index=False, float_format="%.6g"))
     record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
     write_json(request.output / "trimmed-law.json", record | {"provenance": provenance(commits=table["commit"])})
-    by_place = {(row["aim"], row["time"]): row for row in rows}
-    cells = []
-    for aim in AIMS:
-        gains = [by_place[aim, time] for time in TIMES]
-        shown = [f"{row['gain']:+.2f} [{row['gain_low']:.2f}, {row['gain_high']:.2f}]" for row in gains]
-        cells.append((f"{1e6 * aim:.3g}", *shown))
-    header = ("aim [µm]", *(f"{time:g} s" for time in TIMES))
-    print_table(f"Reward less that of {UNTRIMMED}, {limit} tubes, by the trim's time", header, cells, left=0)
+    print_frame(f"Reward less that of {UNTRIMMED}, {limit} tubes", trials, texts=0)
     return chosen
 
 
