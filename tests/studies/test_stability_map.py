@@ -10,7 +10,7 @@ from oracles.scatter import CHANCE, reach
 
 from agents.studies import stability
 from agents.studies.stability.passive import METHODS as ENERGY_STEPS
-from agents.studies.stability.passive import run_digits, run_energy
+from agents.studies.stability.passive import run_energy
 from agents.studies.stability.stability_map import METHODS, by_step, cells, run_cell, verdicts
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
@@ -105,13 +105,6 @@ def test_energy_over_a_hundred_thousand_steps():
     assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()  # the lagged flag feeds
 
 
-def test_the_transfer_matrix_loses_every_digit_on_a_metre():
-    digits = run_digits().pivot(index="elements", columns="solver", values="error")
-    assert (digits["ticm"] < 1e-10).all()
-    assert digits["transfer-matrix"][5] < 1e-12
-    assert digits["transfer-matrix"][40] > 0.1
-
-
 def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch):
     """Two cells: a step that is stable and one that is not."""
     monkeypatch.setattr(stability, "run_one_mass", lambda: pd.read_csv(FOLDER / "one_mass.csv"))
@@ -122,7 +115,7 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
     assert table["diverged_at_s"].notna().tolist() == stored["diverged_at_s"].notna().tolist() == [False, True]
     steps = pd.read_csv(tmp_path / "steps.csv").set_index("ratio")
     assert steps["stable"].to_dict() == {1.0: 1.0, 4.4: 0.0}
-    assert {path.name for path in tmp_path.glob("*.png")} == {"map.png", "one_mass.png", "digits.png"}
+    assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
 def test_shares_of_a_step_are_those_of_its_cells():
