@@ -138,16 +138,16 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
     assert starts(config, space)[0][COLUMNS[1]] == pytest.approx(54.0)  # the study's 63 are out of its range
 
 
-@pytest.mark.parametrize("step", [5.0, 7.0, 12.0])
-def test_steps_of_the_device_do_not_round_air_out_of_what_is_safe(step: float) -> None:
+def test_steps_of_the_device_do_not_round_air_out_of_what_is_safe() -> None:
     """Steps [m3/h] of a coarse supply: every air that the search may ask for keeps the margins."""
-    config = CONFIG.model_copy(update={"air_supply_step": step / 3600.0})
-    space = ranges(config, TUBES[:6])
     safe_in, safe_back = safe_air(CONFIG, TUBES[:6], SPACE[COLUMNS[0]])
-    for share in np.linspace(0.0, 1.0, 41):
-        given = as_given(config, {name: low + share * (high - low) for name, (low, high) in space.items()})
-        assert given[COLUMNS[1]] >= safe_in
-        assert given[COLUMNS[3]] <= safe_back
+    for step in (5.0, 7.0, 12.0):
+        config = CONFIG.model_copy(update={"air_supply_step": step / 3600.0})
+        space = ranges(config, TUBES[:6])
+        for share in np.linspace(0.0, 1.0, 41):
+            given = as_given(config, {name: low + share * (high - low) for name, (low, high) in space.items()})
+            assert given[COLUMNS[1]] >= safe_in
+            assert given[COLUMNS[3]] <= safe_back
 
 
 def test_air_is_safe_in_every_tube() -> None:
@@ -169,16 +169,11 @@ def test_air_is_safe_in_every_tube() -> None:
     assert fewer[1] >= air_back
 
 
-@pytest.mark.parametrize(
-    ("update", "message"),
-    [
+def test_a_device_without_safe_air_is_refused() -> None:
+    cases: list[tuple[dict[str, Any], str]] = [
         ({"required_tension": 50.0}, "even the most pulls with .* N only where it pulls least, and 75 N are needed"),
-        (
-            {"scene": {"probe": {"flexural_rigidity": 0.002}}},
-            "even the least presses with .* N on the way back, and the",
-        ),
-    ],
-)
-def test_a_device_without_safe_air_is_refused(update: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        safe_air(CONFIG.model_copy(update=update), TUBES[:6], (0.1, 0.4))
+        ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "even the least presses with .* N on the way back, and"),
+    ]
+    for update, message in cases:
+        with pytest.raises(ValueError, match=message):
+            safe_air(CONFIG.model_copy(update=update), TUBES[:6], (0.1, 0.4))
