@@ -45,12 +45,7 @@ class Request:
 
 
 class BuiltIn(NamedTuple):
-    """A study that is code.
-
-    Attributes:
-        place: module and function, which takes a ``Request``.
-        question: what it answers, or makes.
-    """
+    """A study that is code: module and function that takes a ``Request``, and what it answers or makes."""
 
     place: str
     question: str
@@ -67,7 +62,9 @@ def claims(request: Request) -> None:
     from agents.studies.claims import run_claims
 
     request.without("tube")
-    run_claims(request.output, members=request.trials or 1, subset=request.limit is not None, jobs=request.workers.jobs)
+    run_claims(
+        request.output, request.budget("trials", 1, 1000), subset=request.limit is not None, jobs=request.workers.jobs
+    )
 
 
 def chart(request: Request) -> None:

@@ -278,6 +278,7 @@ def test_unknown_studies_and_options_are_refused(tmp_path: Path, capsys: pytest.
     cases = [
         ("robustnes", "robustness"), ("--no-list", "study --list"), ("turning --trials 3", "trials = 3"),
         ("response --trials 3", "trials = '3'"), ("stability --fidelity fast", "fidelity = fast"),
+        ("claims --trials 0", "trials = 0 is outside the accepted range 1 to 1000"),
         ("best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),
         ("best-schedules --trials 0", "trials = 0 is outside"), ("vibration-map --trials 0", "trials = 0 is outside"),
         ("plc-constants --limit 0", "limit = 0 is outside"), ("response --limit 0", "limit = 0 is outside"),

@@ -39,15 +39,9 @@ class Case:
     """A scene file, what is changed of it, and the method that runs it.
 
     Attributes:
-        name: of its rows.
-        scene: name of the file.
-        method: of the simulation.
-        time_step: [s].
-        walls: "both" or "inner".
         settles: statistics of the last third only, not after a quarter.
         carrier_length: [m]; None: the file's.
         feed_speed: magnitude [m/s]; None: the file's.
-        friction: Coulomb's coefficient.
         withdrawn: feed and air are reversed and the probe starts on the outer wall.
         skips_start: not recorded in the first quarter, and with the highest peak of its spectra.
     """
@@ -72,14 +66,11 @@ class Case:
     def load_scene(self, folder: Path) -> Scene:
         """The scene to simulate, from its file in the folder."""
         base = Scene.from_toml(folder / f"{self.scene}.toml")
-        sign = -1.0 if self.withdrawn else 1.0
-        changes = {
-            "carrier_length": base.carrier_length if self.carrier_length is None else self.carrier_length,
-            "feed_speed": sign * (base.feed_speed if self.feed_speed is None else self.feed_speed),
-            "air_supply_rate": sign * base.air_supply_rate,
-            "couple": "tangent" if self.withdrawn else "frame",
-            "contact": {"walls": self.walls, "friction": self.friction},
-        }
+        sign, couple = (-1.0, "tangent") if self.withdrawn else (1.0, "frame")
+        feed = base.feed_speed if self.feed_speed is None else self.feed_speed
+        changes = {"feed_speed": sign * feed, "air_supply_rate": sign * base.air_supply_rate, "couple": couple}
+        changes |= {"contact": {"walls": self.walls, "friction": self.friction}}
+        changes |= {} if self.carrier_length is None else {"carrier_length": self.carrier_length}
         return base.model_copy(update=changes)
 
 
@@ -186,15 +177,9 @@ def highest_peak(signal: FloatArray, sample_period: float) -> tuple[float, float
 def run_cases(
     scenes: Path, output: Path, members: int, duration: float, names: tuple[str, ...] = (), jobs: int = 2
 ) -> pd.DataFrame:
-    """All members of the named cases (default: all), stored in ensemble.csv as they finish.
+    """Members of the named cases (default: all) of a duration [s], stored in ensemble.csv as they finish.
 
-    Args:
-        scenes: folder of the scene files.
-        output: folder of ensemble.csv; rows that it has, of the same duration, are not run again.
-        members: runs a case.
-        duration: of a run [s].
-        names: of cases.
-        jobs: runs at the same time, as threads.
+    Rows that the file has, of the same duration, are not run again; ``jobs`` threads run at the same time.
     """
     store = Store(output / "ensemble.csv", KEYS)
     cases = [case for case in CASES if not names or case.name in names]

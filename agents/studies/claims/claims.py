@@ -62,8 +62,7 @@ def less(a: FloatArray, b: FloatArray, opposite: str = NO) -> str:
     return YES if greater(b, a) else opposite if greater(a, b) else UNCLEAR
 
 
-def more(a: FloatArray, b: FloatArray) -> str:
-    """Whether ``a`` is more than ``b``; no if a member of either diverged."""
+def _more(a: FloatArray, b: FloatArray) -> str:
     return less(b, a)
 
 
@@ -93,16 +92,7 @@ def always(a: FloatArray, _: FloatArray) -> str:
 
 
 class Claim(NamedTuple):
-    """One row of the table.
-
-    Attributes:
-        claim: of the study.
-        figure: of the study.
-        case: that the claim speaks of.
-        reference: case or number that it is compared with.
-        statistic: column of the ensemble.
-        test: verdict from the members of both.
-    """
+    """One row of the table: a case's statistic against that of another case or a number, and the verdict's test."""
 
     claim: str
     figure: str
@@ -126,12 +116,12 @@ def _one_peak(e: Ensemble) -> Test:
 def _insertion(e: Ensemble) -> Iterator[Claim]:
     """The claims on the probe fed in."""
     for short, long in ((10, 30), (20, 40), (30, 50)):
-        yield Claim("vibration grows with length", "11", f"l{long}", f"l{short}", RADIAL, more)
+        yield Claim("vibration grows with length", "11", f"l{long}", f"l{short}", RADIAL, _more)
     if e.has(*(f"l{length}" for length in GROWTH)):
         yield Claim("it rises sharply between 30 and 40 m", "11", "l40", "l30", RADIAL, _sharpest(e))
     yield Claim("no vibration without feed", "15", "u0", "l50", RADIAL, partial(below, share=0.01))
     yield Claim("less at 0.1 m/s", "16", "u100", "l50", RADIAL, less)
-    yield Claim("more at 0.4 m/s", "16", "u400", "l50", RADIAL, more)
+    yield Claim("more at 0.4 m/s", "16", "u400", "l50", RADIAL, _more)
     yield Claim("less in a helix of 2.5 m", "17", "dh2500", "l50", RADIAL, less)
     displacement = partial(less, opposite=UNCLEAR)
     yield Claim("less at 40 m3/h: displacement", "18", "q40", "l50", RADIAL, displacement)

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import optuna
@@ -48,10 +48,8 @@ BESIDE: Final = "fastest"
 SLOWEST: Final = 0.25
 """Share of the greatest feed: both ways slower than that take most of a shift's time limit."""
 
-Numbers = Mapping[str, float]
-"""Column of ``COLUMNS`` -> value [m/s], [m3/h]."""
-Space = Mapping[str, tuple[float, float]]
-"""Column of ``COLUMNS`` -> range in which it is looked for."""
+Numbers = Mapping[str, float]  # column of ``COLUMNS`` -> value [m/s], [m3/h]
+Space = Mapping[str, tuple[float, float]]  # column of ``COLUMNS`` -> range in which it is looked for
 
 
 def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
@@ -65,9 +63,9 @@ def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
 def starts(config: TaskConfig, space: Space) -> list[Numbers]:
     """What is tried first: as fast as the device goes both ways, and back at half of that, with the study's air."""
     fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
-    rows = (fast, air, fast, air), (fast, air, 0.5 * fast, air)
-    ends = tuple(zip(*space.values(), strict=True))
-    return [as_given(config, dict(zip(COLUMNS, np.clip(row, *ends).tolist(), strict=True))) for row in rows]
+    low, high = np.array(list(space.values())).T
+    rows = np.clip([(fast, air, fast, air), (fast, air, 0.5 * fast, air)], low, high).tolist()
+    return [as_given(config, dict(zip(COLUMNS, row, strict=True))) for row in rows]
 
 
 def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
@@ -121,11 +119,9 @@ def run(request: Request) -> Numbers:
     table = run_plan(_plan(policies, unseen), played / "validation", workers=request.workers)
     means = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
     gain = paired_difference(table, NAME, BESIDE, "reward")
-    record = {
-        "schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials,
-        "reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts), "validated": means,
-        "gain": asdict(gain),
-    }  # fmt: skip
+    record: dict[str, Any] = {"schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials}
+    record |= {"reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts), "validated": means}
+    record |= {"gain": asdict(gain)}
     write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / f"{NAME}.csv", csv_of(config, best))
     write_json(output / f"{NAME}.json", provenance(commits=[*commits, *table["commit"]]) | record)
@@ -147,7 +143,9 @@ def _tried(trials: int, space: Space, place: Place, played: Path, workers: Worke
     for numbers in starts(config, space):
         study.enqueue_trial(dict(numbers))
     feeds = FORTH[FEED], BACK[FEED]
-    drawn = {name: optuna.distributions.FloatDistribution(*space[name], log=name in feeds) for name in COLUMNS}
+    drawn: dict[str, optuna.distributions.BaseDistribution] = {}
+    for name in COLUMNS:
+        drawn[name] = optuna.distributions.FloatDistribution(*space[name], log=name in feeds)
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
         trial = study.ask(drawn)
         numbers = as_given(config, trial.params)

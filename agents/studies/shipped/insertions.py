@@ -75,8 +75,8 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
     )
 
     def specimen(a: float, b: float, c: float, d: float, e: float) -> Specimen:
-        tube = {"friction": value_at(np.float64(a), FRICTION), "contact_stiffness": _geometric(STIFFNESS, b)}
-        tube |= {"drag_factor": value_at(np.float64(c), DRAG_FACTORS), "helix_diameter": _geometric(DIAMETERS, d)}
+        tube = {"friction": value_at(np.asarray(a), FRICTION), "contact_stiffness": _geometric(STIFFNESS, b)}
+        tube |= {"drag_factor": value_at(np.asarray(c), DRAG_FACTORS), "helix_diameter": _geometric(DIAMETERS, d)}
         return Specimen(Context(**{name: float(v) for name, v in tube.items()}), float(_geometric(DAMPING, e)))
 
     return plant, [specimen(*row) for row in shares]

@@ -112,44 +112,36 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
         means = table.groupby("policy")["reward"].mean()
         return [float(means[name]) for name in policies]
 
-    best = _searched(by_map, point_of(Constants()), WIDE, max(trials // POPULATION, 1), ("map", rows))
-    best = _searched(simulated, point_of(best), NEAR, generations, ("simulated", rows)) if generations else best
+    stages = ("map", by_map, WIDE, max(trials // POPULATION, 1)), ("simulated", simulated, NEAR, generations)
+    best = Constants()
+    for where, reward, spread, count in stages:
+        tried = _searched(reward, point_of(best), spread, count)
+        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in tried]
+        best = max([tried[-1], *tried], key=lambda one: one[1])[0]  # of equals the search's mean
     table = pd.DataFrame(rows)
     write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
-    record = {
-        "constants": best.model_dump(),
-        "rewards": {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)},
-        "tubes": {"map": len(whole.contexts), "simulated": limit},
-    }
+    rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
+    tubes = {"map": len(whole.contexts), "simulated": limit}
+    record = {"constants": best.model_dump(), "rewards": rewards, "tubes": tubes}
     write_json(output / "plc-law.json", record | {"provenance": provenance(commits=commits)})
     return best
 
 
 def _searched(
-    reward: Callable[[list[Constants]], list[float]],
-    start: FloatArray,
-    spread: float,
-    generations: int,
-    record: tuple[str, list[dict[str, Any]]],
-) -> Constants:
-    """The best that a CMA-ES around ``start`` tried; at its end the mean of the search is tried as well."""
+    reward: Callable[[list[Constants]], list[float]], start: FloatArray, spread: float, generations: int
+) -> list[tuple[Constants, float]]:
+    """Laws that a CMA-ES around ``start`` tried, at its end its mean, and their rewards."""
     bounds = np.tile([0.0, 1.0], (len(start), 1))
     search = CMA(mean=start, sigma=spread, bounds=bounds, population_size=POPULATION, seed=0)
-    where, rows = record
-    best, most = constants_at(start), -np.inf
-    for _ in tqdm(range(generations), desc=where, unit="generation"):
+    tried: list[tuple[Constants, float]] = []
+    for _ in tqdm(range(generations), unit="generation"):
         points = [search.ask() for _ in range(POPULATION)]
         laws = [constants_at(point) for point in points]
         rewards = reward(laws)
         search.tell([(point, -value) for point, value in zip(points, rewards, strict=True)])
-        for law, value in zip(laws, rewards, strict=True):
-            rows.append({"where": where, "reward": value, **law.model_dump()})
-            if value > most:
-                best, most = law, value
+        tried += zip(laws, rewards, strict=True)
     centre = constants_at(np.clip(search.mean, 0.0, 1.0))
-    value = reward([centre])[0]
-    rows.append({"where": where, "reward": value, **centre.model_dump()})
-    return centre if value >= most else best
+    return [*tried, (centre, reward([centre])[0])]
 
 
 def search_trim(limit: int, request: Request) -> Trim:
@@ -177,13 +169,7 @@ def search_trim(limit: int, request: Request) -> Trim:
 
 
 def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibration: VibrationMap) -> FloatArray:
-    """Expected reward (n,) of insertions, jerk left out, in which tension, noise and cost are those of steady states.
-
-    Args:
-        policy: that looks at length, feed, air, tension, noise and helix diameter; its draws are its own.
-        tubes: (n,).
-        vibration: the map.
-    """
+    """Expected reward (n,) of insertions in which tension, noise and cost are those of steady states; without jerk."""
     config = policy.config
     values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
     column = {name: values[:, k] for k, name in enumerate(CONTEXT)}

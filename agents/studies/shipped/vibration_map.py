@@ -70,12 +70,11 @@ def fit_map(
     Args:
         profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
         seed: of the network's start.
-        scene: of a plant of one's own; default: table 2's.
+        scene: of a custom plant; default: table 2's.
         measure: of vibration, one of ``PROFILED``.
 
     Returns:
-        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on the tubes
-        that were left out.
+        the map; explained variance of log10 rms and mean absolute error [decades] on the held-out tubes.
     """
     import torch
 

@@ -34,7 +34,7 @@ def run_energy() -> pd.DataFrame:
     gaps, levers = np.full(ELEMENTS + 1, GAP), np.full(ELEMENTS + 1, FLOAT_RADIUS)
     contact = {"contact_stiffness": np.where(floats, STIFFNESS, 0.0), "outer_gap": gaps, "lever": levers}
     for (method, steps), damping_time, walls in product(METHODS.items(), DAMPING, (False, True)):
-        chain = bent_chain(ELEMENTS, damping_time=damping_time)._replace(**(contact if walls else {}))
+        chain = bent_chain(ELEMENTS, damping_time=damping_time)._replace(**(contact if walls else {}))  # type: ignore[arg-type]
         for time_step in steps:
             state = at_rest(ELEMENTS + 1)
             state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
