@@ -35,14 +35,17 @@ class Request:
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} = {str(getattr(self, name))!r}: this study has no such option")
 
+    def budget(self, name: str, usual: int, most: int = 10**9) -> int:
+        """``limit`` or ``trials``, the usual one if it is not given; ValueError if it is not 1 to ``most``."""
+        value: int = usual if getattr(self, name) is None else getattr(self, name)
+        if not 1 <= value <= most:
+            accepted = "1 and more" if most == 10**9 else f"1 to {most}"
+            raise ValueError(f"{name} = {value!r} is outside the accepted range {accepted}")
+        return value
+
 
 class BuiltIn(NamedTuple):
-    """A study that is code.
-
-    Attributes:
-        place: module and function, which takes a ``Request``.
-        question: what it answers, or makes.
-    """
+    """A study that is code: module and function that takes a ``Request``, and what it answers or makes."""
 
     place: str
     question: str
@@ -59,7 +62,9 @@ def claims(request: Request) -> None:
     from agents.studies.claims import run_claims
 
     request.without("tube")
-    run_claims(request.output, members=request.trials or 1, subset=request.limit is not None, jobs=request.workers.jobs)
+    run_claims(
+        request.output, request.budget("trials", 1, 1000), subset=request.limit is not None, jobs=request.workers.jobs
+    )
 
 
 def chart(request: Request) -> None:
@@ -83,7 +88,6 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "claims": BuiltIn(f"{HERE}.builtin:claims", "What of the published study's claims does the simulator confirm?"),
     "chart": BuiltIn(f"{HERE}.builtin:chart", "Which method is how accurate at which cost?"),
     "stability": BuiltIn(f"{HERE}.builtin:stability", "Which time steps hold, by method, stiffness and length?"),
-    "feed-changes": BuiltIn(f"{HERE}.feed_changes:run", "What does a change of the feed do to a probe drawn back?"),
     "vibration-map": BuiltIn(f"{HERE}.shipped.vibration_map:run", "Makes the vibration map, also of your own tube."),
     "best-schedules": BuiltIn(f"{HERE}.shipped.best_schedules:run", "Searches best-constant and best-schedule."),
     "best-round-trip": BuiltIn(f"{HERE}.shipped.best_round_trip:run", "Searches feed and air in and back."),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +14,6 @@ import pandas as pd
 
 from agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES
 from agents.evaluation.statistics import (
-    Interval,
     a90_95,
     by_context,
     curves_by_tube,
@@ -29,51 +30,53 @@ from agents.studies.run import Setting
 from agents.studies.spec import Changes, Study
 from agents.terminal.tables import print_table
 
-COLUMNS: Final = (
-    "tubes", "metric", "mean", "low", "high", "rank", "baseline", "difference", "difference_low", "difference_high",
-)  # fmt: skip
-"""Of ``comparison.csv``, behind the columns of the policy and the setting: a row a metric and baseline.
-
-``rank`` is among the policies of a setting, 1 the best. ``a90_95_percent_wall`` has no interval; its difference is
-that of the depth found with 90 % over all tubes.
-"""
 LINEAR_SHARE: Final = 0.02
 """The axis of differences is logarithmic beyond this share of the greatest, where they differ by more than that."""
-Key = tuple[Any, ...]
 
 
 def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -> pd.DataFrame:
-    """Rows as ``COLUMNS``; with ``compare.upper`` also ``share_of_lead`` and its interval, of the reward.
+    """A row a policy, setting, metric and baseline.
+
+    Columns tubes, metric, mean, low, high, rank (among the policies of a setting, 1 the best), baseline, difference,
+    difference_low and difference_high, behind the columns of the policy and the setting. ``a90_95_percent_wall`` has no
+    interval; its difference is that of the depth found with 90 % over all tubes. With ``compare.upper`` also
+    share_of_lead, share_low and share_high, of the reward.
 
     Raises:
         ValueError: a metric is not in the episodes; see ``baselines``.
     """
-    columns, groups = key_columns(settings), _groups(settings, episodes)
+    columns, metrics, upper = key_columns(settings), study.compare.metrics, study.compare.upper
+    parts = episodes.groupby(columns, sort=False, dropna=False)
+    groups = {tuple(None if value != value else value for value in key): part for key, part in parts}
     names = {key: str(number) for number, key in enumerate(groups)}
     # statistics know policies: here every group is one
     labelled = pd.concat([part.assign(policy=names[key]) for key, part in groups.items()])
-    missing = [metric for metric in study.compare.metrics if metric not in (*episodes.columns, *OVER_TUBES)]
+    missing = [metric for metric in metrics if metric not in (*episodes.columns, *OVER_TUBES)]
     if missing:
         raise ValueError(f"compare.metrics: {', '.join(missing)} is not measured in this task")
-    upper, chosen, rows = study.compare.upper, baselines(study, settings), []
-    for key, part in groups.items():
-        name = names[key]
-        for metric in study.compare.metrics:
-            mean = _mean(labelled, name, metric)
-            row = dict(zip(columns, key, strict=True)) | {"tubes": part["context"].nunique(), "metric": metric}
-            row |= {"mean": mean.mean, "low": mean.low, "high": mean.high, "rank": None}
-            for baseline in chosen:
-                other = names[_replaced(columns, key, baseline, groups)]
-                change = _difference(labelled, name, other, metric)
-                changes = {"baseline": _said(study, baseline), "difference": change.mean}
-                changes |= {"difference_low": change.low, "difference_high": change.high}
-                if upper and metric == "reward":
-                    share = share_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
-                    changes |= {"share_of_lead": share.mean, "share_low": share.low, "share_high": share.high}
-                rows.append(row | changes)
+    chosen, rows = baselines(study, settings), []
+    first_setting = bool(study.varied) and not study.compare.baseline
+    for (key, name), metric in product(names.items(), metrics):
+        over_tubes = metric in OVER_TUBES
+        mean = mean_interval(by_context(labelled, name, metric).to_numpy()) if not over_tubes else None
+        row = dict(zip(columns, key, strict=True)) | {"tubes": groups[key]["context"].nunique(), "metric": metric}
+        row |= asdict(mean) if mean else {"mean": a90_95(labelled, name), "low": np.nan, "high": np.nan}
+        for baseline in chosen:
+            other = names[_replaced(columns, key, baseline, groups)]
+            if over_tubes:
+                change = difference_of_a90(curves_by_tube(labelled, name), curves_by_tube(labelled, other))
+            else:
+                change = paired_difference(labelled, name, other, metric)
+            said = "the first setting" if first_setting else ", ".join(f"{c} = {v}" for c, v in baseline.items())
+            changes = {"rank": None, "baseline": said, "difference": change.mean}
+            changes |= {"difference_low": change.low, "difference_high": change.high}
+            if upper and metric == "reward":
+                share = share_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
+                changes |= {"share_of_lead": share.mean, "share_low": share.low, "share_high": share.high}
+            rows.append(row | changes)
     table = pd.DataFrame(rows)
     around = [column for column in columns if not column.startswith("policy")]
-    for metric in study.compare.metrics:
+    for metric in metrics:
         part = table[table["metric"] == metric]
         good = part["mean"] if metric in HIGH else -part["mean"]
         same = [part[column].astype(str) for column in (*around, "baseline")]
@@ -107,12 +110,6 @@ def baselines(study: Study, settings: Sequence[Setting]) -> list[Changes]:
     return chosen
 
 
-def _said(study: Study, baseline: Changes) -> str:
-    if study.varied and not study.compare.baseline:
-        return "the first setting"
-    return ", ".join(f"{column} = {value}" for column, value in baseline.items())
-
-
 def key_columns(settings: Sequence[Setting]) -> list[str]:
     """Columns that tell rows apart: policy, its parameters, fidelity, varied fields."""
     members = [columns for setting in settings for columns in setting.members.values()]
@@ -124,14 +121,7 @@ def _method(column: str, value: Any) -> Any:
     return value.rpartition("@")[0] or value if column == "policy" and value.rpartition("@")[2].isdecimal() else value
 
 
-def _groups(settings: Sequence[Setting], episodes: pd.DataFrame) -> dict[Key, pd.DataFrame]:
-    """Episodes of every row of the study."""
-    columns = key_columns(settings)
-    parts = episodes.groupby(columns, sort=False, dropna=False)
-    return {tuple(None if value != value else value for value in key): part for key, part in parts}
-
-
-def _replaced(columns: Sequence[str], key: Key, values: Changes, known: Any) -> Key:
+def _replaced(columns: Sequence[str], key: tuple[Any, ...], values: Changes, known: Any) -> tuple[Any, ...]:
     """The row that has other values in some columns; another policy has its own parameters.
 
     Raises:
@@ -145,18 +135,6 @@ def _replaced(columns: Sequence[str], key: Key, values: Changes, known: Any) -> 
         text = ", ".join(f"{name} = {value}" for name, value in zip(columns, found, strict=True) if value is not None)
         raise ValueError(f"compare.baseline: the study has no row of {text}")
     return found
-
-
-def _mean(table: pd.DataFrame, name: str, metric: str) -> Interval:
-    if metric in OVER_TUBES:
-        return Interval(a90_95(table, name), np.nan, np.nan)
-    return mean_interval(by_context(table, name, metric).to_numpy())
-
-
-def _difference(table: pd.DataFrame, name: str, other: str, metric: str) -> Interval:
-    if metric in OVER_TUBES:
-        return difference_of_a90(curves_by_tube(table, name), curves_by_tube(table, other))
-    return paired_difference(table, name, other, metric)
 
 
 def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame, output: Path) -> pd.DataFrame:
@@ -173,7 +151,7 @@ def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.Dat
         cells = [[*map(_text, key[: len(columns)]), *map(_cell, rows.to_dict("records"))] for key, rows in by_row]
         print_table(
             f"{study.question} Differences to {baseline}, 95 % intervals",
-            (*columns, *(_label(metric) for metric in study.compare.metrics)), cells, left=len(columns),
+            (*columns, *(_label_and_factor(metric)[0] for metric in study.compare.metrics)), cells, left=len(columns),
         )  # fmt: skip
     return table
 
@@ -188,34 +166,26 @@ def _displayed(study: Study, settings: Sequence[Setting], table: pd.DataFrame) -
     columns = [name for name in key_columns(settings) if table[name].astype(str).nunique() > 1]
     if isinstance(study.vary, Mapping):
         return table, columns or ["policy"]
-    usual = settings[0].values
-    changed = [
-        ", ".join(
-            f"{name.rpartition('.')[2]} = {_text(row[name])}" for name in study.varied if row[name] != usual[name]
-        )
-        for row in table.to_dict("records")
-    ]
-    columns = [name for name in columns if name not in study.varied]
-    return table.assign(setting=[text or "-" for text in changed]), [*columns, "setting"]
+    changed, usual = [], settings[0].values
+    for row in table.to_dict("records"):
+        others = [name for name in study.varied if row[name] != usual[name]]
+        changed.append(", ".join(f"{name.rpartition('.')[2]} = {_text(row[name])}" for name in others) or "-")
+    return table.assign(setting=changed), [*(name for name in columns if name not in study.varied), "setting"]
 
 
 def _text(value: Any) -> str:
     return "" if value is None or value != value else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _shown(metric: str) -> tuple[str, float, str]:
-    """Name, factor and unit for people."""
-    return (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
-
-
-def _label(metric: str) -> str:
-    name, _, unit = _shown(metric)
-    return f"{name} [{unit}]" if unit else name
+def _label_and_factor(metric: str) -> tuple[str, float]:
+    """For people: name with unit, and what a value is multiplied by."""
+    name, factor, unit = (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
+    return f"{name} [{unit}]" if unit else name, factor
 
 
 def _cell(row: Mapping[Any, Any]) -> str:
     """Mean, difference and its interval, in the units for people."""
-    factor = _shown(row["metric"])[1]
+    factor = _label_and_factor(row["metric"])[1]
     mean = short(factor * row["mean"])
     if row["difference"] == row["difference_low"] == row["difference_high"] == 0.0:
         return mean
@@ -245,7 +215,9 @@ def _forest(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
         axis.set_yticks(range(len(rows)), map(plain, names), fontsize="small")
         axis.grid(**GRID)
     axes[0, 0].set_ylim(len(panels[0]) - 0.5, -0.5)
-    figure.supxlabel(f"difference of {_label(study.compare.metrics[0])}, 95 % intervals", fontsize="medium")
+    figure.supxlabel(
+        f"difference of {_label_and_factor(study.compare.metrics[0])[0]}, 95 % intervals", fontsize="medium"
+    )
     save(figure, path)
 
 
@@ -257,15 +229,14 @@ def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
     lines = [name for name in shown if not name.startswith("policy.")]
     for colour, (name, rows) in zip(colours(), first.groupby(lines, sort=False, dropna=False), strict=False):
         points = [
-            _shown(metric)[1] * rows.loc[rows["metric"] == metric, ["mean", "low", "high"]].to_numpy(float)
+            _label_and_factor(metric)[1] * rows.loc[rows["metric"] == metric, ["mean", "low", "high"]].to_numpy(float)
             for metric in study.figure
         ]
         x, y = (values[points[0][:, 0].argsort()].T for values in points)
         errors = (np.nan_to_num([mean - low, high - mean]) for mean, low, high in (x, y))
         label = plain(", ".join(map(_text, name)))
         axis.errorbar(x[0], y[0], xerr=next(errors), yerr=next(errors), fmt="o-", capsize=3, color=colour, label=label)
-    axis.set_xlabel(_label(study.figure[0]))
-    axis.set_ylabel(_label(study.figure[1]))
+    axis.set(xlabel=_label_and_factor(study.figure[0])[0], ylabel=_label_and_factor(study.figure[1])[0])
     axis.grid(**GRID)
     axis.legend(frameon=False)
     save(figure, path)

@@ -85,7 +85,11 @@ def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) ->
 
 def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
     try:
-        plant, place = _place(study, changes)
+        tube = Path(study.tube) if study.tube else None
+        plant, update = plant_at(tube), _under("plant", study.set | changes)
+        if update:
+            plant = (plant or Plant()).model_copy(update=update)
+        place = place_of(plant, study.contexts, study.limit, map_of(tube, plant))
         unvaried = _changed(place.config.all_shown, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
@@ -101,21 +105,9 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
     return Setting(values, plan, members, _folder(values))
 
 
-def _place(study: Study, changes: Changes) -> tuple[Plant | None, Place]:
-    """The plant, None for the shipped lists, and its task, tubes and map."""
-    tube = Path(study.tube) if study.tube else None
-    plant, update = plant_at(tube), _under("plant", study.set | changes)
-    if update:
-        plant = (plant or Plant()).model_copy(update=update)
-    return plant, place_of(plant, study.contexts, study.limit, map_of(tube, plant))
-
-
 def _changed(config: TaskConfig, changes: Changes) -> TaskConfig:
     """The task with the fields of ``changes`` that are its own, and with another probe."""
-    update = _under("task", changes)
-    for root in ("scene", "sensor"):
-        if part := _under(root, changes):
-            update[root] = part
+    update = _under("task", changes) | {root: part for root in ("scene", "sensor") if (part := _under(root, changes))}
     config = config.model_copy(update=update) if update else config
     probe = changes.get("probe", "scene")
     return config if probe == "scene" else with_probe(config, probe)
@@ -152,21 +144,17 @@ def _policies(
     """Policies by the names that the plan gives them, and their columns."""
     policies: dict[str, Policy] = {}
     members: dict[str, Changes] = {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
-        for spec, parameters in study.members():
-            if spec in RECOMMENDED:
-                base = {spec: _recommended(spec, config, plant)}
-            else:
-                base = named_policies([spec], config, place.vibration)
-            for name, policy in base.items():
-                settings = [f"{key}={value}" for key, value in parameters.items()]
-                member = " ".join((name, *settings))
-                if member in policies:
-                    raise ValueError(f"policies: {member} is there twice; NAME=FILE gives a file another name")
-                policies[member] = _with(policy, name, parameters) if parameters else policy
-                columns = {f"policy.{key}": value for key, value in parameters.items()}
-                members[member] = {"policy": name} | columns
+    for spec, parameters in study.members():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
+            recommended = {spec: _recommended(spec, config, plant)} if spec in RECOMMENDED else {}
+            base = recommended or named_policies([spec], config, place.vibration)
+        for name, policy in base.items():
+            member = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
+            if member in policies:
+                raise ValueError(f"policies: {member} is there twice; NAME=FILE gives a file another name")
+            policies[member] = _with(policy, name, parameters) if parameters else policy
+            members[member] = {"policy": name} | {f"policy.{key}": value for key, value in parameters.items()}
     return policies, members
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -19,8 +19,6 @@ ROOTS: Final = ("task", "scene", "sensor", "fidelity", "plant")
 """First part of a dotted field; ``scene`` and ``sensor`` are those of the task."""
 WHOLE: Final = ("fidelity", "probe")
 """Fields without a dot: a fidelity or a probe design by its name."""
-PASSES: Final = ("in_", "back_")
-"""Prefixes of the metrics of one pass of a round trip."""
 Changes = dict[str, Any]
 """Dotted field -> value."""
 
@@ -28,15 +26,6 @@ Changes = dict[str, Any]
 def _listed(value: Any) -> Any:
     """One entry as a tuple of one."""
     return (value,) if isinstance(value, str | Mapping) else value
-
-
-def _check_fields(fields: Mapping[str, Any]) -> Mapping[str, Any]:
-    for name in fields:
-        root, _, rest = name.partition(".")
-        if name not in WHOLE and not (root in ROOTS and rest):
-            accepted = ", ".join((*WHOLE, *(f"{root}.FIELD" for root in ROOTS)))
-            raise PydanticCustomError("field", "{text}", {"text": f"{name!r} is not one of {accepted}"})
-    return fields
 
 
 class Compare(Model):
@@ -57,16 +46,12 @@ class Compare(Model):
     @classmethod
     def _metrics_are_columns(cls, metrics: tuple[str, ...]) -> tuple[str, ...]:
         known = {*EPISODES, *EPISODES_NEWER, *OVER_TUBES} - {"policy", "context", "seed"}
-        unknown = [name for name in metrics if _plain(name) not in known]
+        unknown = [name for name in metrics if not {name, name.removeprefix("in_"), name.removeprefix("back_")} & known]
         if unknown or not metrics:
             accepted = ", ".join(sorted(name for name in known if not name.startswith("pod_")))
             text = f"metrics that are not known: {', '.join(unknown) or 'none given'}; accepted: {accepted}"
             raise PydanticCustomError("metrics", "{text}", {"text": text})
         return metrics
-
-
-def _plain(metric: str) -> str:
-    return next((metric.removeprefix(prefix) for prefix in PASSES if metric.startswith(prefix)), metric)
 
 
 class Study(Model):
@@ -111,8 +96,11 @@ class Study(Model):
     @field_validator("set", "vary")
     @classmethod
     def _fields_are_known(cls, fields: Any) -> Any:
-        for part in (fields,) if isinstance(fields, Mapping) else fields:
-            _check_fields(part)
+        for name in chain.from_iterable((fields,) if isinstance(fields, Mapping) else fields):
+            root, _, rest = name.partition(".")
+            if name not in WHOLE and not (root in ROOTS and rest):
+                accepted = ", ".join((*WHOLE, *(f"{root}.FIELD" for root in ROOTS)))
+                raise PydanticCustomError("field", "{text}", {"text": f"{name!r} is not one of {accepted}"})
         return fields
 
     @model_validator(mode="after")
@@ -168,14 +156,10 @@ class Study(Model):
             if isinstance(entry, str):
                 yield entry, {}
                 continue
-            swept = {name: _values(value) for name, value in entry.items() if name != "name"}
+            swept = {k: v if isinstance(v, tuple) else (v,) for k, v in entry.items() if k != "name"}
             for values in product(*swept.values()):
                 yield entry["name"], dict(zip(swept, values, strict=True))
 
 
 def _name(entry: str | Changes) -> str:
     return entry if isinstance(entry, str) else str(entry["name"])
-
-
-def _values(value: Any) -> tuple[Any, ...]:
-    return value if isinstance(value, tuple) else (value,)

@@ -33,7 +33,7 @@ def test_a_point_of_the_search_is_a_schedule():
     assert high.air_supply_rate[-1] == pytest.approx(130.0 / 3600.0)
 
 
-@pytest.mark.parametrize("name", list(FAMILIES))
+@pytest.mark.parametrize("name", ["best-constant", "best-schedule", "best-schedule-d1.2"])
 def test_stored_schedules_are_the_best_of_their_trials(name):
     trials, record = pd.read_csv(DATA / f"{name}-trials.csv"), json.loads((DATA / f"{name}.json").read_text())
     assert len(trials) == record["trials"]
@@ -67,9 +67,7 @@ def test_search_finds_a_known_optimum_and_is_the_same_each_time(tmp_path, monkey
         return -((schedule.feed_speed[0] - 0.1) ** 2) * 100.0 - (schedule.air_supply_rate[0] * 3600.0 - 80.0) ** 2 / 1e3
 
     monkeypatch.setattr(MapCost, "reward", reward)
-    monkeypatch.setattr(
-        optimise, "run_plan", lambda *_, **__: pd.DataFrame({"reward": [0.0], "commit": [SIMULATED_AT]})
-    )
+    monkeypatch.setattr(optimise, "run_plan", lambda *_, **__: SIMULATED)
     folders = [tmp_path / name for name in ("once", "again")]
     for folder in folders:
         best = run_search("best-constant", 250, Request(folder), stored_map(), None)
@@ -107,9 +105,9 @@ FILES = ("best-constant-trials.csv", "best-constant.csv", "best-constant.json")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_search_killed_at_any_of_its_files_gives_the_same(number, tmp_path):
+def test_a_search_killed_between_its_files_gives_the_same(tmp_path):
     """What was written is whole, and the same command makes what was never interrupted."""
+    number = 2
     killed(search_until, tmp_path / "run", number)
     assert sorted(path.name for path in (tmp_path / "run").glob("best-*")) == sorted(FILES[: number - 1])
     for name in ("run", "whole"):

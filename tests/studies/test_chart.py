@@ -9,17 +9,14 @@ import pytest
 from oracles.chains import bent, matrices, plain_chain
 from oracles.scatter import CHANCE, hits_within, reach
 from scipy.linalg import expm
-from scipy.stats import norm
 
 from agents.evaluation.statistics import ratio_interval
 from agents.records.store import stored_rows
-from agents.studies import chart
 from agents.studies.chart import draw_chart, ensembles, errors, run_chart, smooth
 from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_ensembles, run_setting
-from agents.studies.chart.smooth import RESOLVED, orders, resolved
+from agents.studies.chart.smooth import orders, resolved
 from probe_env.files import FileError
 from probe_env.physics import closed_forms
-from probe_env.physics.closed_forms.bare_chains import LAPACK
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "results" / "chart"
@@ -58,24 +55,20 @@ def test_orders_are_those_of_theory():
     assert np.isnan(found["linear", "imex32"])  # rounding grows as the step shrinks: a least error, no order
 
 
-def test_the_references_agree_to_a_tenth_of_the_smallest_error_shown():
+def test_errors_below_ten_times_the_references_difference_are_left_out():
     difference = float(SMOOTH.loc[SMOOTH["method"] == "references", "error"].iloc[0])
     shown = resolved(SMOOTH, "contact")["error"].dropna()
     assert len(shown) > 20
-    assert difference <= shown.min() / RESOLVED
+    assert difference <= shown.min() / 10.0
 
 
-REPEATED = (
-    ("linear", "newmark", 1e-4),
-    ("linear", "newmark", 5e-4),
-    ("step-load", "imex", 1e-4),
-    ("impact", "implicit", 5e-5),
-    ("linear", "explicit", 1e-4),
-)
+REPEATED = (("linear", "newmark", 1e-4), ("step-load", "imex", 1e-4), ("impact", "implicit", 5e-5))
+REPEATED += (("linear", "explicit", 1e-4),)
 
 
 @pytest.mark.processor
-def test_stored_errors_are_found_again():
+def test_stored_errors_are_found_again(monkeypatch):
+    monkeypatch.setattr(smooth, "LEAST_TIMED", 1e-9)  # once is enough
     for scene, method, time_step in REPEATED:
         case = smooth.cases()[scene]
         row = SMOOTH[(SMOOTH["scene"] == scene) & (SMOOTH["method"] == method) & (SMOOTH["time_step_s"] == time_step)]
@@ -87,31 +80,11 @@ def test_stored_errors_are_found_again():
         truth = case.exact(case.sample_period * np.arange(1, len(signal) + 1))
         error = np.abs(signal - truth).max() / np.abs(truth).max()
         # 0.1 % of the method's error, and rounding: 5 % of the least error here
-        rounding = rounding_of(scene, time_step)
+        # a displacement's last digit is 4 eps / dt^2 in the acceleration of a step, which n steps sum twice, a node
+        rounding = 4.0 * (case.duration / time_step) ** 2 * np.finfo(float).eps * case.driven.chain.node_count
         assert error == pytest.approx(stored, rel=1e-3, abs=rounding)
         assert rounding < 0.1 * stored
         assert sweeps == pytest.approx(stored_sweeps)
-
-
-def rounding_of(scene, time_step):
-    """Of an error: a displacement's last digit is 4 eps / dt^2 in the acceleration of a step, which n steps sum twice,
-    for every node that a sweep passes."""
-    case = smooth.cases()[scene]
-    return 4.0 * (case.duration / time_step) ** 2 * np.finfo(float).eps * case.driven.chain.node_count
-
-
-ERRORS = ("errors", "insertion-errors", "errors-converged", "insertion-errors-converged")
-
-
-def test_lapack_gives_newmark_s_errors_at_a_higher_price():
-    both = SMOOTH[SMOOTH["method"].isin(["newmark", LAPACK]) & (SMOOTH["scene"] != "contact")]
-    table = both.pivot_table(["error", "cpu_s"], ["scene", "time_step_s"], "method").dropna()
-    assert len(table) > 8
-    for (scene, time_step), error in table["error"].iterrows():
-        rounding = 2.0 * rounding_of(scene, time_step)
-        assert error[LAPACK] == pytest.approx(error["newmark"], rel=1e-3, abs=rounding)
-        assert rounding < 0.2 * error["newmark"]
-    assert (table["cpu_s"][LAPACK] > 2.0 * table["cpu_s"]["newmark"]).all()
 
 
 @pytest.mark.processor
@@ -185,57 +158,20 @@ def test_the_figures_and_tables_come_from_the_stored_runs(tmp_path):
     for name in ("smooth", "ensembles", "insertions", "costs"):
         (tmp_path / f"{name}.csv").write_text((FOLDER / f"{name}.csv").read_text())
     draw_chart(tmp_path)
-    assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in ("smooth", "chaos", "model"))
-    for name in (*ERRORS, "time-lapse-errors", "orders", "choices"):
+    assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in ("smooth", "chaos"))
+    for name in ("errors", "insertion-errors", "time-lapse-errors", "orders", "choices", "presets"):
         assert (tmp_path / f"{name}.csv").read_text() == (FOLDER / f"{name}.csv").read_text()
-    assert set(pd.read_csv(tmp_path / "presets.csv")["preset"]) >= {"study", "reference", "standard", "fast"}
     shipped = ROOT / "probe_env" / "data" / "measured_errors.csv"
     assert (tmp_path / "measured_errors.csv").read_text() == shipped.read_text()
 
 
 def test_every_setting_of_the_chart_is_stored():
-    constant, inserted, _, converged = (pd.read_csv(FOLDER / f"{name}.csv") for name in ERRORS)
+    constant, inserted = (pd.read_csv(FOLDER / f"{name}.csv") for name in ("errors", "insertion-errors"))
     stored = stored_rows(FOLDER / "ensembles.csv")[[*Setting().key, "member"]].itertuples(index=False, name=None)
     assert {(*setting.key.values(), setting.members - 1) for setting in SETTINGS} <= set(stored)
-    assert len(inserted) == len(converged) == 2 * len(INSERTIONS)
+    assert len(inserted) == 2 * len(INSERTIONS)
     beyond = constant[(constant["method"] == "imex") & (constant["time_step_s"] >= 5e-4)]
-    beyond = beyond[beyond["contact_stiffness_n_per_m"] == 1e5]
-    assert (beyond["diverged"] == 1.0).all()
-
-
-SUPERELEMENTS = ("radial_rms_m", "radial_p99_m", "lift_off_share", "axial_rms_m", "radial_acceleration_rms_m_per_s2")
-
-
-def errors_at(method: str, nodes: int) -> pd.DataFrame:
-    """Stored ratios to the converged mesh at 2e-4 s, by length."""
-    table = pd.read_csv(FOLDER / "errors-converged.csv")
-    chosen = (table["contact_stiffness_n_per_m"] == 1e5) & (table["time_step_s"] == 2e-4)
-    chosen &= (table["method"] == method) & (table["nodes_per_pitch"] == nodes)
-    return table[chosen].set_index("carrier_length_m").loc[[30.0, 40.0, 50.0]]
-
-
-def scatter(rows: pd.DataFrame, output: str) -> pd.Series:
-    """Standard deviation of the logarithm of a ratio, from its interval."""
-    return np.log(rows[f"{output}:high"] / rows[f"{output}:low"]) / (2.0 * norm.isf(0.025))
-
-
-def test_the_stored_statistics_of_superelements_are_the_converged_mesh_s():
-    """Truths within a tenth: all 15 ratios of new members are so but for chance, as their intervals give it."""
-    rows = errors_at("superelement32", 4)
-    least = norm.isf(CHANCE / (3 * len(SUPERELEMENTS)))
-    for output in SUPERELEMENTS:
-        assert (np.abs(np.log(rows[f"{output}:ratio"])) < np.log(1.1) + least * scatter(rows, output)).all()
-    # 0.67, 0.68 and 0.79, each +- 0.03: of new members 7, 7 and 6 standard deviations from these
-    assert (errors_at("imex32", 4)["radial_rms_m:ratio"] < [0.9, 0.9, 1.0]).all()
-
-
-def test_time_lapse_of_4_is_usable_beyond_30_m():
-    """A bias of the radial rms of less than a quarter in each band but for chance."""
-    rows = pd.read_csv(FOLDER / "time-lapse-errors.csv")
-    far = rows[(rows["time_lapse"] == 4.0) & (rows["from_m"] >= 30.0)]
-    assert len(far) == 3
-    bias = np.abs(np.log(far["radial_rms_m:ratio"]))
-    assert (bias < np.log(1.25) + norm.isf(CHANCE / len(far)) * scatter(far, "radial_rms_m")).all()
+    assert (beyond[beyond["contact_stiffness_n_per_m"] == 1e5]["diverged"] == 1.0).all()
 
 
 def test_a_known_bias_of_time_lapse_is_found():
@@ -254,14 +190,9 @@ def test_a_known_bias_of_time_lapse_is_found():
 
 
 def test_stored_tables_are_read_before_anything_is_run(tmp_path, monkeypatch):
-    for module, function in (
-        (chart, "run_ensembles"),
-        (chart, "run_insertions"),
-        (chart, "run_smooth"),
-        (errors, "run_costs"),
-    ):
-        monkeypatch.setattr(module, function, lambda output: pytest.fail("something was run"))
-    for name in ("ensembles", "insertions", "smooth", "costs"):
+    for function in ("run_ensembles", "run_insertions", "run_smooth", "errors.run_costs"):
+        monkeypatch.setattr(f"agents.studies.chart.{function}", lambda output: pytest.fail("something was run"))
+    for name in ("ensembles", "costs"):
         folder = tmp_path / name
         folder.mkdir()
         (folder / f"{name}.csv").write_text("a,b\n1,2\n")

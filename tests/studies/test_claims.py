@@ -28,8 +28,6 @@ from probe_env.physics.closed_forms import steady_root_tension
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "configs" / "scenes"
 TABLE = load_rows(ROOT / "results" / "study")
-
-
 NAMED = {case.name: case for case in CASES}
 
 
@@ -59,7 +57,7 @@ def test_a_stored_member_is_repeated(name):
 
 
 def test_every_claim_gets_its_rows_and_the_stored_table_is_theirs():
-    claims = claims_of(TABLE, SCENES)
+    claims = claims_of(TABLE)
     assert set(claims["figure"]) == {"5", "11", "14", "15", "16", "17", "18", "20", "(e)", "-"}
     stored = pd.read_csv(ROOT / "results" / "study" / "claims.csv", dtype={"figure": str})
     pd.testing.assert_frame_equal(claims, stored, rtol=1e-3)
@@ -70,12 +68,10 @@ def test_every_claim_gets_its_rows_and_the_stored_table_is_theirs():
         "less at 40 m3/h: displacement": ["not clearly"],
         "diverges above a step of 1e-4 s": ["no"],
         "only the inner wall is touched": ["no"],
-        "(ours) implicit at 2.5e-5 s has the statistics of Newmark at 1e-4 s": ["not clearly", "not clearly"],
         "less vibration in the return": ["not clearly", "no", "no"],  # the improved probe at a friction of 0.25
         "the improved probe vibrates less in the return: 50 m, 0.2 m/s": ["no"],
-        "the improved probe vibrates less in the return 12 s later: 50 m, 0.2 m/s": ["no"],
     } | {f"no noticeable {way} peak in the return from 2 s on: {probe}": ["not clearly"] for way, probe in peaks}
-    assert claims_of(TABLE[TABLE["case"].isin(["l10", "l30"])], SCENES)["case"].tolist() == ["l30", "l30"]
+    assert claims_of(TABLE[TABLE["case"].isin(["l10", "l30"])])["case"].tolist() == ["l30"]
 
 
 def pair(back, fed, peak):
@@ -101,7 +97,7 @@ def test_verdicts_follow_the_rows():
         (1.0, 1e-7, "no", "yes"),
     )
     for back, peak, less, none in cases_of_test:
-        holds = claims_of(pair(back, 3e-4, peak), SCENES).set_index("claim")["holds"]
+        holds = claims_of(pair(back, 3e-4, peak)).set_index("claim")["holds"]
         assert holds["less vibration in the return"] == less
         assert holds["no noticeable radial peak in the return from 2 s on: original"] == none
 
@@ -120,7 +116,7 @@ def test_withdrawals_differ_from_their_insertions_in_direction_alone():
 @pytest.mark.parametrize("withdrawn", [False, True])
 def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
     """Pressure and pull at the root of 3 m within 1 %; equal to the bit when run again."""
-    case = trip("original", 3, withdrawn=withdrawn, lead=1.0)
+    case = trip("original", 3, withdrawn=withdrawn)
     row = run_case(case, SCENES, 1, 2.0)
     expected = steady_root_tension(case.load_scene(SCENES))
     assert row["root_tension_mean_n"] == pytest.approx(expected, rel=0.01)
@@ -131,7 +127,7 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("agents.studies.claims.SUBSET", ("l10", "original-l10-u200-in"))
-    options = {"duration": 0.5, "subset": True, "scenes": SCENES}
+    options = {"duration": 0.5, "subset": True}
     run_claims(tmp_path, **options)
     first = stored_rows(tmp_path / "ensemble.csv")
     original, ran = cases.run_case, []
@@ -144,20 +140,10 @@ def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     assert len(second) == 4
     merged = second[second["member"] == 0].sort_values("case").reset_index(drop=True)
     pd.testing.assert_frame_equal(merged[first.columns], first.sort_values("case").reset_index(drop=True))
-    run_claims(tmp_path, duration=0.6, subset=True, scenes=SCENES)  # of another duration: the first stay
+    run_claims(tmp_path, duration=0.6, subset=True)  # of another duration: the first stay
     assert len(stored_rows(tmp_path / "ensemble.csv")) == 6
     assert pd.read_csv(tmp_path / "claims.csv")["case"].tolist() == []
     assert "Claims: 1 run(s) a case, 0.6 s each" in capsys.readouterr().out
-
-
-def test_arguments_out_of_range_are_named(tmp_path):
-    for arguments, message in (
-        ({"members": 0}, "members = 0 is outside the accepted range 1 to 1000"),
-        ({"jobs": 257}, "jobs = 257"),
-        ({"duration": 0.1}, "duration = 0.1 s is outside the accepted range 0.5 to 10000 s"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            run_claims(tmp_path, **arguments)
 
 
 PERIOD = 1e-3

@@ -1,6 +1,7 @@
 """The stored stability results say what theory says, and their edges are run again."""
 
 import math
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from oracles.scatter import CHANCE, reach
 
 from agents.studies import stability
 from agents.studies.stability.passive import METHODS as ENERGY_STEPS
-from agents.studies.stability.passive import run_digits, run_energy
+from agents.studies.stability.passive import run_energy
 from agents.studies.stability.stability_map import METHODS, by_step, cells, run_cell, verdicts
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
@@ -48,8 +49,7 @@ def test_what_holds_may_be_wrong():
 
 @pytest.mark.slow
 @pytest.mark.processor
-@pytest.mark.parametrize("method", STORED)
-def test_cells_are_repeated(method):
+def test_cells_are_repeated():
     """At l = 10 m, for two stiffnesses and frictions: the named limit holds, and the longest step breaks.
 
     Steps in between hold or break by the last digit: of twelve starts that differ by 1e-15 m, Newmark broke in two at
@@ -58,13 +58,14 @@ def test_cells_are_repeated(method):
     short of the metre a step that ends a run. Of 16 at the longest step all but ``implicit`` broke, and no one late:
     Newmark, the last, in e^(3.47 +- 0.29) steps of e^5.94. Either is left to chance with less than 1e-6.
     """
-    for stiffness, friction in ((1e5, 0.3), (1e6, 0.05)):
-        row = HELD[(HELD["method"] == method) & (HELD["stiffness_n_per_m"] == stiffness) & (HELD["length_m"] == 10.0)]
-        longest = row[row["friction"] == friction]["ratio"].max()
-        assert longest == 4.4
-        assert pd.isna(run_cell(method, stiffness, 10.0, friction, 1.0)["diverged_at_s"])
-        diverged = run_cell(method, stiffness, 10.0, friction, longest)["diverged_at_s"]
-        assert pd.isna(diverged) == (method == "implicit")
+    wrong = []
+    for method, (stiffness, friction) in product(STORED, ((1e5, 0.3), (1e6, 0.05))):
+        if not pd.isna(run_cell(method, stiffness, 10.0, friction, 1.0)["diverged_at_s"]):
+            wrong.append((method, stiffness, "limit"))
+        diverged = run_cell(method, stiffness, 10.0, friction, 4.4)["diverged_at_s"]
+        if pd.isna(diverged) != (method == "implicit"):
+            wrong.append((method, stiffness, "longest"))
+    assert not wrong
 
 
 @pytest.mark.slow
@@ -105,13 +106,6 @@ def test_energy_over_a_hundred_thousand_steps():
     assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()  # the lagged flag feeds
 
 
-def test_the_transfer_matrix_loses_every_digit_on_a_metre():
-    digits = run_digits().pivot(index="elements", columns="solver", values="error")
-    assert (digits["ticm"] < 1e-10).all()
-    assert digits["transfer-matrix"][5] < 1e-12
-    assert digits["transfer-matrix"][40] > 0.1
-
-
 def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch):
     """Two cells: a step that is stable and one that is not."""
     monkeypatch.setattr(stability, "run_one_mass", lambda: pd.read_csv(FOLDER / "one_mass.csv"))
@@ -122,7 +116,7 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
     assert table["diverged_at_s"].notna().tolist() == stored["diverged_at_s"].notna().tolist() == [False, True]
     steps = pd.read_csv(tmp_path / "steps.csv").set_index("ratio")
     assert steps["stable"].to_dict() == {1.0: 1.0, 4.4: 0.0}
-    assert {path.name for path in tmp_path.glob("*.png")} == {"map.png", "one_mass.png", "digits.png"}
+    assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
 def test_shares_of_a_step_are_those_of_its_cells():

@@ -14,7 +14,7 @@ from agents.cli import main
 from agents.evaluation import plan as plans
 from agents.evaluation.statistics import paired_difference
 from agents.policies.catalogue import named_policies
-from agents.policies.fixed import PI, Scheduled
+from agents.policies.fixed import PI, Constant
 from agents.policies.places import with_probe
 from agents.records.shipped import shipped_folder, shipped_names
 from agents.studies import run as runs
@@ -246,11 +246,18 @@ def test_the_share_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
 
 def test_all_studies_that_ship_can_be_run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Every file expands, its baselines are rows, and the list has it with its question."""
-    monkeypatch.setattr(runs, "_recommended", lambda name, config, plant: Scheduled(config))  # searched elsewhere
+    with_parameters = runs._with
+    monkeypatch.setattr(runs, "_recommended", lambda name, config, plant: Constant(config))  # searched elsewhere
+    monkeypatch.setattr(runs, "named_policies", lambda names, config, _: {names[0]: Constant(config)})
+    monkeypatch.setattr(runs, "_with", lambda policy, name, parameters: policy)
     for name in shipped_names("studies"):
         study = Study.from_toml(shipped_folder("studies") / f"{name}.toml").changed(1, (), (), None)
         settings = expand(study)
         baselines(study, settings)
+        for member, parameters in study.members():
+            if member not in ("ppo", *runs.RECOMMENDED):  # trained networks load for seconds
+                for policy in named_policies([member], settings[0].plan.config).values():
+                    assert with_parameters(policy, member, parameters)
     assert main(["study", "--list"]) == 0
     listed = capsys.readouterr().out
     assert not [name for name in (*shipped_names("studies"), *BUILT_IN) if f"  {name} " not in listed]
@@ -270,7 +277,8 @@ def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
 def test_unknown_studies_and_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cases = [
         ("robustnes", "robustness"), ("--no-list", "study --list"), ("turning --trials 3", "trials = 3"),
-        ("response --trials 3", "trials = '3'"), ("feed-changes --fidelity fast", "fidelity = fast"),
+        ("response --trials 3", "trials = '3'"), ("stability --fidelity fast", "fidelity = fast"),
+        ("claims --trials 0", "trials = 0 is outside the accepted range 1 to 1000"),
         ("best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),
         ("best-schedules --trials 0", "trials = 0 is outside"), ("vibration-map --trials 0", "trials = 0 is outside"),
         ("plc-constants --limit 0", "limit = 0 is outside"), ("response --limit 0", "limit = 0 is outside"),

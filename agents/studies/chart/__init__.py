@@ -13,7 +13,7 @@ from agents.records.reading import read_csv
 from agents.records.store import COLUMNS, as_csv, stored_rows
 from agents.records.tables import COSTS
 from agents.studies.chart import errors, figures
-from agents.studies.chart.ensembles import CONVERGED, REFERENCE, run_ensembles, run_insertions
+from agents.studies.chart.ensembles import run_ensembles, run_insertions
 from agents.studies.chart.smooth import orders, run_smooth
 from agents.studies.claims.cases import load_rows
 from agents.studies.tables import print_frame
@@ -50,37 +50,29 @@ def draw_chart(output: Path, target: Path | None = None, study: Path = STUDY) ->
     smooth, ensembles, insertions = (
         stored_rows(output / f"{name}.csv") for name in ("smooth", "ensembles", "insertions")
     )
-    costs = read_csv(output / "costs.csv", COSTS)
-    slow = load_rows(study)
+    costs, slow = read_csv(output / "costs.csv", COSTS), load_rows(study)
     if slow.empty:
         warnings.warn(f"{study} holds no runs of the slow methods: they are left out", stacklevel=2)
     else:
         ensembles = pd.concat([ensembles, errors.study_members(slow)], ignore_index=True)
-    fine = errors.constant_length(ensembles, costs), errors.insertion(insertions, costs, REFERENCE)
-    whole = (
-        errors.constant_length(ensembles, costs, errors.converged_mesh),
-        errors.insertion(insertions, costs, CONVERGED),
-    )
+    constant, inserted = errors.constant_length(ensembles, costs), errors.insertion(insertions, costs)
     tables = {
-        "errors": fine[0],
-        "insertion-errors": fine[1],
-        "errors-converged": whole[0],
-        "insertion-errors-converged": whole[1],
+        "errors": constant,
+        "insertion-errors": inserted,
         "time-lapse-errors": errors.time_lapse(insertions, costs),
         "orders": orders(smooth),
-        "choices": errors.choices(*fine),
-        "presets": errors.presets(*whole, costs),
+        "choices": errors.choices(ensembles, costs),
+        "presets": errors.presets(constant, costs),
     }
     for name, table in tables.items():
         write_atomically(output / f"{name}.csv", as_csv(table, 4))
-    write_atomically(target or output / "measured_errors.csv", as_csv(errors.measured_errors(*whole), 4))
+    measured = errors.measured_errors(constant, inserted)
+    write_atomically(target or output / "measured_errors.csv", as_csv(measured, 4))
     commits = pd.concat([table["commit"] for table in (smooth, ensembles, insertions)])
     write_manifest(output, [f"{name}.csv" for name in (*TABLES, *tables)], commits=commits)
     figures.smooth(smooth, output / "smooth.png")
-    figures.chaos(*whole, output / "chaos.png")
-    figures.model(tables["choices"], output / "model.png")
-    interval = ("ratio", "low", "high")
+    figures.chaos(constant, inserted, output / "chaos.png")
     print_frame("Order and error before chaos", tables["orders"], texts=2)
-    print_frame("Radial rms by choice", tables["choices"], ("choice", "carrier_length_m", *interval, "cost"))
-    print_frame("Radial rms by preset", tables["presets"], ("preset", "from_m", "to_m", *interval, "insertion_cpu_s"))
-    print(f"written: {output}/ ({', '.join(tables)} as .csv, smooth.png, chaos.png, model.png)")
+    print_frame("Radial rms by choice", tables["choices"])
+    print_frame("Radial rms by preset", tables["presets"], texts=2)
+    print(f"written: {output}/ ({', '.join(tables)} as .csv, smooth.png, chaos.png)")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,8 @@ from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequen
 
 SETTLE, DURATION = 2.0, 6.0  # [s]
 STATISTICS = (
-    "radial_rms_m",
-    "radial_p99_m",
-    "lift_off_share",
-    "axial_rms_m",
-    "axial_mean_m",
-    "radial_acceleration_rms_m_per_s2",
-    "tension_mean_n",
+    *("radial_rms_m", "radial_p99_m", "lift_off_share", "axial_rms_m", "axial_mean_m"),
+    *("radial_acceleration_rms_m_per_s2", "tension_mean_n"),
 )
 PEAK = "axial_peak_hz"
 COLUMNS = {"time_step": "time_step_s", "length": "carrier_length_m", "stiffness": "contact_stiffness_n_per_m"}
@@ -68,10 +63,10 @@ class Setting(_Keyed):
         """``count`` runs from slightly different starts."""
         contact = {"stiffness": self.stiffness, "friction": self.friction, "walls": self.walls}
         scene = Scene.model_validate({"carrier_length": self.length, "contact": contact})
-        batch = partial(SimulatorBatch, [scene] * count, self.method, self.time_step, self.nodes_per_pitch)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are the point
-            return batch(threads=threads, perturbation=PERTURBATION)
+            numerics = self.method, self.time_step, self.nodes_per_pitch
+            return SimulatorBatch([scene] * count, *numerics, threads=threads, perturbation=PERTURBATION)
 
 
 @dataclass(frozen=True)
@@ -87,20 +82,16 @@ class Insertion(_Keyed):
     def batch(self) -> SimulatorBatch:
         """All members at the start of the insertion."""
         scenes = [Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)] * self.members
-        batch = partial(SimulatorBatch, scenes, self.method, self.time_step, self.nodes_per_pitch)
-        return batch(growing=True, time_lapse=self.time_lapse, perturbation=PERTURBATION)
+        options = {"growing": True, "time_lapse": self.time_lapse, "perturbation": PERTURBATION}
+        return SimulatorBatch(scenes, self.method, self.time_step, self.nodes_per_pitch, **options)  # type: ignore[arg-type]
 
 
 LENGTHS = (10.0, 30.0, 50.0)  # [m]
 STIFFNESSES = (1e4, 1e5, 1e6)  # [N/m]
-REFERENCE_STEP = 2.5e-5  # [s], of imex
-STEPS = (1e-4, 1.25e-4, 1e-3 / 7, 1e-3 / 6, 2e-4, 2.5e-4, 5e-4)  # whole parts of the sampling period
+STEPS = (5e-5, 1e-4, 1.25e-4, 1e-3 / 7, 1e-3 / 6, 2e-4, 2.5e-4, 5e-4)  # whole parts of the sampling period
 MODEL_STEP = 1e-4  # [s], at which model choices are compared with each other
 CHOICES: dict[str, dict[str, Any]] = {
-    "1 node a pitch": {"nodes_per_pitch": 1},
-    "2 nodes a pitch": {"nodes_per_pitch": 2},
-    "8 nodes a pitch": {"nodes_per_pitch": 8},
-    "16 nodes a pitch": {"nodes_per_pitch": 16},
+    **{f"{n} node{'s' * (n > 1)} a pitch": {"nodes_per_pitch": n} for n in (1, 2, 8, 16)},
     "inner wall only": {"walls": "inner"},
     "contact half as stiff": {"stiffness": 5e4},
     "contact twice as stiff": {"stiffness": 2e5},
@@ -111,18 +102,15 @@ CHOICES: dict[str, dict[str, Any]] = {
 CONVERGED_STEP, CONVERGED_NODES = 5e-5, 16  # [s], of imex: the mesh and step that everything is measured against
 CONVERGED_LENGTHS = {10.0: 8, 30.0: 48, 40.0: 32, 50.0: 32}
 """[m], with members of the converged reference at table 2's stiffness; others have 8."""
-LENGTHS_OF_MESHES = (30.0, 40.0, 50.0)  # [m]
-PIECE_STEPS = {1e4: (1e-4, 2e-4, 2.5e-4, 5e-4), 1e5: (5e-5, 1e-4, 2e-4, 2.5e-4), 1e6: (5e-5,)}
-"""[s], of the superelement, by contact stiffness [N/m]: the longest that are stable, and shorter ones."""
-REFERENCE = Insertion(time_step=5e-5)
-"""The insertion that the others on table 2's mesh are compared with."""
+SUPERELEMENT_STEPS = {1e4: (1e-4, 2e-4, 2.5e-4, 5e-4), 1e5: (5e-5, 1e-4, 2e-4, 2.5e-4), 1e6: (5e-5,)}
+"""[s], by contact stiffness [N/m]: the longest that are stable, and shorter ones."""
 CONVERGED = Insertion("imex32", 5e-5, nodes_per_pitch=16)
-"""The insertion that all are compared with for the error of mesh and step together."""
+"""The insertion that all are compared with."""
 INSERTIONS = (
     *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
     *(Insertion("imex32", 1e-4, factor) for factor in (4.0, 1.0)),
     *(Insertion(time_lapse=factor) for factor in (4.0, 1.0)),
-    REFERENCE,
+    Insertion(time_step=5e-5),
     *(Insertion("superelement32", time_lapse=factor, members=16) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
     Insertion("superelement32", 1e-4),
     Insertion("superelement", 5e-5),
@@ -131,52 +119,36 @@ INSERTIONS = (
 )
 
 
-def _step_settings() -> Iterator[Setting]:
-    """Every step on table 2's mesh: the error of time discretisation. The slow methods' runs are those of `claims`."""
-    for stiffness in STIFFNESSES:
+def _settings() -> Iterator[Setting]:
+    for stiffness, length in product(STIFFNESSES, LENGTHS):  # steps on table 2's mesh; slow methods: those of `claims`
         members = 32 if stiffness == Setting.stiffness else 16
-        for length in LENGTHS:
-            for time_step in (REFERENCE_STEP, 5e-5, *STEPS):
-                yield Setting(time_step=time_step, length=length, stiffness=stiffness, members=members)
-            for time_step in (5e-5, *STEPS):
-                yield Setting("imex32", time_step, length=length, stiffness=stiffness, members=members)
+        for method, steps in (("imex", (2.5e-5, *STEPS)), ("imex32", STEPS)):
+            yield from (Setting(method, dt, length=length, stiffness=stiffness, members=members) for dt in steps)
     for length in LENGTHS[1:]:
         yield Setting("implicit", MODEL_STEP, length=length, members=8)
-
-
-def _model_settings() -> Iterator[Setting]:
-    """Mesh and model choices at one step of imex."""
-    for length in LENGTHS[1:]:
-        for change in CHOICES.values():
-            yield Setting(**({"time_step": MODEL_STEP, "length": length} | change))
-
-
-def _converged_settings() -> Iterator[Setting]:
-    """The converged mesh with a fine step, and what is compared with it; some of them are settings above as well."""
+        yield from (Setting(**({"time_step": MODEL_STEP, "length": length} | change)) for change in CHOICES.values())
     for length, members in CONVERGED_LENGTHS.items():
         yield converged(length, Setting.stiffness, members)
-        for time_step in PIECE_STEPS[Setting.stiffness]:
-            many = length != 10.0 and time_step >= 1e-4  # steps among which a preset was chosen
-            yield Setting("superelement32", time_step, length=length, members=128 if many else 16)
-    for stiffness in (1e4, 1e6):
-        for length in LENGTHS:
-            yield converged(length, stiffness)
-            for time_step in PIECE_STEPS[stiffness]:
-                yield Setting("superelement32", time_step, length=length, stiffness=stiffness)
-    for length in LENGTHS_OF_MESHES:
+        for dt in SUPERELEMENT_STEPS[Setting.stiffness]:
+            many = length != 10.0 and dt >= 1e-4  # steps among which a preset was chosen
+            yield Setting("superelement32", dt, length=length, members=128 if many else 16)
+    for stiffness, length in product((1e4, 1e6), LENGTHS):
+        yield converged(length, stiffness)
+        for dt in SUPERELEMENT_STEPS[stiffness]:
+            yield Setting("superelement32", dt, length=length, stiffness=stiffness)
+    for length in (30.0, 40.0, 50.0):
         yield Setting("superelement", 2e-4, length=length, members=32)
         yield Setting("superelement", 5e-5, length=length)
-        for nodes in (4, 8, 16):
-            yield Setting("imex32", 2e-4, nodes, length, members=32)
+        yield from (Setting("imex32", 2e-4, nodes, length, members=32) for nodes in (4, 8, 16))
     yield Setting("imex32", CONVERGED_STEP, CONVERGED_NODES, length=30.0, members=32)
 
 
 def converged(length: float, stiffness: float, members: int = 8) -> Setting:
-    """The reference for the errors of mesh and step together."""
+    """The reference of a length [m] and contact stiffness [N/m]."""
     return Setting("imex", CONVERGED_STEP, CONVERGED_NODES, length, stiffness, members=members)
 
 
-SETTINGS = tuple(dict.fromkeys((*_step_settings(), *_model_settings(), *_converged_settings())))
+SETTINGS = tuple(dict.fromkeys(_settings()))
 
 
 def run_setting(setting: Setting) -> list[dict[str, Any]]:
@@ -221,13 +193,9 @@ def _statistics(window: Window, member: int) -> dict[str, float]:
 def run_ensembles(output: Path, settings: Iterable[Setting] = SETTINGS) -> pd.DataFrame:
     """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
     store = Store(output / "ensembles.csv", (*Setting().key, "member"))
-    wanted = tuple(settings)
-
-    def stored(setting: Setting) -> bool:
-        return store.has(*setting.key.values(), setting.members - 1)
-
-    missing = sorted((setting for setting in wanted if not stored(setting)), key=_work)
-    announce(Work("setting", len(wanted), lambda: sum(map(stored, wanted)), store.path))
+    last = {setting: (*setting.key.values(), setting.members - 1) for setting in settings}
+    missing = sorted((setting for setting in last if not store.has(*last[setting])), key=_work)
+    announce(Work("setting", len(last), lambda: sum(store.has(*key) for key in last.values()), store.path))
     total = sum(map(_work, missing))
     with tqdm(total=total, desc="chaos", unit="Gnode-step", unit_scale=1e-9, disable=not missing) as bar:
         for setting in missing:
@@ -236,21 +204,17 @@ def run_ensembles(output: Path, settings: Iterable[Setting] = SETTINGS) -> pd.Da
     return store.table
 
 
-def run_insertions(output: Path, insertions: Iterable[Insertion] = INSERTIONS) -> pd.DataFrame:
+def run_insertions(output: Path) -> pd.DataFrame:
     """All insertions that are not stored yet; a row a stretch of length and member in insertions.csv.
 
     Raises:
         RuntimeError: a probe diverged.
     """
-    store = Store(output / "insertions.csv", (*REFERENCE.key, "member", "from_m"))
-    wanted = tuple(insertions)
-
-    def stored(insertion: Insertion) -> bool:
-        return store.has(*insertion.key.values(), insertion.members - 1, END - STRETCH)
-
-    announce(Work("setting", len(wanted), lambda: sum(map(stored, wanted)), store.path))
-    for insertion in wanted:
-        if not stored(insertion):
+    store = Store(output / "insertions.csv", (*CONVERGED.key, "member", "from_m"))
+    last = {insertion: (*insertion.key.values(), insertion.members - 1, END - STRETCH) for insertion in INSERTIONS}
+    announce(Work("setting", len(last), lambda: sum(store.has(*key) for key in last.values()), store.path))
+    for insertion, key in last.items():
+        if not store.has(*key):
             store.add(*run_insertion(insertion))
     return store.table
 

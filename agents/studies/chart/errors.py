@@ -15,60 +15,51 @@ from tqdm import tqdm
 from agents.evaluation.statistics import ratio_interval
 from agents.records.atomic import write_atomically
 from agents.studies.chart import ensembles
-from agents.studies.chart.ensembles import PEAK, REFERENCE, STATISTICS, STIFFNESSES, Insertion, Setting, converged
+from agents.studies.chart.ensembles import CONVERGED, PEAK, STATISTICS, STIFFNESSES, Insertion, Setting, converged
 from agents.studies.claims.cases import CASES
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS
 
-FLOORS = {
-    "radial_rms_m": 1e-5,
-    "radial_p99_m": 5e-5,
-    "lift_off_share": 0.01,
-    PEAK: 1.0,
-    "axial_rms_m": 1e-5,
-    "radial_acceleration_rms_m_per_s2": 0.1,
-}
+FLOORS = {"radial_rms_m": 1e-5, "radial_p99_m": 5e-5, "lift_off_share": 0.01, PEAK: 1.0, "axial_rms_m": 1e-5}
+FLOORS["radial_acceleration_rms_m_per_s2"] = 0.1
 """Outputs, with the least value that matters: an error of something smaller is relative to this.
 
 Radially a tenth of the vibration limit, and a p99 five times that, as where it rings. At 10 m it is 3.5 micrometres.
 """
 OUTPUTS = tuple(FLOORS)
+RADIAL = ("radial_rms_m:ratio", "radial_rms_m:low", "radial_rms_m:high")
 KEYS = list(Setting().key)
 Row = Mapping[Any, Any]
-BANDS = ((20.0, 40.0), (40.0, 60.0))
-"""[m] stretches of the insertion over which runs are compared; before 20 m it is all but silent."""
-LAPSE_BANDS = ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0))  # [m]
 LAPSED = Insertion("superelement32")
 """The insertion without time-lapse that those with it are compared with: method and step of ``fast``."""
+_STRETCHES = np.arange(ensembles.START, ensembles.END, ensembles.STRETCH) + 0.5 * ensembles.STRETCH
+PITCH_SECONDS = float((_STRETCHES / 0.1).sum() * ensembles.STRETCH / ensembles.FEED_SPEED)
+"""Pitches inserted, summed over the seconds of a whole insertion."""
 TIMED_NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
 """Nodes a pitch that are timed, for other methods 4."""
 TIMED_LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
-TIMED_STEPS, TIMED_STEPS_IN_LANES = 500, 4000
 LONGEST_TIMED = 1e-4  # [s], time step
 REPEATS = 5
 
 
-def run_costs(output: Path, lengths: tuple[float, ...] = TIMED_LENGTHS) -> pd.DataFrame:
+def run_costs(output: Path) -> None:
     """Processor time of a node-step with full lanes on one thread, the best of ``REPEATS``; stored in costs.csv.
 
     Columns method, nodes_per_pitch, carrier_length_m, ns_per_node_step. Always measured as a whole, since only ratios
     within one run of one machine carry over.
     """
-    cells = [(m, nodes, length) for m in METHODS for nodes in TIMED_NODES.get(m, (4,)) for length in lengths]
+    cells = [(m, nodes, length) for m in METHODS for nodes in TIMED_NODES.get(m, (4,)) for length in TIMED_LENGTHS]
     rows = []
     for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
         kind = METHODS[method]
         setting = Setting(method, min(kind.usual_step, LONGEST_TIMED), nodes, length)
-        batch = setting.batch(kind.width, threads=1)
-        steps = TIMED_STEPS_IN_LANES if kind.lanes else TIMED_STEPS
-        batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)  # warm, and in contact
-        seconds = []
-        for _ in range(REPEATS):
+        batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.lanes else 500, []
+        for _ in range(1 + REPEATS):  # the first warms it up, and brings it in contact
             begin = time.process_time()
             batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)
             seconds.append(time.process_time() - begin)
         node_steps = kind.width * steps * (length + 2.5) / 0.1 * nodes
-        rows.append((method, nodes, length, min(seconds) / node_steps * 1e9))
+        rows.append((method, nodes, length, min(seconds[1:]) / node_steps * 1e9))
     table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
     return table
@@ -87,14 +78,8 @@ def insertion_cost(row: Row, costs: pd.DataFrame) -> float:
     """Processor time of a whole insertion of one probe [s], from the cost of a node-step."""
     same = (costs["method"] == row["method"]) & (costs["nodes_per_pitch"] == row["nodes_per_pitch"])
     node_step = costs[same]["ns_per_node_step"].mean()
-    steps = pitch_seconds() / row["time_lapse"] / row["time_step_s"]
+    steps = PITCH_SECONDS / row["time_lapse"] / row["time_step_s"]
     return float(row["nodes_per_pitch"] * steps * node_step * 1e-9)
-
-
-def pitch_seconds() -> float:
-    """Pitches inserted, summed over the seconds of a whole insertion."""
-    pitches = (np.arange(ensembles.START, ensembles.END, ensembles.STRETCH) + 0.5 * ensembles.STRETCH) / 0.1
-    return float(pitches.sum() * ensembles.STRETCH / ensembles.FEED_SPEED)
 
 
 def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
@@ -110,29 +95,15 @@ def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def fine_step(setting: Row) -> dict[str, Any]:
-    """The reference for the error of the step alone: imex at the reference step, on table 2's mesh.
-
-    For a changed model it shows the error of the model: table 2's mesh at ``ensembles.MODEL_STEP``.
-    """
-    plain = Setting(time_step=ensembles.MODEL_STEP, length=setting["carrier_length_m"]).key
-    changed = [name for name in ("nodes_per_pitch", "walls", "friction") if setting[name] != plain[name]]
-    stiffness = setting["contact_stiffness_n_per_m"]
-    if changed or stiffness not in STIFFNESSES:
-        return plain
-    return Setting(time_step=ensembles.REFERENCE_STEP, length=setting["carrier_length_m"], stiffness=stiffness).key
-
-
 def converged_mesh(setting: Row) -> dict[str, Any]:
     """The reference for the error of mesh and step together."""
-    key = converged(setting["carrier_length_m"], setting["contact_stiffness_n_per_m"]).key
-    return key | {name: Setting().key[name] for name in ("friction", "walls")}
+    return converged(setting["carrier_length_m"], setting["contact_stiffness_n_per_m"]).key
 
 
 def constant_length(
-    members: pd.DataFrame, costs: pd.DataFrame, reference: Callable[[Row], dict[str, Any]] = fine_step
+    members: pd.DataFrame, costs: pd.DataFrame, reference: Callable[[Row], dict[str, Any]] = converged_mesh
 ) -> pd.DataFrame:
-    """Errors of every setting at a constant length that has a reference.
+    """Errors of every setting that has a reference (the key of another one for its columns).
 
     Columns: those of ``Setting``, members, diverged (share), cpu_s (for a simulated second), and for every output
     reference, ratio, low, high.
@@ -152,18 +123,21 @@ def constant_length(
 def insertion(
     members: pd.DataFrame,
     costs: pd.DataFrame,
-    reference: Insertion = REFERENCE,
-    bands: tuple[tuple[float, float], ...] = BANDS,
+    reference: Insertion = CONVERGED,
+    bands: tuple[tuple[float, float], ...] = ((20.0, 40.0), (40.0, 60.0)),
 ) -> pd.DataFrame:
-    """Errors of whole insertions in bands of length [m], and ``cpu_s``, processor time of one insertion.
+    """Errors of whole insertions in bands of length [m] beyond the silent 20 m, and ``cpu_s`` of one insertion.
 
     A member's value in a band is the root mean square (of an rms) or the mean over its stretches.
     """
-    rows = []
-    keys = list(reference.key)
+
+    def pooled(values: pd.Series) -> float:
+        return float(np.sqrt((values**2).mean())) if str(values.name).endswith("rms_m") else float(values.mean())
+
+    rows, keys = [], list(reference.key)
     for low, high in bands:
         band = members[members["from_m"].between(low, high, inclusive="left")]
-        of_member = band.groupby([*keys, "member"])[list(OUTPUTS)].agg(_pooled).reset_index()
+        of_member = band.groupby([*keys, "member"])[list(OUTPUTS)].agg(pooled).reset_index()
         chosen = _rows(of_member, reference.key)
         for key, part in of_member.groupby(keys):
             row = dict(zip(keys, key, strict=True)) | {"from_m": low, "to_m": high, "members": len(part)}
@@ -172,17 +146,13 @@ def insertion(
     return table.assign(cpu_s=[insertion_cost(row, costs) for row in table.to_dict("records")])
 
 
-def _pooled(values: pd.Series) -> float:
-    return float(np.sqrt((values**2).mean())) if str(values.name).endswith("rms_m") else float(values.mean())
-
-
 def time_lapse(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     """Bias of time-lapse: insertions of ``LAPSED``'s method and step over that without, in bands of 10 m.
 
     Columns as those of ``insertion``.
     """
     same = {name: value for name, value in LAPSED.key.items() if name != "time_lapse"}
-    table = insertion(_rows(members, same), costs, LAPSED, LAPSE_BANDS)
+    table = insertion(_rows(members, same), costs, LAPSED, ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0)))
     return table[table["time_lapse"] > 1.0].reset_index(drop=True)
 
 
@@ -219,7 +189,7 @@ def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFr
     at_length = constant[plain & stable].assign(time_lapse=1.0)
     at_length["cost_s"] = at_length["cpu_s"] / ((at_length["carrier_length_m"] + 2.5) / 0.1)
     whole = inserted.assign(carrier_length_m=np.nan, contact_stiffness_n_per_m=1e5)
-    whole["cost_s"] = whole["cpu_s"] / pitch_seconds()
+    whole["cost_s"] = whole["cpu_s"] / PITCH_SECONDS
     keys = ["method", "time_step_s", "nodes_per_pitch", "time_lapse", "carrier_length_m", "contact_stiffness_n_per_m"]
     rows = [
         {name: row[name] for name in (*keys, "cost_s")} | {"output": output, "error": bound(row, output)}
@@ -231,50 +201,35 @@ def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFr
     return groups.agg({"error": "max", "cost_s": "mean"})
 
 
-def choices(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
-    """Change of the radial rms at 30 and 50 m by each mesh and model choice.
+def choices(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Radial rms by each mesh and model choice over that of table 2, at 30 and 50 m.
 
-    Columns choice, carrier_length_m, cost (relative to table 2's mesh, or to no time-lapse), ratio, low, high.
+    Columns choice, carrier_length_m, cost (relative to table 2's mesh), ratio, low, high.
     """
     rows = []
-    changes = ensembles.CHOICES | {"step 2e-4 s": {"time_step": 2e-4}, "step 2.5e-4 s": {"time_step": 2.5e-4}}
     for length in (30.0, 50.0):
         plain = Setting(time_step=ensembles.MODEL_STEP, length=length)
-        cost = float(_rows(constant, plain.key)["cpu_s"].iloc[0])
-        for choice, change in changes.items():
-            for row in _rows(constant, replace(plain, **change).key).to_dict("records"):
-                rows.append((choice, length, row["cpu_s"] / cost, *_radial(row)))
-        band = inserted[(inserted["from_m"] <= length) & (length < inserted["to_m"])]
-        band = _rows(band, {"method": "imex32", "time_step_s": 2e-4})
-        whole = float(band[band["time_lapse"] == 1.0]["cpu_s"].iloc[0])
-        for row in band[band["time_lapse"] > 1.0].to_dict("records"):
-            rows.append((f"time-lapse {row['time_lapse']:g} (insertion)", length, row["cpu_s"] / whole, *_radial(row)))
+        chosen = {choice: replace(plain, **change).key for choice, change in ensembles.CHOICES.items()}
+        parts = pd.concat([_rows(members, key) for key in (plain.key, *chosen.values())])
+        table = constant_length(parts, costs, lambda _, key=plain.key: key)  # type: ignore[misc]
+        cost = float(_rows(table, plain.key)["cpu_s"].iloc[0])
+        for choice, key in chosen.items():
+            row = _rows(table, key).iloc[0]
+            rows.append((choice, length, row["cpu_s"] / cost, *row[list(RADIAL)]))
     return pd.DataFrame(rows, columns=["choice", "carrier_length_m", "cost", "ratio", "low", "high"])
 
 
-def _radial(row: Row) -> tuple[float, float, float]:
-    return row["radial_rms_m:ratio"], row["radial_rms_m:low"], row["radial_rms_m:high"]
+def presets(constant: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Radial rms of every preset over the converged mesh's at 30 and 50 m, and the cost of an insertion.
 
-
-def presets(constant: pd.DataFrame, inserted: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Radial rms of every preset over the converged mesh's, at 30 and 50 m and over the insertion, and its cost.
-
-    Columns preset, method, time_step_s, time_lapse, measured_time_lapse (of the nearest insertion that was run; NaN at
-    constant length), from_m, to_m, ratio, low, high, insertion_cpu_s and times_newmark, the cost of the study's scheme
-    over this one's at l = 50 m.
+    Columns preset, method, time_step_s, time_lapse, carrier_length_m, ratio, low, high, insertion_cpu_s.
     """
     rows = []
     for name, preset in PRESETS.items():
-        method, step, nodes = preset.method, preset.time_step, preset.nodes_per_pitch
-        cost = insertion_cost(Insertion(method, step, preset.time_lapse, nodes).key, costs)
-        both = pd.DataFrame([Setting("newmark", 1e-4).key, Setting(method, step, nodes).key])
-        newmark, own = cpu_seconds(costs, both)
-        lapses = _rows(inserted, {"method": method, "time_step_s": step, "nodes_per_pitch": nodes})
-        nearest = (lapses["time_lapse"] - preset.time_lapse).abs()
-        at_length = pd.concat([_rows(constant, Setting(method, step, nodes, length).key) for length in (30.0, 50.0)])
-        found = at_length.assign(time_lapse=np.nan, from_m=lambda t: t["carrier_length_m"], to_m=lambda t: t["from_m"])
-        for row in pd.concat([found, lapses[nearest == nearest.min()]]).to_dict("records"):
-            measured = row["time_lapse"], row["from_m"], row["to_m"], *_radial(row)
-            rows.append((name, method, step, preset.time_lapse, *measured, cost, newmark / own))
-    columns = ["preset", "method", "time_step_s", "time_lapse", "measured_time_lapse", "from_m", "to_m"]
-    return pd.DataFrame(rows, columns=[*columns, "ratio", "low", "high", "insertion_cpu_s", "times_newmark"])
+        method, step, lapse, nodes = preset.method, preset.time_step, preset.time_lapse, preset.nodes_per_pitch
+        cost = insertion_cost(Insertion(method, step, lapse, nodes).key, costs)
+        for length in (30.0, 50.0):
+            for row in _rows(constant, Setting(method, step, nodes, length).key).to_dict("records"):
+                rows.append((name, method, step, lapse, length, *(row[column] for column in RADIAL), cost))
+    columns = ["preset", "method", "time_step_s", "time_lapse", "carrier_length_m", "ratio", "low", "high"]
+    return pd.DataFrame(rows, columns=[*columns, "insertion_cpu_s"])

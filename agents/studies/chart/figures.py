@@ -20,12 +20,8 @@ PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5
 COLOURS = dict(zip((*ON_NODES, LAPACK, *(m for m in METHODS if m not in ON_NODES)), cycle(PALETTE), strict=False))
 MARKERS = {4: "o", 8: "s", 16: "^"}
 """By nodes a pitch."""
-PANELS = {
-    "radial_rms_m": "radial rms",
-    "radial_p99_m": "radial p99",
-    "lift_off_share": "lift-off share",
-    "axial_peak_hz": "axial peak frequency",
-}
+PANELS = {"radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_share": "lift-off share"}
+PANELS["axial_peak_hz"] = "axial peak frequency"
 
 
 def smooth(table: pd.DataFrame, path: Path) -> None:
@@ -66,41 +62,28 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
     """Ratio of ensemble means to the converged mesh's, over cost: 30 m, 50 m, two bands of the insertion."""
     table2 = constant[(constant["contact_stiffness_n_per_m"] == 1e5) & constant["nodes_per_pitch"].isin(MARKERS)]
     table2 = table2[(table2["walls"] == "both") & (table2["friction"] == 0.15)]
-    panels = [(f"l = {length:g} m", table2[table2["carrier_length_m"] == length]) for length in (30.0, 50.0)]
-    panels += [
-        (f"insertion, {low:g} to {high:g} m", part) for (low, high), part in inserted.groupby(["from_m", "to_m"])
-    ]
-    figure, axes = plt.subplots(
-        len(PANELS), len(panels), figsize=(15, 11), layout="constrained", sharey="row", sharex="col"
-    )
-    for column, (title, part) in enumerate(panels):
+    panels = {f"l = {length:g} m": table2[table2["carrier_length_m"] == length] for length in (30.0, 50.0)}
+    bands = inserted.groupby(["from_m", "to_m"])
+    panels |= {f"insertion, {low:g} to {high:g} m": part for (low, high), part in bands}
+    shape = len(PANELS), len(panels)
+    figure, axes = plt.subplots(*shape, figsize=(15, 11), layout="constrained", sharey="row", sharex="col")
+    for column, (title, part) in enumerate(panels.items()):
         stable = part[part["radial_rms_m:ratio"].notna()]
         for axis, (output, label) in zip(axes[:, column], PANELS.items(), strict=True):
             axis.axhline(1.0, color=GREY, linewidth=0.8)
             for (name, mesh), rows in stable.groupby(["method", "nodes_per_pitch"]):
-                kind, nodes = str(name), int(str(mesh))
-                ratio = rows[f"{output}:ratio"]
-                spread = [ratio - rows[f"{output}:low"], rows[f"{output}:high"] - ratio]
-                axis.errorbar(
-                    rows["cpu_s"],
-                    ratio,
-                    yerr=np.abs(spread),
-                    fmt=MARKERS[nodes],
-                    ms=4,
-                    capsize=2,
-                    linewidth=1,
-                    color=COLOURS[kind],
-                    label=kind if nodes == 4 else f"{kind}, {nodes} nodes a pitch",
-                )
+                nodes, ratio = int(str(mesh)), rows[f"{output}:ratio"]
+                spread = np.abs([ratio - rows[f"{output}:low"], rows[f"{output}:high"] - ratio])
+                style = {"fmt": MARKERS[nodes], "ms": 4, "capsize": 2, "linewidth": 1, "color": COLOURS[str(name)]}
+                style["label"] = str(name) if nodes == 4 else f"{name}, {nodes} nodes a pitch"
+                axis.errorbar(rows["cpu_s"], ratio, yerr=spread, **style)
             axis.set_xscale("log")
             axis.grid(**GRID)
             if column == 0:
                 axis.set_ylabel(f"{label}\nover the converged mesh's")
-        broken = part[part["radial_rms_m:ratio"].isna()]
-        for method, rows in broken.groupby("method"):
-            axes[0, column].plot(
-                rows["cpu_s"], [1.0] * len(rows), "x", ms=7, color=COLOURS[str(method)], label=f"{method}, diverged"
-            )
+        for method, rows in part[part["radial_rms_m:ratio"].isna()].groupby("method"):
+            style = {"ms": 7, "color": COLOURS[str(method)], "label": f"{method}, diverged"}
+            axes[0, column].plot(rows["cpu_s"], [1.0] * len(rows), "x", **style)
         axes[0, column].set_title(title, fontsize=10)
         unit = "an insertion" if "insertion" in title else "a simulated second"
         axes[-1, column].set_xlabel(f"processor time for {unit} [s]")
@@ -109,22 +92,3 @@ def chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
         handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
     figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=6, frameon=False)
     save(figure, path, dpi=90)
-
-
-def model(rows: pd.DataFrame, path: Path) -> None:
-    """Change by each choice of the radial rms, with intervals; ``rows``: of ``errors.choices``."""
-    choices = list(dict.fromkeys(rows["choice"]))
-    figure, axes = plt.subplots(1, 2, figsize=(12, 0.36 * len(choices) + 1.4), layout="constrained", sharey=True)
-    for axis, (length, part) in zip(axes, rows.groupby("carrier_length_m"), strict=True):
-        height = [len(choices) - choices.index(choice) for choice in part["choice"]]
-        spread = np.abs([part["ratio"] - part["low"], part["high"] - part["ratio"]])
-        axis.errorbar(part["ratio"], height, xerr=spread, fmt="o", color=COLOURS["newmark"], capsize=2, ms=5)
-        axis.axvline(1.0, color=GREY, linewidth=0.8)
-        axis.set(xscale="log", title=f"l = {length:g} m", xlabel="radial rms over that of table 2's mesh and model")
-        ticks = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]
-        low, high = 0.8 * float(part["low"].min()), 1.25 * float(part["high"].max())
-        axis.set_xticks([t for t in ticks if low <= t <= high], [f"{t:g}" for t in ticks if low <= t <= high])
-        axis.minorticks_off()
-        axis.grid(**GRID)
-    axes[0].set_yticks(range(len(choices), 0, -1), choices)
-    save(figure, path, dpi=100)

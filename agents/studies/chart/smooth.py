@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -41,20 +42,25 @@ ROUNDING = 1e-8  # errors below it are rounding
 
 @dataclass(frozen=True)
 class Case:
-    """A scene before chaos; ``exact`` gives the observed displacement at the sample times, None: two references."""
+    """A scene before chaos.
+
+    Attributes:
+        duration, sample_period: [s].
+        point: node and component that are observed.
+        exact: the observed displacement at times; None: two references.
+        d, v, a: at the start; a of None: zero, as printed in the study.
+    """
 
     title: str
     driven: Driven
     duration: float
     sample_period: float
     point: tuple[int, int]
-    """Node and component that are observed."""
     exact: Callable[[FloatArray], FloatArray] | None
     time_steps: tuple[float, ...] = LONG
     d: FloatArray | None = None
     v: FloatArray | None = None
     a: FloatArray | None = None
-    """Acceleration at the start, for a start that is consistent; None: zero, as printed in the study."""
 
     def start(self, method: str, time_step: float) -> State:
         """State at t = 0; the velocities of ``explicit`` are those half a step earlier."""
@@ -78,16 +84,12 @@ def _linear(consistent: bool) -> Case:
     load[:, 1:2] = 1e-3 * np.sin(0.5 * np.pi * position) ** 4
     shape = closed_forms.linear_chain(chain, np.zeros(1), load, 0.0 * load)[0]
     a = -load / np.array([chain.mass, chain.mass, chain.inertia])  # what the load held back
-    return Case(
-        "linear chain, smooth start" if consistent else "linear chain, printed start",
-        Driven(chain),
-        0.05,
-        1e-3,
-        (0, RADIAL),
-        lambda times: closed_forms.linear_chain(chain, times, load, 0.0 * load)[:, 0, RADIAL],
-        d=shape,
-        a=a if consistent else None,
-    )
+
+    def exact(times: FloatArray) -> FloatArray:
+        return closed_forms.linear_chain(chain, times, load, 0.0 * load)[:, 0, RADIAL]
+
+    title = f"linear chain, {'smooth' if consistent else 'printed'} start"
+    return Case(title, Driven(chain), 0.05, 1e-3, (0, RADIAL), exact, d=shape, a=a if consistent else None)
 
 
 def _step_load() -> Case:
@@ -109,17 +111,13 @@ def _impact() -> Case:
     stiffness, height, speed = 1e5, 1e-4, 0.1
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e6)
     chain = plain_chain(1, contact_stiffness=np.array([stiffness, 0.0]), coupling_compliance=0.0, **free)
-    return Case(
-        "impact on the wall's spring",
-        Driven(chain),
-        4e-3,
-        4e-4,
-        (0, RADIAL),
-        lambda times: closed_forms.impact(chain.mass, stiffness, height, speed, times),
-        time_steps=(4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6),
-        d=np.array([[0.0, height, 0.0]]),
-        v=np.array([[0.0, -speed, 0.0]]),
-    )
+
+    def exact(times: FloatArray) -> FloatArray:
+        return closed_forms.impact(chain.mass, stiffness, height, speed, times)
+
+    steps = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
+    d, v = np.array([[0.0, height, 0.0]]), np.array([[0.0, -speed, 0.0]])
+    return Case("impact on the wall's spring", Driven(chain), 4e-3, 4e-4, (0, RADIAL), exact, steps, d, v)
 
 
 def _contact() -> Case:
@@ -133,13 +131,8 @@ def _contact() -> Case:
 @lru_cache
 def cases() -> dict[str, Case]:
     """The scenes by name."""
-    return {
-        "linear": _linear(consistent=True),
-        "linear-printed": _linear(consistent=False),
-        "step-load": _step_load(),
-        "impact": _impact(),
-        "contact": _contact(),
-    }
+    linear = {"linear": _linear(consistent=True), "linear-printed": _linear(consistent=False)}
+    return linear | {"step-load": _step_load(), "impact": _impact(), "contact": _contact()}
 
 
 def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | None, float, float]:
@@ -158,20 +151,15 @@ def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | N
     return run.samples[:, case.point[1]], fastest / case.duration, run.sweeps / case.duration
 
 
-def run_smooth(output: Path, names: tuple[str, ...] = ()) -> pd.DataFrame:
+def run_smooth(output: Path) -> pd.DataFrame:
     """Rows of scene, method, time_step_s, error (NaN: diverged), cpu_s and sweeps, both for a simulated second.
 
-    The scene without a closed form has a row ``REFERENCE_ROWS``. Stored rows are not run again.
-
-    Args:
-        output: folder of smooth.csv.
-        names: scenes to run; none: all.
+    The scene without a closed form has a row ``REFERENCE_ROWS``. Rows that smooth.csv has are not run again.
     """
     store = Store(output / "smooth.csv", ("scene", "method", "time_step_s"))
     cells = [
         (name, method, dt)
         for name, case in cases().items()
-        if not names or name in names
         for method in METHODS
         for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
     ]
@@ -181,7 +169,7 @@ def run_smooth(output: Path, names: tuple[str, ...] = ()) -> pd.DataFrame:
     for name, method, time_step in tqdm(missing, desc="before chaos", unit="run", disable=not missing):
         case = cases()[name]
         if name not in truth:
-            truth[name] = _truth(name, case, store)
+            truth[name] = _truth(case, store)
         integrate(case, method, case.time_steps[0])  # compiled and warm
         signal, cpu, sweeps = integrate(case, method, time_step)
         error = float("nan") if signal is None else _difference(signal, truth[name])
@@ -190,14 +178,14 @@ def run_smooth(output: Path, names: tuple[str, ...] = ()) -> pd.DataFrame:
     return store.table
 
 
-def _truth(name: str, case: Case, store: Store) -> FloatArray:
+def _truth(case: Case, store: Store) -> FloatArray:
     if case.exact is not None:
         count = round(case.duration / case.sample_period)
         return case.exact(case.sample_period * np.arange(1, count + 1))
     first, second = (integrate(case, method, dt)[0] for method, dt in REFERENCES)
     assert first is not None
     assert second is not None
-    store.add({"scene": name, "method": REFERENCE_ROWS, "time_step_s": 0.0, "error": _difference(second, first)})
+    store.add({"scene": "contact", "method": REFERENCE_ROWS, "time_step_s": 0.0, "error": _difference(second, first)})
     return first
 
 
@@ -221,17 +209,15 @@ def orders(table: pd.DataFrame) -> pd.DataFrame:
     three steps, and for methods whose rounding grows as the step shrinks: these have the least error and its step.
     """
     rows = []
-    for scene in cases():
-        for method in methods.ON_NODES:
-            part = resolved(table, scene)
-            part = part[(part["method"] == method) & part["error"].notna()].sort_values("time_step_s")
-            order = float("nan")
-            if methods.METHODS[method].least_step > 0.0:
-                part = part.nsmallest(1, "error")
-            else:
-                part = part[part["error"] > ROUNDING].head(4)
-                if len(part) >= 3:
-                    order = linregress(np.log(part["time_step_s"]), np.log(part["error"])).slope
-            if len(part):
-                rows.append((scene, method, order, part["error"].iloc[0], part["time_step_s"].iloc[0]))
+    for scene, method in product(cases(), methods.ON_NODES):
+        part, order = resolved(table, scene), float("nan")
+        part = part[(part["method"] == method) & part["error"].notna()].sort_values("time_step_s")
+        if methods.METHODS[method].least_step > 0.0:
+            part = part.nsmallest(1, "error")
+        else:
+            part = part[part["error"] > ROUNDING].head(4)
+            if len(part) >= 3:
+                order = linregress(np.log(part["time_step_s"]), np.log(part["error"])).slope
+        if len(part):
+            rows.append((scene, method, order, part["error"].iloc[0], part["time_step_s"].iloc[0]))
     return pd.DataFrame(rows, columns=["scene", "method", "order", "error", "time_step_s"])

@@ -14,53 +14,38 @@ from agents.records.shipped import shipped_folder
 from agents.studies.claims.cases import DURATION, SUBSET, run_cases
 from agents.studies.claims.claims import GROWTH, RADIAL, Ensemble, claims_of
 from agents.studies.tables import print_frame
-from probe_env.settings import within
 
 
 def run_claims(
-    output: Path,
-    members: int = 1,
-    duration: float = DURATION,
-    subset: bool = False,
-    jobs: int = 2,
-    scenes: Path | None = None,
+    output: Path, members: int = 1, duration: float = DURATION, subset: bool = False, jobs: int = 2
 ) -> pd.DataFrame:
-    """Run what is not stored yet of the study's cases, and compare its claims with it.
-
-    Writes ensemble.csv, claims.csv (see ``claims_of``) and growth.png.
+    """Run what is not stored yet of the study's cases; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
 
     Args:
         output: folder; stored runs are not repeated.
-        members: perturbed runs a case, 1 to 1000.
-        duration: simulated time of a run [s], 0.5 to 1e4.
+        members: perturbed runs a case.
+        duration: simulated time of a run [s].
         subset: a few cases instead of all.
-        jobs: runs at the same time, 1 to 256.
-        scenes: folder of the scene files; default: those that ship.
+        jobs: runs at the same time.
 
     Returns:
         the table of claims.
     """
-    for name, value, most in (("members", members, 1000), ("jobs", jobs, 256)):
-        if not 1 <= value <= most:
-            raise ValueError(f"{name} = {value!r} is outside the accepted range 1 to {most}")
-    within("duration", duration, 0.5, 1e4, "s")
-    folder = scenes or shipped_folder("scenes")
-    table = run_cases(folder, output, members, duration, SUBSET if subset else (), jobs)
-    claims = claims_of(table, folder)
+    table = run_cases(shipped_folder("scenes"), output, members, duration, SUBSET if subset else (), jobs)
+    claims = claims_of(table)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
     files = ("ensemble.csv", "claims.csv")
     write_manifest(output, files, commits=table["commit"], members=members, duration_s=duration)
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
     print_frame(f"Claims: {members} run(s) a case, {duration:g} s each", claims, columns, texts=4)
-    written = "ensemble.csv, claims.csv"
-    if Ensemble(table).has(*(f"l{length}" for length in GROWTH)):
+    complete = Ensemble(table).has(*(f"l{length}" for length in GROWTH))
+    if complete:
         draw_growth(table, output / "growth.png")
-        written += ", growth.png"
-    print(f"written: {output}/ ({written})")
+    print(f"written: {output}/ (ensemble.csv, claims.csv{', growth.png' if complete else ''})")
     return claims
 
 
-def draw_growth(table: pd.DataFrame, path: Path) -> Path:
+def draw_growth(table: pd.DataFrame, path: Path) -> None:
     """Radial rms at the sensor against the carrier length: range and mean of the ensemble."""
     members = [Ensemble(table).values(f"l{length}", RADIAL) * MM for length in GROWTH]
     figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
@@ -70,4 +55,4 @@ def draw_growth(table: pd.DataFrame, path: Path) -> Path:
     axis.set(xlabel="carrier length [m]", ylabel="radial rms at the sensor [mm]", yscale="log")
     axis.grid(**GRID)
     axis.legend(frameon=False)
-    return save(figure, path)
+    save(figure, path)

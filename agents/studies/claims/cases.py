@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +29,6 @@ PERTURBATION: Final = 1e-7  # [m]; a float rests a few micrometres deep in its c
 DURATION: Final = 8.0  # [s] of the published runs
 KEYS: Final = ("case", "member", "duration_s")
 USUAL_FEED, USUAL_FRICTION = 0.2, 0.15  # [m/s], Coulomb's coefficient
-SETTLING: Final = 12.0  # [s]; the start of the return dies within 10 s where it rings longest
 HIGHEST_FREQUENCY: Final = 100.0  # [Hz]
 SPECTRUM_WINDOW, PEAK_REACH = 2.0, 1.0
 """Length of a Hann window [s]; the band on either side of a peak [Hz] is the width of the window's main lobe."""
@@ -39,18 +39,11 @@ class Case:
     """A scene file, what is changed of it, and the method that runs it.
 
     Attributes:
-        name: of its rows.
-        scene: name of the file.
-        method: of the simulation.
-        time_step: [s].
-        walls: "both" or "inner".
         settles: statistics of the last third only, not after a quarter.
-        root_offset: nodes between the root and the place of a float.
         carrier_length: [m]; None: the file's.
         feed_speed: magnitude [m/s]; None: the file's.
-        friction: Coulomb's coefficient.
         withdrawn: feed and air are reversed and the probe starts on the outer wall.
-        lead: time before the recorded run [s], on top of a quarter of the duration; None: recorded from the start.
+        skips_start: not recorded in the first quarter, and with the highest peak of its spectra.
     """
 
     name: str
@@ -59,12 +52,11 @@ class Case:
     time_step: float = 1e-4
     walls: str = "both"
     settles: bool = False
-    root_offset: int = 0
     carrier_length: float | None = None
     feed_speed: float | None = None
     friction: float = USUAL_FRICTION
     withdrawn: bool = False
-    lead: float | None = None
+    skips_start: bool = False
 
     @property
     def is_plain(self) -> bool:
@@ -74,14 +66,11 @@ class Case:
     def load_scene(self, folder: Path) -> Scene:
         """The scene to simulate, from its file in the folder."""
         base = Scene.from_toml(folder / f"{self.scene}.toml")
-        sign = -1.0 if self.withdrawn else 1.0
-        changes = {
-            "carrier_length": base.carrier_length if self.carrier_length is None else self.carrier_length,
-            "feed_speed": sign * (base.feed_speed if self.feed_speed is None else self.feed_speed),
-            "air_supply_rate": sign * base.air_supply_rate,
-            "couple": "tangent" if self.withdrawn else "frame",
-            "contact": {"walls": self.walls, "friction": self.friction},
-        }
+        sign, couple = (-1.0, "tangent") if self.withdrawn else (1.0, "frame")
+        feed = base.feed_speed if self.feed_speed is None else self.feed_speed
+        changes = {"feed_speed": sign * feed, "air_supply_rate": sign * base.air_supply_rate, "couple": couple}
+        changes |= {"contact": {"walls": self.walls, "friction": self.friction}}
+        changes |= {} if self.carrier_length is None else {"carrier_length": self.carrier_length}
         return base.model_copy(update=changes)
 
 
@@ -99,13 +88,8 @@ INSERTED: Final = (
     Case("l50-inner", "fig11_l50", walls="inner"),
     Case("l50-dt2e-4", "fig11_l50", time_step=2e-4),
     Case("l50-dt5e-4", "fig11_l50", time_step=5e-4),
-    *(
-        Case(f"l{length}-{method}", f"fig11_l{length}", method, time_step)
-        for method, time_step in (("imex", 2e-4), ("imex32", 2e-4), ("explicit", 5e-6), ("implicit", 2.5e-5))
-        for length in (30, 50)
-    ),
-    Case("l30-offset", "fig11_l30", root_offset=2),
-    Case("l30-imex-offset", "fig11_l30", method="imex", time_step=2e-4, root_offset=2),
+    *(Case(f"l{length}-explicit", f"fig11_l{length}", "explicit", 5e-6) for length in (30, 50)),
+    *(Case(f"l{length}-implicit", f"fig11_l{length}", "implicit", 2.5e-5) for length in (30, 50)),
 )
 """The probe fed in, as in the study's figures."""
 PROBES: Final = {"original": "fig11_l50", "improved": "fig20_improved"}
@@ -119,42 +103,30 @@ def trip(
     friction: float = USUAL_FRICTION,
     method: str = "imex",
     withdrawn: bool = True,
-    lead: float = 0.0,
 ) -> Case:
     """A probe of constant length [m] fed in or withdrawn at a speed [m/s], named after what differs from the usual."""
     parts = [probe, f"l{length}", f"u{1e3 * feed:.0f}"]
     parts += [f"mu{1e2 * friction:.0f}"] if friction != USUAL_FRICTION else []
     parts += [method] if method != "imex" else []
-    parts += [f"after{lead:.0f}"] if lead else []
     return Case(
-        "-".join([*parts, "back" if withdrawn else "in"]),
-        PROBES[probe],
-        method,
-        1e-4 if method == "newmark" else 2e-4,
-        carrier_length=float(length),
-        feed_speed=feed,
-        friction=friction,
-        withdrawn=withdrawn,
-        lead=lead,
-    )
+        "-".join([*parts, "back" if withdrawn else "in"]), PROBES[probe], method, 1e-4 if method == "newmark" else 2e-4,
+        carrier_length=float(length), feed_speed=feed, friction=friction, withdrawn=withdrawn, skips_start=True,
+    )  # fmt: skip
 
 
 def insertion_of(withdrawal: str) -> str:
-    """Name of the insertion that a withdrawal is compared with; it needs no settling."""
-    return withdrawal.replace(f"-after{SETTLING:.0f}", "").removesuffix("back") + "in"
+    """Name of the insertion that a withdrawal is compared with."""
+    return withdrawal.removesuffix("back") + "in"
 
 
 def _trips() -> Iterator[Case]:
-    for probe in PROBES:
+    for probe, withdrawn in product(PROBES, (True, False)):
         lengths = (10, 30, 50, 55) if probe == "original" else (10, 30, 50)  # its guide ends at the helix's end
         weak = (0.2,) if probe == "original" else (0.1, 0.2, 0.4)
-        for withdrawn in (True, False):
-            yield from (trip(probe, length, withdrawn=withdrawn) for length in lengths)
-            yield from (trip(probe, 50, feed, withdrawn=withdrawn) for feed in (0.1, 0.4))
-            yield from (trip(probe, length, method="newmark", withdrawn=withdrawn) for length in (30, 50))
-            yield from (trip(probe, 50, feed, 0.25, withdrawn=withdrawn) for feed in weak)
-        yield trip(probe, 50, lead=SETTLING)
-    yield from (trip("improved", 50, feed, 0.25, lead=SETTLING) for feed in (0.1, 0.2, 0.4))
+        yield from (trip(probe, length, withdrawn=withdrawn) for length in lengths)
+        yield from (trip(probe, 50, feed, withdrawn=withdrawn) for feed in (0.1, 0.4))
+        yield from (trip(probe, length, method="newmark", withdrawn=withdrawn) for length in (30, 50))
+        yield from (trip(probe, 50, feed, 0.25, withdrawn=withdrawn) for feed in weak)
 
 
 TRIPS: Final = tuple(_trips())
@@ -167,33 +139,22 @@ def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str
     """One member of a case as a row: statistics of the sensor, tip and root, or the time it diverged."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # cases beyond the limit are there on purpose
-        simulator = Simulator(
-            case.load_scene(scenes),
-            case.method,
-            case.time_step,
-            growing=case.root_offset > 0,
-            perturbation=PERTURBATION if member else 0.0,
-            seed=member,
-            start="outer" if case.withdrawn else "inner",
-        )
-    simulator.move_root(case.root_offset)  # a chain that could grow has the nodes; it keeps its length
-    simulator.hold_length()
-    row: dict[str, object] = dict(zip(KEYS, (case.name, member, duration), strict=True)) | {
-        "diverged_at_s": float("nan")
-    }
-    before = 0.0 if case.lead is None else round(0.25 * duration, 2)
+        start, nudge = "outer" if case.withdrawn else "inner", PERTURBATION if member else 0.0
+        options = {"perturbation": nudge, "seed": member, "start": start}
+        simulator = Simulator(case.load_scene(scenes), case.method, case.time_step, **options)  # type: ignore[arg-type]
+    row: dict[str, object] = {"case": case.name, "member": member, "duration_s": duration, "diverged_at_s": np.nan}
+    skipped = round(0.25 * duration, 2) if case.skips_start else 0.0
     try:
-        if case.lead is not None:
-            simulator.advance(duration=case.lead + before)
-        run = simulator.advance(duration=duration - before, points=("sensor", "tip", "root"))
+        if skipped:
+            simulator.advance(duration=skipped)
+        run = simulator.advance(duration=duration - skipped, points=("sensor", "tip", "root"))
     except SimulationError as error:
         return row | {"diverged_at_s": error.time}
-    start = 0.0 if case.lead is not None else duration * (2.0 / 3.0 if case.settles else 0.25)
-    row |= point_statistics(run, "sensor", start)
-    row["root_tension_mean_n"] = point_statistics(run, "root", start)["tension_mean_n"]
-    if case.lead is None:
-        row["tip_radial_max_m"] = float(run.radial[:, run.column("tip")].max())  # the start's swing included
-        return row
+    since = 0.0 if case.skips_start else duration * (2.0 / 3.0 if case.settles else 0.25)
+    row |= point_statistics(run, "sensor", since)
+    row["root_tension_mean_n"] = point_statistics(run, "root", since)["tension_mean_n"]
+    if not case.skips_start:
+        return row | {"tip_radial_max_m": float(run.radial[:, run.column("tip")].max())}  # the start's swing included
     for name, signal in (("axial", run.axial[:, 0]), ("radial", run.radial[:, 0])):
         row[f"{name}_highest_hz"], row[f"{name}_highest_m"] = highest_peak(signal, run.sample_period)
     return row
@@ -216,26 +177,20 @@ def highest_peak(signal: FloatArray, sample_period: float) -> tuple[float, float
 def run_cases(
     scenes: Path, output: Path, members: int, duration: float, names: tuple[str, ...] = (), jobs: int = 2
 ) -> pd.DataFrame:
-    """All members of the named cases (default: all), stored in ensemble.csv as they finish.
+    """Members of the named cases (default: all) of a duration [s], stored in ensemble.csv as they finish.
 
-    Args:
-        scenes: folder of the scene files.
-        output: folder of ensemble.csv; rows that it has, of the same duration, are not run again.
-        members: runs a case.
-        duration: of a run [s].
-        names: of cases.
-        jobs: runs at the same time, as threads.
+    Rows that the file has, of the same duration, are not run again; ``jobs`` threads run at the same time.
     """
-    wanted = [(case, k) for k in range(members) for case in CASES if not names or case.name in names]
     store = Store(output / "ensemble.csv", KEYS)
-    missing = [(case, member) for case, member in wanted if not store.has(case.name, member, duration)]
-    keys = [(case.name, member, duration) for case, member in wanted]
-    announce(Work("run", len(keys), lambda: sum(store.has(*key) for key in keys), store.path))
+    cases = [case for case in CASES if not names or case.name in names]
+    runs = {(case.name, member, duration): (case, member) for member in range(members) for case in cases}
+    missing = [run for key, run in runs.items() if not store.has(*key)]
+    announce(Work("run", len(runs), lambda: sum(store.has(*key) for key in runs), store.path))
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
     work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
     for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
         store.add(row)
-    requested = [key in keys for key in store.table[list(KEYS)].itertuples(index=False, name=None)]
+    requested = [key in runs for key in store.table[list(KEYS)].itertuples(index=False, name=None)]
     return _in_order(store.table[np.array(requested, dtype=bool)])
 
 

@@ -10,8 +10,9 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
 import optuna
 import pandas as pd
 from tqdm import tqdm
@@ -28,7 +29,7 @@ from agents.policies.wrappers import BothWays, fidelity_of, way_in
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request
-from agents.terminal.tables import print_table
+from agents.studies.tables import print_frame
 from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
@@ -44,17 +45,12 @@ DRAWN: Final = 5
 """Trials that are drawn over the ranges before the process leads, those of ``starts`` among them."""
 KPIS: Final = ("reward", "inspection_time_s", "a90_percent_wall")
 BESIDE: Final = "fastest"
-HEADER: Final = (
-    "", "feed in [m/s]", "air in [m3/h]", "feed back [m/s]", "air back [m3/h]", "reward", "time [s]", "a90 [% wall]",
-)  # fmt: skip
 
 SLOWEST: Final = 0.25
 """Share of the greatest feed: both ways slower than that take most of a shift's time limit."""
 
-Numbers = Mapping[str, float]
-"""Column of ``COLUMNS`` -> value [m/s], [m3/h]."""
-Space = Mapping[str, tuple[float, float]]
-"""Column of ``COLUMNS`` -> range in which it is looked for."""
+Numbers = Mapping[str, float]  # column of ``COLUMNS`` -> value [m/s], [m3/h]
+Space = Mapping[str, tuple[float, float]]  # column of ``COLUMNS`` -> range in which it is looked for
 
 
 def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
@@ -65,16 +61,12 @@ def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
     return dict(zip(COLUMNS, (feeds, (air_in, most), feeds, (least, air_back)), strict=True))
 
 
-def starts(config: TaskConfig, space: Space) -> tuple[Numbers, Numbers]:
+def starts(config: TaskConfig, space: Space) -> list[Numbers]:
     """What is tried first: as fast as the device goes both ways, and back at half of that, with the study's air."""
     fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
-    return _near(config, space, (fast, air, fast, air)), _near(config, space, (fast, air, 0.5 * fast, air))
-
-
-def _near(config: TaskConfig, space: Space, values: tuple[float, ...]) -> Numbers:
-    """The nearest to some values, in the order of ``COLUMNS``, that is searched."""
-    clipped = (min(max(value, low), high) for value, (low, high) in zip(values, space.values(), strict=True))
-    return as_given(config, dict(zip(COLUMNS, clipped, strict=True)))
+    low, high = np.array(list(space.values())).T
+    rows = np.clip([(fast, air, fast, air), (fast, air, 0.5 * fast, air)], low, high).tolist()
+    return [as_given(config, dict(zip(COLUMNS, row, strict=True))) for row in rows]
 
 
 def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
@@ -114,12 +106,7 @@ def run(request: Request) -> Numbers:
         ValueError: a budget is out of range.
         FileError: a stored episode is damaged, or of another task.
     """
-    trials = TRIALS if request.trials is None else request.trials
-    limit = LIMIT if request.limit is None else request.limit
-    if trials < 1:
-        raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
-    if not 0 < limit <= SPLIT_SIZES["train"]:
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
+    trials, limit = request.budget("trials", TRIALS), request.budget("limit", LIMIT, SPLIT_SIZES["train"])
     train = load_case(request.tube, "train", limit, "both")
     unseen = load_case(request.tube, "validation", 0, "both")
     config, output, played = train.config.all_shown, request.output, request.output / "simulated"
@@ -133,19 +120,14 @@ def run(request: Request) -> Numbers:
     table = run_plan(_plan(policies, unseen), played / "validation", workers=request.workers)
     means = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
     gain = paired_difference(table, NAME, BESIDE, "reward")
-    record = {
-        "schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials,
-        "reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts), "validated": means,
-        "gain": asdict(gain),
-    }  # fmt: skip
+    record: dict[str, Any] = {"schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials}
+    record |= {"reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts), "validated": means}
+    record |= {"gain": asdict(gain)}
     write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / f"{NAME}.csv", csv_of(config, best))
     write_json(output / f"{NAME}.json", origin(commits=[*commits, *table["commit"]]) | record)
-    rows = [
-        (one, *(f"{numbers[column]:.3g}" for column in COLUMNS), *(f"{means[one][kpi]:.3g}" for kpi in KPIS))
-        for one, numbers in compared.items()
-    ]
-    print_table(f"In {len(unseen.contexts)} validation tubes", HEADER, rows)
+    shown = pd.DataFrame([{"schedule": one} | dict(compared[one]) | means[one] for one in compared])
+    print_frame(f"In {len(unseen.contexts)} validation tubes", shown)
     print(f"{NAME}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
     print(f"written: {output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
     return best
@@ -154,7 +136,17 @@ def run(request: Request) -> Numbers:
 def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
     config, rows, commits = place.config.all_shown, [], []
-    study, drawn = _study(starts(config, space)), {name: _distribution(name, space[name]) for name in COLUMNS}
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=DRAWN)
+    study = optuna.create_study(direction="maximize", sampler=sampler)  # in memory: equal rewards, equal trials
+    for numbers in starts(config, space):
+        study.enqueue_trial(dict(numbers))
+    feeds = FORTH[FEED], BACK[FEED]
+    drawn: dict[str, optuna.distributions.BaseDistribution] = {}
+    for name in COLUMNS:
+        drawn[name] = optuna.distributions.FloatDistribution(*space[name], log=name in feeds)
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
         trial = study.ask(drawn)
         numbers = as_given(config, trial.params)
@@ -169,19 +161,3 @@ def _tried(trials: int, space: Space, place: Place, played: Path, workers: Worke
 
 def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
     return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
-
-
-def _study(first: Sequence[Numbers]) -> optuna.Study:
-    """A search in memory that asks for the same trials wherever it gets the same rewards."""
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=DRAWN)
-    study = optuna.create_study(direction="maximize", sampler=sampler)
-    for numbers in first:
-        study.enqueue_trial(dict(numbers))
-    return study
-
-
-def _distribution(name: str, range_: tuple[float, float]) -> optuna.distributions.BaseDistribution:
-    return optuna.distributions.FloatDistribution(*range_, log=name in (FORTH[FEED], BACK[FEED]))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,14 +22,7 @@ from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig, metre_reward, value_at
-from probe_env.envs.vibration_map import (
-    CONTEXT,
-    VibrationMap,
-    check_measure,
-    expected_cost,
-    feeds,
-    stored_map,
-)
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from probe_env.fidelity import PRESETS
 from probe_env.schedule import Schedule
 
@@ -39,17 +31,6 @@ AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
 POPULATION: Final = 16
 TRIALS: Final = 1200
 """Schedules tried in a search."""
-
-
-def metres(config: TaskConfig) -> FloatArray:
-    """Middles of the metres of an insertion [m]."""
-    return np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
-
-
-def _stretched(knots: Sequence[float], config: TaskConfig) -> tuple[float, ...]:
-    """Knots of a helix of 60 m in proportion to the task's."""
-    ratio = (config.scene.tube.helix_length - FIRST) / (KNOTS[-1] - FIRST)
-    return tuple(FIRST + (knot - FIRST) * ratio for knot in knots)
 
 
 @dataclass(frozen=True)
@@ -72,7 +53,8 @@ class Family:
         low, high = np.log(feeds(config))
         feed = np.exp(value_at(np.array(x[: len(self.knots)]), (low, high)))
         air = value_at(np.array(x[len(self.knots) :]), (least_air(config), config.air_supply_rates[1]))
-        knots, air_knots = (_stretched(places, config) for places in (self.knots, self.air_knots))
+        ratio = (config.scene.tube.helix_length - FIRST) / (KNOTS[-1] - FIRST)
+        knots, air_knots = ([FIRST + (knot - FIRST) * ratio for knot in part] for part in (self.knots, self.air_knots))
         places = sorted({*knots, *air_knots})
         fed, blown = np.interp(places, knots, feed), np.interp(places, air_knots, air)
         return Schedule("inserted_length", "linear", tuple(places), tuple(map(float, fed)), tuple(map(float, blown)))
@@ -82,42 +64,33 @@ class Family:
         return tuple(c for c in contexts if self.helix_diameter in (None, c.helix_diameter))
 
 
-def _schedule_family(helix_diameter: float | None = None) -> Family:
-    return Family(KNOTS, AIR_KNOTS, (0.95, 0.9, 0.6, 0.6, 0.55, 0.45, 0.35, 0.2, 0.5, 0.9, 0.95, 0.95), helix_diameter)
-
-
+_START: Final = (0.95, 0.9, 0.6, 0.6, 0.55, 0.45, 0.35, 0.2, 0.5, 0.9, 0.95, 0.95)
 FAMILIES: Final[dict[str, Family]] = {
     "best-constant": Family((5.0,), (5.0,), (0.45, 0.7)),
-    "best-schedule": _schedule_family(),
-    **{f"best-schedule-d{d:g}": _schedule_family(d) for d in HELIX_DIAMETERS},
+    "best-schedule": Family(KNOTS, AIR_KNOTS, _START),
+    **{f"best-schedule-d{d:g}": Family(KNOTS, AIR_KNOTS, _START, d) for d in HELIX_DIAMETERS},
 }
-
 
 OF_A_PLANT: Final = ("best-constant", "best-schedule")
 """Families that are searched for a plant unless others are asked for."""
 
 
-@dataclass(frozen=True)
 class MapCost:
     """Expected cost of schedules on tubes by a map, and so their reward."""
 
-    tubes: tuple[Context, ...]
-    config: TaskConfig
-    vibration: VibrationMap = field(default_factory=stored_map)
-
-    @cached_property
-    def _tiled(self) -> tuple[FloatArray, FloatArray]:
-        values = np.array([[getattr(c, name) for name in CONTEXT] for c in self.tubes])
-        places = metres(self.config)
-        return np.tile(places, len(values)), np.repeat(values, len(places), axis=0)
+    def __init__(self, tubes: tuple[Context, ...], config: TaskConfig, vibration: VibrationMap) -> None:
+        self.config, self.vibration = config, vibration
+        middles = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)  # of metres [m]
+        values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
+        self.count, self.lengths = len(middles), np.tile(middles, len(tubes))
+        self.tubes = np.repeat(values, len(middles), axis=0)
 
     def reward(self, schedule: Schedule) -> float:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
-        lengths, tubes = self._tiled
-        feed, air = schedule.at(lengths)
-        predicted = self.vibration.tells(lengths, feed, air, tubes, self.config.scene)
+        feed, air = schedule.at(self.lengths)
+        predicted = self.vibration.tells(self.lengths, feed, air, self.tubes, self.config.scene)
         cost = expected_cost(*predicted, feed, air, self.config)
-        return float(len(metres(self.config)) * metre_reward(self.config, cost.mean()))
+        return float(self.count * metre_reward(self.config, cost.mean()))
 
 
 def run(request: Request) -> None:
@@ -131,9 +104,7 @@ def run(request: Request) -> None:
         FileError: a stored episode is damaged, or of another task; nothing was tried.
     """
     request.without("limit")
-    trials = TRIALS if request.trials is None else request.trials
-    if trials < 1:
-        raise ValueError(f"trials = {trials!r} is outside the accepted range 1 and more")
+    trials = request.budget("trials", TRIALS)
     plant = plant_at(request.tube)
     vibration = map_of(request.tube, plant)
     if plant is not None and vibration is stored_map():
@@ -156,12 +127,13 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
         return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=PRESETS["fast"])
 
     stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
-    cost = MapCost(family.tubes(train.contexts), config, vibration)
+    training = family.tubes(train.contexts)
+    cost = MapCost(training, config, vibration)
     points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
     table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
     simulated = run_plan(plan_of(best), output / "simulated" / name, workers=request.workers)
-    setting = {"training_tubes": len(cost.tubes), "trials": len(table), "reward_by_map": float(rewards.max())}
+    setting = {"training_tubes": len(training), "trials": len(table), "reward_by_map": float(rewards.max())}
     setting |= {"validation_tubes": len(tubes), "reward_simulated": float(simulated["reward"].mean())}
     write_atomically(output / f"{name}-trials.csv", table.to_csv(index=False, float_format="%.4g"))
     write_atomically(output / f"{name}.csv", best.to_csv())

@@ -68,26 +68,18 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
     """Plant and specimens of a group; together they fill what may be evenly."""
     spread = qmc.Sobol(5, rng=np.random.default_rng(SEED))
     shares = spread.fast_forward(group * SIZE).random(SIZE) if group else spread.random(SIZE)
-    bore = BORES[0] + float(qmc.Halton(1, scramble=False).fast_forward(group + 1).random(1)[0, 0]) * (
-        BORES[1] - BORES[0]
-    )
+    bore = float(value_at(qmc.Halton(1, scramble=False).fast_forward(group + 1).random(1)[0, 0], BORES))
     plant = Plant(
-        tube=Tubes(inner_diameter=round(float(bore), 6), helix_length=LENGTHS[group % len(LENGTHS)]),
+        tube=Tubes(inner_diameter=round(bore, 6), helix_length=LENGTHS[group % len(LENGTHS)]),
         task={"lost_drive_periods": 1000, "time_limit": 1e4},
     )
-    specimens = [
-        Specimen(
-            Context(
-                friction=float(value_at(a, FRICTION)),
-                contact_stiffness=float(_geometric(STIFFNESS, b)),
-                drag_factor=float(value_at(c, DRAG_FACTORS)),
-                helix_diameter=float(_geometric(DIAMETERS, d)),
-            ),
-            float(_geometric(DAMPING, e)),
-        )
-        for a, b, c, d, e in shares
-    ]
-    return plant, specimens
+
+    def specimen(a: float, b: float, c: float, d: float, e: float) -> Specimen:
+        tube = {"friction": value_at(np.asarray(a), FRICTION), "contact_stiffness": _geometric(STIFFNESS, b)}
+        tube |= {"drag_factor": value_at(np.asarray(c), DRAG_FACTORS), "helix_diameter": _geometric(DIAMETERS, d)}
+        return Specimen(Context(**{name: float(v) for name, v in tube.items()}), float(_geometric(DAMPING, e)))
+
+    return plant, [specimen(*row) for row in shares]
 
 
 def wandering(group: int) -> Program:

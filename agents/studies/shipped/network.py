@@ -12,15 +12,9 @@ HIDDEN = 64
 def fit_network(
     x: FloatArray, y: FloatArray, seed: int, epochs: int, batch: int, clamp: tuple[float, float]
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Weights (in, out) and biases (out,) of three layers, tanh between them.
+    """Weights (in, out) and biases (out,) of three layers, tanh between them, for scaled inputs (n, d), targets (n, t).
 
-    Args:
-        x: (n, d) inputs, scaled.
-        y: (n, t) targets, of which the layers give t means and then t logarithms of deviations.
-        seed: of the start and the batches.
-        epochs: passes over the rows.
-        batch: rows of a step.
-        clamp: range of the logarithms while it learns.
+    The layers give t means and then t logarithms of deviations, kept within ``clamp`` while they learn.
     """
     import torch
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -17,15 +16,14 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
-from agents.evaluation.workers import Workers
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import Place, place_of
+from agents.policies.places import place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
 from agents.studies.builtin import Request
-from agents.terminal.tables import print_table
+from agents.studies.tables import print_frame
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
@@ -86,12 +84,10 @@ def run(request: Request) -> None:
         ValueError: the limit is out of range.
     """
     request.without("tube")
-    limit = LIMIT if request.limit is None else request.limit
-    if not 0 < limit <= SPLIT_SIZES["train"]:
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 1 to {SPLIT_SIZES['train']}")
-    trials = TRIALS if request.trials is None else request.trials
-    search_law(trials, GENERATIONS, limit, request)
-    search_trim(TRIM_LIMIT if request.limit is None else limit, request)
+    most = SPLIT_SIZES["train"]
+    limit, trim_limit = request.budget("limit", LIMIT, most), request.budget("limit", TRIM_LIMIT, most)
+    search_law(TRIALS if request.trials is None else request.trials, GENERATIONS, limit, request)
+    search_trim(trim_limit, request)
     print(f"written: {request.output}/ (plc-law.json, trimmed-law.json, the trials of both)")
 
 
@@ -100,69 +96,53 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     vibration, output = stored_map(), request.output
     whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
     config = whole.config.all_shown
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
+    commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
     def by_map(laws: list[Constants]) -> list[float]:
         by_law = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
         return [float(rewards.mean()) for rewards in by_law]
 
-    best = _searched(by_map, point_of(Constants()), WIDE, max(trials // POPULATION, 1), ("map", rows))
-    simulated = _Simulated(place, output / "episodes", request.workers)
-    best = _searched(simulated, point_of(best), NEAR, generations, ("simulated", rows)) if generations else best
-    table = pd.DataFrame(rows)
-    write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
-    record = {
-        "constants": best.model_dump(),
-        "rewards": {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)},
-        "tubes": {"map": len(whole.contexts), "simulated": limit},
-    }
-    write_json(output / "plc-law.json", record | {"provenance": origin(commits=simulated.commits)})
-    return best
-
-
-class _Simulated:
-    """Mean rewards of laws on some tubes, by simulation; episodes are kept."""
-
-    def __init__(self, place: Place, folder: Path, workers: Workers) -> None:
-        self.place, self.folder, self.workers, self.done = place, folder, workers, 0
-        self.commits = [commit()]  # of the laws tried on the map, which are tried anew each time
-
-    def __call__(self, laws: list[Constants]) -> list[float]:
-        config = self.place.config.all_shown
-        policies = {f"law-{self.done + k}": PlcLaw(config, law) for k, law in enumerate(laws)}
-        plan = Plan(policies, self.place.contexts, config=config, fidelity=resolve_fidelity("fast"))
-        table = run_plan(plan, self.folder / f"{self.done:04d}", progress=False, workers=self.workers)
-        self.done += len(laws)
-        self.commits += list(table["commit"])
+    def simulated(laws: list[Constants]) -> list[float]:
+        nonlocal done
+        policies = {f"law-{done + k}": PlcLaw(place.config.all_shown, law) for k, law in enumerate(laws)}
+        plan = Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity("fast"))
+        table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
+        done += len(laws)
+        commits.extend(table["commit"])
         means = table.groupby("policy")["reward"].mean()
         return [float(means[name]) for name in policies]
 
+    stages = ("map", by_map, WIDE, max(trials // POPULATION, 1)), ("simulated", simulated, NEAR, generations)
+    best = Constants()
+    for where, reward, spread, count in stages:
+        tried = _searched(reward, point_of(best), spread, count)
+        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in tried]
+        best = max([tried[-1], *tried], key=lambda one: one[1])[0]  # of equals the search's mean
+    table = pd.DataFrame(rows)
+    write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
+    rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
+    tubes = {"map": len(whole.contexts), "simulated": limit}
+    record = {"constants": best.model_dump(), "rewards": rewards, "tubes": tubes}
+    write_json(output / "plc-law.json", record | {"provenance": origin(commits=commits)})
+    return best
+
 
 def _searched(
-    reward: Callable[[list[Constants]], list[float]],
-    start: FloatArray,
-    spread: float,
-    generations: int,
-    record: tuple[str, list[dict[str, object]]],
-) -> Constants:
-    """The best that a CMA-ES around ``start`` tried; at its end the mean of the search is tried as well."""
+    reward: Callable[[list[Constants]], list[float]], start: FloatArray, spread: float, generations: int
+) -> list[tuple[Constants, float]]:
+    """Laws that a CMA-ES around ``start`` tried, at its end its mean, and their rewards."""
     bounds = np.tile([0.0, 1.0], (len(start), 1))
     search = CMA(mean=start, sigma=spread, bounds=bounds, population_size=POPULATION, seed=0)
-    where, rows = record
-    best, most = constants_at(start), -np.inf
-    for _ in tqdm(range(generations), desc=where, unit="generation"):
+    tried: list[tuple[Constants, float]] = []
+    for _ in tqdm(range(generations), unit="generation"):
         points = [search.ask() for _ in range(POPULATION)]
         laws = [constants_at(point) for point in points]
         rewards = reward(laws)
         search.tell([(point, -value) for point, value in zip(points, rewards, strict=True)])
-        for law, value in zip(laws, rewards, strict=True):
-            rows.append({"where": where, "reward": value, **law.model_dump()})
-            if value > most:
-                best, most = law, value
+        tried += zip(laws, rewards, strict=True)
     centre = constants_at(np.clip(search.mean, 0.0, 1.0))
-    value = reward([centre])[0]
-    rows.append({"where": where, "reward": value, **centre.model_dump()})
-    return centre if value >= most else best
+    return [*tried, (centre, reward([centre])[0])]
 
 
 def search_trim(limit: int, request: Request) -> Trim:
@@ -185,25 +165,12 @@ def search_trim(limit: int, request: Request) -> Trim:
     write_atomically(request.output / "trimmed-law-trials.csv", trials.to_csv(index=False, float_format="%.6g"))
     record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
     write_json(request.output / "trimmed-law.json", record | {"provenance": origin(commits=table["commit"])})
-    by_place = {(row["aim"], row["time"]): row for row in rows}
-    cells = []
-    for aim in AIMS:
-        gains = [by_place[aim, time] for time in TIMES]
-        shown = [f"{row['gain']:+.2f} [{row['gain_low']:.2f}, {row['gain_high']:.2f}]" for row in gains]
-        cells.append((f"{1e6 * aim:.3g}", *shown))
-    header = ("aim [µm]", *(f"{time:g} s" for time in TIMES))
-    print_table(f"Reward less that of {UNTRIMMED}, {limit} tubes, by the trim's time", header, cells, left=0)
+    print_frame(f"Reward less that of {UNTRIMMED}, {limit} tubes", trials, texts=0)
     return chosen
 
 
 def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibration: VibrationMap) -> FloatArray:
-    """Expected reward (n,) of insertions, jerk left out, in which tension, noise and cost are those of steady states.
-
-    Args:
-        policy: that looks at length, feed, air, tension, noise and helix diameter; its draws are its own.
-        tubes: (n,).
-        vibration: the map.
-    """
+    """Expected reward (n,) of insertions in which tension, noise and cost are those of steady states; without jerk."""
     config = policy.config
     values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
     column = {name: values[:, k] for k, name in enumerate(CONTEXT)}

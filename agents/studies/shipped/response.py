@@ -76,13 +76,8 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
         error = targets[:, k] - mean[:, k]
         quality[f"{name}_rms_decades"] = float(np.sqrt((error**2).mean()))
         quality[f"{name}_explained"] = float(1.0 - (error**2).mean() / targets[:, k].var())
-    covered = (
-        bank["length"],
-        bank["feed"],
-        np.exp(inputs[:, 4]),
-        bank["helix_diameter"],
-        bank["inner_diameter"] - Scene().probe.carrier_float_diameter,
-    )
+    clearance = bank["inner_diameter"] - Scene().probe.carrier_float_diameter
+    covered = bank["length"], bank["feed"], np.exp(inputs[:, 4]), bank["helix_diameter"], clearance
     ranges = np.array([[v.min() for v in covered], [v.max() for v in covered]])
     plain = Response(layers, scaling, ranges, alike, np.array(REACH), np.zeros(len(CHANNELS) + 1))
     misfits = [
@@ -152,10 +147,7 @@ def run(request: Request) -> Response:
     import_module("torch")  # for the network, which comes after hours of simulation
 
     request.without("trials", "tube")
-    groups = GROUPS if request.limit is None else request.limit
-    if not 1 <= groups <= 256:
-        raise ValueError(f"limit = {groups!r} is outside the accepted range 1 to 256")
-    parts = list(make_bank(groups, request.output))
+    parts = list(make_bank(request.budget("limit", GROUPS, 256), request.output))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     response, quality = fit_response(bank)
     target = request.output / "response.npz"
@@ -163,10 +155,7 @@ def run(request: Request) -> Response:
     setting = {"insertions": len(np.unique(bank["specimen"])), "metres": len(bank["length"]), "fidelity": FIDELITY}
     write_json(target.with_suffix(".json"), origin() | setting | quality)
     print_terms(
-        {
-            name: f"{value:.4g}" if isinstance(value, float) else str(value)
-            for name, value in (setting | quality).items()
-        }
+        {name: value if isinstance(value, str) else f"{value:.4g}" for name, value in (setting | quality).items()}
     )
     print(f"written: {target}")
     return response

@@ -71,12 +71,11 @@ def fit_map(
     Args:
         profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
         seed: of the network's start.
-        scene: of a plant of one's own; default: table 2's.
+        scene: of a custom plant; default: table 2's.
         measure: of vibration, one of ``PROFILED``.
 
     Returns:
-        the map; share of the variance of log10 rms explained and the mean absolute error [decades] on the tubes
-        that were left out.
+        the map; explained variance of log10 rms and mean absolute error [decades] on the held-out tubes.
     """
     import torch
 
@@ -112,19 +111,13 @@ def run(request: Request) -> Path:
         print(f"probe-env: note: {request.tube} ships, and its map stays: the new one is {target}", file=sys.stderr)
     elif request.tube:
         target = map_beside(request.tube)
-    make_map(SEEDS if request.trials is None else request.trials, request, target)
+    make_map(request.budget("trials", SEEDS, 100), request, target)
     print(f"written: {target}")
     return target
 
 
 def make_map(seeds: int, request: Request, target: Path) -> VibrationMap:
-    """Wander on training tubes (resumable), fit the map, store it in ``target``.
-
-    Raises:
-        ValueError: the number of seeds is out of range.
-    """
-    if not 1 <= seeds <= 100:
-        raise ValueError(f"trials = {seeds!r} is outside the accepted range 1 to 100")
+    """Wander on training tubes (resumable), fit the map, store it in ``target``."""
     plant = plant_at(request.tube)
     goes_on = {"lost_drive_periods": 1000}  # without drive: that is seen in the table
     config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)

@@ -11,22 +11,30 @@ from __future__ import annotations
 import warnings
 from functools import lru_cache
 from itertools import product
+from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
 from tqdm import tqdm
 
+from agents.records.drawing import GREY, save
 from agents.studies.chart.ensembles import STIFFNESSES
 from agents.studies.stability.one_mass import bounce
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.physics.methods import METHODS, ON_NODES
 
+ROWS = ("stiffness_n_per_m", "length_m", "friction")
+VERDICTS = {"stable": "#1f5fa8", "wrong": "#f5b041", "unstable": "#c0392b"}
 Cell = tuple[str, float, float, float, float]
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
 LENGTHS = (10.0, 50.0)  # [m]
 FRICTIONS = (0.05, 0.15, 0.3)
+COLUMNS = ("method", *ROWS, "ratio", "time_step_s", "omega_dt", "diverged_at_s")
 WRONG = 0.05
 """Numerical damping ratio of the contact, lost or gained."""
 DURATION = {"explicit": 0.1}  # [s], else 0.5
@@ -59,16 +67,8 @@ def run_cell(method: str, stiffness: float, length: float, friction: float, rati
     except SimulationError as error:
         diverged = error.time
     mass = scene.probe.line_density * scene.probe.float_pitch / 4
-    return {
-        "method": method,
-        "stiffness_n_per_m": stiffness,
-        "length_m": length,
-        "friction": friction,
-        "ratio": ratio,
-        "time_step_s": time_step,
-        "omega_dt": time_step * np.sqrt(stiffness / mass),
-        "diverged_at_s": diverged,
-    }
+    values = (method, stiffness, length, friction, ratio, time_step, time_step * np.sqrt(stiffness / mass), diverged)
+    return dict(zip(COLUMNS, values, strict=True))
 
 
 def run_map(runs: list[Cell], jobs: int) -> pd.DataFrame:
@@ -100,3 +100,24 @@ def by_step(table: pd.DataFrame) -> pd.DataFrame:
     marked = marked.assign(stable=marked["verdict"] != "unstable", wrong=marked["verdict"] == "wrong")
     groups = marked.groupby(["method", "ratio"], sort=False)
     return groups.agg(cells=("stable", "size"), stable=("stable", "mean"), wrong=("wrong", "mean")).reset_index()
+
+
+def draw_map(table: pd.DataFrame, path: Path) -> None:
+    """Verdicts over step, a panel a method, a row a stiffness, length and friction."""
+    methods, codes = list(dict.fromkeys(table["method"])), table["verdict"].map(list(VERDICTS).index)
+    figure, axes = plt.subplots(1, len(methods), figsize=(14, 6), sharey=True, layout="constrained", squeeze=False)
+    look: dict[str, Any] = {"cmap": ListedColormap(list(VERDICTS.values())), "vmin": 0, "vmax": 2}
+    for axis, method in zip(axes[0], methods, strict=True):
+        grid = table.assign(code=codes)[table["method"] == method].pivot_table("code", list(ROWS), "ratio")
+        axis.imshow(grid.to_numpy(), aspect="auto", origin="lower", **look)
+        axis.set_xticks(range(grid.shape[1]), [f"{ratio:g}" for ratio in grid.columns], fontsize=8, rotation=90)
+        labels = [f"{k:.0e} N/m, {length:.0f} m, friction {mu:g}" for k, length, mu in grid.index]
+        axis.set_yticks(range(grid.shape[0]), labels, fontsize=8)
+        axis.set(xlabel="step / named limit", title=method)
+    marks = [Patch(color=colour) for colour in VERDICTS.values()]
+    labels = ["stable", "stable, but bounces are off by 5 % of critical damping or more", "diverged"]
+    if len(table) < len(methods) * len(table.drop_duplicates([*ROWS, "ratio"])):
+        marks.append(Patch(facecolor="white", edgecolor=GREY))
+        labels.append("refused: its rounding would show")
+    figure.legend(marks, labels, loc="outside lower center", ncols=len(marks), frameon=False)
+    save(figure, path, dpi=90)
