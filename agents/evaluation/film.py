@@ -60,7 +60,7 @@ class _Play:
         self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
         self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
         self.episodes.may_stand = True  # as in an evaluation
-        self._policy = make_policy(policy, self.episodes.config)
+        self._policy = make_policy(policy, self.episodes.config, classes=True)
         self.ended, self.info = False, dict[str, Any]()
 
     def reset(self, seed: int) -> None:

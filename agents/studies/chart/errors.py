@@ -62,7 +62,6 @@ def run_costs(output: Path) -> None:
         rows.append((method, nodes, length, min(seconds[1:]) / node_steps * 1e9))
     table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
-    return table
 
 
 def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
