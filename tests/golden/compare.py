@@ -89,6 +89,7 @@ UNKNOWN = re.compile(r"(policy|command|env_id|fidelity) = .* is not one of|no su
 PROGRESS = re.compile(r".*(%\||\[\d\d:\d\d|compiling kernels).*\n?|^\s*\n", re.MULTILINE)
 TIMED, WALL_CLOCK = {"train", "tune"}, re.compile(r"│ +[\d.e+]+ │$", re.MULTILINE)
 """Cases whose printed table ends with a column of wall clock."""
+TEXTS = re.compile(r"std(out|err) |\S+\.(html|png|gif|st),")
 SHOWN = 3
 
 
@@ -237,7 +238,7 @@ def plain(value: Any) -> Any:
 
 def diff(first: Path, second: Path, names: list[str]) -> int:
     """Print the differences of two recordings case by case; return how many there are."""
-    count, alone = 0, []
+    count, texts, alone = 0, 0, []
     for name in names:
         files = [folder / f"{name}.json" for folder in (first, second)]
         if not any(file.exists() for file in files):
@@ -254,13 +255,17 @@ def diff(first: Path, second: Path, names: list[str]) -> int:
             continue
         lines, added = differences(*records)
         count += len(lines)
+        texts += sum(bool(TEXTS.match(line)) for line in lines)
         print(
             f"{name}: {f'{len(lines)} differences' if lines else 'equal'}"
             + (f", {len(added)} added or removed" * bool(added))
         )
         print("".join(f"    {line}\n" for line in [*lines, *added]), end="")
     print("".join(f"{line}\n" for line in alone), end="")
-    print(f"{count} differences in values, {len(alone)} cases in one recording only")
+    print(
+        f"{count} differences, {texts} of them in printed text, reports and pictures; "
+        f"{len(alone)} cases in one recording only"
+    )
     return count
 
 
