@@ -69,6 +69,8 @@ CASES: dict[str, tuple[str, ...]] = {
     "agents": ("agents",),
     "steps-insertion": ("steps Insertion-v1 50 fidelity=fast contexts=test",),
     "steps-insertion-standard": ("steps Insertion-v1 20 probes=random",),
+    "steps-complete": ("steps Insertion-v1 60 fidelity=fast tube=short.toml",),
+    "steps-time-limit": ("steps Inspection-v0 20 fidelity=fast config.time_limit=14",),
     "steps-snapshot": ("steps Snapshot-v1 50",),
     "steps-inspection": ("steps Inspection-v0 50 fidelity=fast contexts=test",),
     "steps-design": ("steps Design-v1 2",),
@@ -216,8 +218,11 @@ def steps(env_id: str, number: int, settings: dict[str, Any]) -> None:
 
 
 def settings_of(words: list[str]) -> dict[str, Any]:
-    """Settings of an environment from words such as fidelity=fast."""
-    return dict(word.split("=") for word in words)
+    """Settings of an environment from words such as fidelity=fast and, of the task, config.time_limit=60."""
+    pairs = [word.split("=") for word in words]
+    config = {name.removeprefix("config."): float(value) for name, value in pairs if name.startswith("config.")}
+    settings = {name: value for name, value in pairs if not name.startswith("config.")}
+    return settings | ({"config": config} if config else {})
 
 
 def vec_env() -> Any:

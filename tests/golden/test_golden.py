@@ -29,14 +29,14 @@ from agents.cli import main
 from probe_env import Simulator
 
 EXPECTED = Path(__file__).parent / "expected.json"
-CALM = "--tube calm.toml --limit 2 --fidelity fast --output out"
+CALM = "--tube calm.toml --fidelity fast --output out"
 STEPS = "fidelity=fast tube=calm.toml"
 CASES = {
     "simulate-newmark": "simulate fig11_l10 --method newmark --duration 0.05 --output out",
     "simulate-imex": "simulate fig11_l10 --method imex --duration 0.2 --scene.contact.friction 0.2 --output out",
     "simulate-superelement": "simulate fig11_l10 --method superelement --duration 0.125 --output out",
-    "evaluate": f"evaluate constant pi adaptive trimmed-law calm.csv {CALM}",
-    "evaluate-agents": f"evaluate student ppo {CALM}",
+    "evaluate": f"evaluate constant pi adaptive trimmed-law calm.csv --limit 2 {CALM}",
+    "evaluate-agents": f"evaluate student --limit 1 {CALM}",
     "signal": "signal best-schedule --tube short.toml --flaws 5.5:20 6:60 --until 9 --output out",
     "compare": "compare original improved --full --tube longer.toml --limit 1 --fidelity fast --output out",
     "log": "log rig.csv --output out/clean.csv",
@@ -44,12 +44,16 @@ CASES = {
     "plc": "plc --st out/law.st --csv out/law.csv",
     "plc-trimmed": "plc --trimmed --st out/trimmed.st --tube short.toml",
     "steps-insertion": f"steps Insertion-v1 6 {STEPS}",
+    "steps-complete": "steps Insertion-v1 45 fidelity=fast tube=short.toml",
+    "steps-time-limit": f"steps Inspection-v0 6 {STEPS} config.time_limit=4",
     "steps-snapshot": "steps Snapshot-v1 6 tube=calm.toml",
     "steps-inspection": f"steps Inspection-v0 6 {STEPS}",
     "steps-design": "steps Design-v1 1",
 }
 KEPT = 16
 """Cells of a column that are compared, spread evenly over it."""
+ENDS = re.compile(r"terminated$|truncated$|done$|reward$|inserted_length$")
+"""What is compared of the cases in which episodes end, and then all cells of it."""
 SUFFIXES = {".csv", ".parquet", ".json", ".npz", ".st"}
 LEFT_OUT = {"noise_gaussian"}  # whether a p-value is above its limit, from noise that is chaotic
 NUDGES = 8
@@ -77,13 +81,15 @@ def values(name: str, folder: Path, shift: int = 0) -> Columns:
             assert main(words) == 0
     finally:
         os.chdir(before)
+    ends = name in ("steps-complete", "steps-time-limit")
+    kept = 200 if ends else KEPT
     files = [path for path in sorted(folder.glob("out/**/*")) if path.suffix in SUFFIXES]
     return {
-        f"{path.relative_to(folder)}, {column}": [cell_of(cell) for cell in cells[:: max(1, len(cells) // KEPT)]]
+        f"{path.relative_to(folder)}, {column}": [cell_of(cell) for cell in cells[:: max(1, len(cells) // kept)]]
         for path in files
         if not IGNORED_FILES.search(path.name) and path.name not in ("setting.json", "tube.json")
         for column, cells in columns_of(path).items()
-        if column not in LEFT_OUT
+        if column not in LEFT_OUT and (not ends or ENDS.search(column))
     }
 
 
