@@ -69,6 +69,8 @@ CASES: dict[str, tuple[str, ...]] = {
     "agents": ("agents",),
     "steps-insertion": ("steps Insertion-v1 50 fidelity=fast contexts=test",),
     "steps-insertion-standard": ("steps Insertion-v1 20 probes=random",),
+    "steps-complete": ("steps Insertion-v1 60 fidelity=fast tube=short.toml",),
+    "steps-time-limit": ("steps Inspection-v0 20 fidelity=fast config.time_limit=14",),
     "steps-snapshot": ("steps Snapshot-v1 50",),
     "steps-inspection": ("steps Inspection-v0 50 fidelity=fast contexts=test",),
     "steps-design": ("steps Design-v1 2",),
@@ -89,6 +91,7 @@ UNKNOWN = re.compile(r"(policy|command|env_id|fidelity) = .* is not one of|no su
 PROGRESS = re.compile(r".*(%\||\[\d\d:\d\d|compiling kernels).*\n?|^\s*\n", re.MULTILINE)
 TIMED, WALL_CLOCK = {"train", "tune"}, re.compile(r"│ +[\d.e+]+ │$", re.MULTILINE)
 """Cases whose printed table ends with a column of wall clock."""
+TEXTS = re.compile(r"std(out|err) |\S+\.(html|png|gif|st),")
 SHOWN = 3
 
 
@@ -215,8 +218,11 @@ def steps(env_id: str, number: int, settings: dict[str, Any]) -> None:
 
 
 def settings_of(words: list[str]) -> dict[str, Any]:
-    """Settings of an environment from words such as fidelity=fast."""
-    return dict(word.split("=") for word in words)
+    """Settings of an environment from words such as fidelity=fast and, of the task, config.time_limit=60."""
+    pairs = [word.split("=") for word in words]
+    config = {name.removeprefix("config."): float(value) for name, value in pairs if name.startswith("config.")}
+    settings = {name: value for name, value in pairs if not name.startswith("config.")}
+    return settings | ({"config": config} if config else {})
 
 
 def vec_env() -> Any:
@@ -237,7 +243,7 @@ def plain(value: Any) -> Any:
 
 def diff(first: Path, second: Path, names: list[str]) -> int:
     """Print the differences of two recordings case by case; return how many there are."""
-    count, alone = 0, []
+    count, texts, alone = 0, 0, []
     for name in names:
         files = [folder / f"{name}.json" for folder in (first, second)]
         if not any(file.exists() for file in files):
@@ -254,13 +260,17 @@ def diff(first: Path, second: Path, names: list[str]) -> int:
             continue
         lines, added = differences(*records)
         count += len(lines)
+        texts += sum(bool(TEXTS.match(line)) for line in lines)
         print(
             f"{name}: {f'{len(lines)} differences' if lines else 'equal'}"
             + (f", {len(added)} added or removed" * bool(added))
         )
         print("".join(f"    {line}\n" for line in [*lines, *added]), end="")
     print("".join(f"{line}\n" for line in alone), end="")
-    print(f"{count} differences in values, {len(alone)} cases in one recording only")
+    print(
+        f"{count} differences, {texts} of them in printed text, reports and pictures; "
+        f"{len(alone)} cases in one recording only"
+    )
     return count
 
 
