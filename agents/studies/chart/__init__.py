@@ -68,7 +68,7 @@ def draw_chart(output: Path, target: Path | None = None, study: Path = STUDY) ->
         write_atomically(output / f"{name}.csv", as_csv(table, 4))
     measured = errors.measured_errors(constant, inserted)
     write_atomically(target or output / "measured_errors.csv", as_csv(measured, 4))
-    commits = pd.concat([table["commit"] for table in (smooth, ensembles, insertions)])
+    commits = pd.concat([table["commit"].dropna() for table in (smooth, ensembles, insertions)])
     write_manifest(output, [f"{name}.csv" for name in (*TABLES, *tables)], commits=commits)
     figures.smooth(smooth, output / "smooth.png")
     figures.chaos(constant, inserted, output / "chaos.png")
