@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -65,7 +66,7 @@ def origin(command: str | None = None, commits: Iterable[str] | None = None) -> 
     names = list(dict.fromkeys(commits if commits is not None else [commit()]))
     known = bool(names) and "unknown" not in names
     return {
-        "command": command or "probe-env " + shlex.join(sys.argv[1:]),
+        "command": PASSWORD.sub(r"\1:***@", command or "probe-env " + shlex.join(sys.argv[1:])),
         "version": version("probe-env"),
         "commit": ", ".join(names),
         "clean": not any(name.endswith(CHANGED) for name in names) if known else None,
@@ -95,6 +96,10 @@ def _kernels() -> str:
     }
     target = os.environ.get("NUMBA_CPU_NAME") or get_host_cpu_name()
     return ", ".join([*sorted(blas), f"numba {target}"])
+
+
+PASSWORD: Final = re.compile(r"(://[^:/?#@\s]*):\S*@")
+"""Password in an address, such as that of a cluster: it is not stored."""
 
 
 @lru_cache
