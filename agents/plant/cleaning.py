@@ -7,9 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from agents.plant.columns import Channels
 from agents.plant.quantities import QUANTITIES
-from agents.plant.tables import IntArray, Table
+from agents.plant.reader import Channels, IntArray, Table
 from probe_env.arrays import FloatArray
 from probe_env.schedule import POSITIONS
 
@@ -127,7 +126,7 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
 
 def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
     """Time from 0, values averaged over rows of one time, and the first row of each; of the rows with a time."""
-    table, k = channels.table, channels.places["time"]
+    table, k = channels.table, channels.indices["time"]
     if len(rows) < 2:
         raise table.error(0, f"{len(rows)} rows have a time: at least two are needed", k)
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
@@ -173,7 +172,7 @@ def _bridged(
     known = np.flatnonzero(~np.isnan(column))
     if len(known) == len(column):
         return column
-    table, k = channels.table, channels.places[name]
+    table, k = channels.table, channels.indices[name]
     if not len(known):
         raise table.error(0, "no value in the whole column", k)
     edges = np.concatenate([[0], known, [len(column) - 1]])
@@ -191,7 +190,7 @@ def _band(channels: Channels, length: FloatArray, rows: IntArray, backward: floa
         row = int(back.argmax())
         problem = f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m"
         hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
-        raise table.error(rows[row], f"{problem} {hint}", channels.places[name])
+        raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
     if length.max() > most:
         raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
     return np.minimum.accumulate(length[::-1])[::-1], before

@@ -11,9 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, cleaned, held, kept_rows, outside, portion_means
-from agents.plant.columns import Channels, channels_of
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
-from agents.plant.tables import IntArray, read_table
+from agents.plant.reader import Channels, IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
@@ -116,8 +115,7 @@ def read_log(
     highest = RANGES[AIR][1] / HOUR
     if air_supply_rate is not None and not 0.0 <= air_supply_rate <= highest:
         raise ValueError(f"air_supply_rate = {air_supply_rate!r} is outside the accepted range 0 to {highest:g} m3/s")
-    channels = channels_of(read_table(path, sheet, options), options, DECIMALS[decimal], air_supply_rate)
-    return _thinned(channels, bounds)
+    return _thinned(read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate), bounds)
 
 
 def _thinned(channels: Channels, bounds: Bounds) -> Log:

@@ -274,7 +274,7 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read_log(tmp_path / "pipe")
-    monkeypatch.setattr("agents.plant.tables.MOST_BYTES", 100)
+    monkeypatch.setattr("agents.plant.reader.MOST_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
         read_log(path)
 
