@@ -29,8 +29,8 @@ from probe_env.envs.pictures.strip import Motion
 from probe_env.envs.task import TaskConfig
 from probe_env.inspection.channels import Flaw, Passage, along, channels, filtered, smoothed
 from probe_env.inspection.detection import snr_at, threshold
-from probe_env.inspection.meter import snr_of_groove
 from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.snr import snr_of_groove
 
 MANUAL: Final = "by hand"
 """Policy name of the manual drive."""

@@ -95,7 +95,7 @@ def shape_of(playing: Playing, k: int) -> ProbeShape:
         helix_length=scene.tube.helix_length,
         signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
         signal_radial=radial,
-        spectrum=episodes.gauges.meter.of_filter(k),
+        spectrum=episodes.gauges.meter.filter_spectrum(k),
         feed_speed=simulator.feed_speed,
         observation={name: float(values[0]) for name, values in observation.items()},
     )

@@ -30,7 +30,7 @@ from probe_env import Context
 from probe_env.design import RANGES
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import ENDINGS, TaskConfig
-from probe_env.inspection.tally import POD_NAMES
+from probe_env.inspection.metrics import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"
 TABLES: Final = ("episodes", "profile")

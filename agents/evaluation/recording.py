@@ -19,9 +19,9 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
 from probe_env.envs.trials import periods_of
 from probe_env.inspection.channels import Flaw, Passage
-from probe_env.inspection.meter import SPAN, Meter
+from probe_env.inspection.metrics import DetectionMetrics, RoundTripMetrics
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.tally import DetectionTally, EitherTally
+from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
@@ -36,14 +36,14 @@ class Insertion:
     Attributes:
         passage: time, place, feed and motion of every sample.
         periods: info of every control period, SI units.
-        detection: detection figures by name of the inspected length, see ``inspection.tally``.
+        detection: detection figures by name of the inspected length, see ``inspection.metrics``.
         tally: from which these figures follow.
     """
 
     passage: Passage
     periods: tuple[dict[str, Any], ...]
     detection: dict[str, float]
-    tally: DetectionTally | EitherTally
+    tally: DetectionMetrics | RoundTripMetrics
 
     @property
     def period(self) -> int:
@@ -145,7 +145,7 @@ def _passage(sensor: Sensor, places: list[float], periods: list[dict[str, Any]],
     )
 
 
-def listened(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> Iterator[tuple[int, int, Meter]]:
+def listened(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> Iterator[tuple[int, int, SnrEstimator]]:
     """First and last sample of each ``STRETCH``, and a meter that has processed all samples up to there.
 
     The first piece is half a stretch, so that each second ends half a stretch after a piece.
@@ -155,10 +155,10 @@ def listened(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> Iterator[t
         radial: (k,) motion [m].
         feed: (k,) feed speed [m/s].
     """
-    meter, one = Meter(sensor, 1, SAMPLE_PERIOD), np.zeros(1, dtype=np.int64)
+    meter, one = SnrEstimator(sensor, 1, SAMPLE_PERIOD), np.zeros(1, dtype=np.int64)
     ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
     for begin, end in itertools.pairwise([0, *ends]):
-        meter.listen(one, radial[begin:end, None], feed[begin : begin + 1])
+        meter.update(one, radial[begin:end, None], feed[begin : begin + 1])
         yield begin, end, meter
 
 
@@ -172,7 +172,7 @@ def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> Flo
         radial: (k,) motion [m].
         feed: (k,) feed speed [m/s].
     """
-    spectra = [meter.of_filter(0) for _, _, meter in listened(sensor, radial, feed)]
+    spectra = [meter.filter_spectrum(0) for _, _, meter in listened(sensor, radial, feed)]
     # of a second that ends half a stretch after the next one; the last ones have what there is
     last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(spectra) - 1)
     return np.array(spectra)[last]

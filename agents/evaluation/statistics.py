@@ -15,7 +15,7 @@ from agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of, label_of
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import ENDINGS, FAILURES
 from probe_env.inspection.detection import DEPTHS, depths_found
-from probe_env.inspection.tally import POD_NAMES
+from probe_env.inspection.metrics import POD_NAMES
 
 CONFIDENCE: Final = 0.95
 PERCENTILES: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))

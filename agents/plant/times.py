@@ -82,11 +82,8 @@ def seconds(cells: Any) -> FloatArray:
     iso = pc.replace_substring_regex(cells, _GERMAN, r"\3-\2-\1T")
     check(cells, missing | matches(iso, _ISO), _LIKE)
     zoned = matches(iso, _ZONE)
-    check(
-        cells,
-        missing | (zoned == zoned[~missing][0]),
-        "has a zone where others have none, or none: use one or the other",
-    )
+    mixed = "mixes times with a zone and times without: use one or the other"
+    check(cells, missing | (zoned == zoned[~missing][0]), mixed)
     stamps = pd.to_datetime(
         pc.replace_substring(iso, ",", ".").to_pandas(), format="ISO8601", utc=True, errors="coerce"
     )

@@ -15,8 +15,8 @@ from agents.evaluation.folder import episodes_of
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.places import place_at
 from probe_env.inspection.detection import threshold
-from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import GROOVE, Sensor
+from probe_env.inspection.snr import FREQUENCY
 
 LONG = 120.0
 """Time limit for a run of seconds [s]."""

@@ -13,7 +13,7 @@ from probe_env.envs.task.passes import StepRecord, passes_of
 from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
-from probe_env.inspection.tally import POD_NAMES, TURN
+from probe_env.inspection.metrics import POD_NAMES, TURN
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}

@@ -28,8 +28,8 @@ from agents.evaluation.statistics import (
 from probe_env import Context
 from probe_env.envs.task import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
+from probe_env.inspection.metrics import POD_NAMES
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.tally import POD_NAMES
 
 
 @pytest.mark.processor

@@ -7,16 +7,16 @@ import pytest
 from oracles.scatter import hits_within
 
 from probe_env.inspection.detection import DEPTHS, pod_gaussian, snr_at, threshold
-from probe_env.inspection.meter import COUNT
+from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics, RoundTripMetrics
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.tally import POD_NAMES, DetectionTally, EitherTally
+from probe_env.inspection.snr import COUNT
 
 SENSOR = Sensor()
 HALF = threshold(Sensor(false_calls=0.5 * SENSOR.false_calls), 60.0)
 SILENT = np.zeros(COUNT)
 
 
-def heard(snr, share=0.0, peak_to_peak=0.5, excursions=SILENT):
+def signal(snr, share=0.0, peak_to_peak=0.5, excursions=SILENT):
     return snr, share, peak_to_peak, excursions
 
 
@@ -29,30 +29,30 @@ def pod(snr, z=HALF):
 
 
 @pytest.mark.parametrize(
-    ("inspects", "stretch", "step"), [("in", "in", 1.0), ("back", "back", -1.0), ("back", "turn", -1.0)]
+    ("scored_pass", "segment", "step"), [("in", "in", 1.0), ("back", "back", -1.0), ("back", "turn", -1.0)]
 )
-def test_one_pass_is_judged_as_alone(inspects, stretch, step):
+def test_one_pass_is_judged_as_alone(scored_pass, segment, step):
     """Spiky noise in places of different lengths, in the order in which the pass has them."""
     rng = np.random.default_rng(0)
-    alone, either = DetectionTally(SENSOR), EitherTally(SENSOR, inspects)
+    alone, either = DetectionMetrics(SENSOR), RoundTripMetrics(SENSOR, scored_pass)
     ends = np.cumsum(rng.uniform(0.1, 2.0, 200))[:: int(step)]
     for one, other in pairwise(ends):
         low, high = sorted((float(one), float(other)))
-        reading = heard(rng.uniform(1.0, 9.0), 0.5, rng.uniform(), rng.standard_t(2, COUNT))
+        reading = signal(rng.uniform(1.0, 9.0), 0.5, rng.uniform(), rng.standard_t(2, COUNT))
         alone.add(high - low, *reading)
-        either.add(stretch, low, high, reading)
-        either.add("in" if stretch != "in" else "back", low, high, heard(99.0))  # not looked at
+        either.add(segment, low, high, reading)
+        either.add("in" if segment != "in" else "back", low, high, signal(99.0))  # not looked at
     assert not alone.gaussian
     assert either.kpis(60.0, 60.0) == pytest.approx(alone.kpis(60.0, 60.0), rel=1e-9)
 
 
 def test_a_flaw_is_called_where_either_pass_calls_it():
     """In over 0 to 40 m at S/N 2 and 6, back over 10 to 60 m at 8 and 3: half of the false calls each."""
-    either = EitherTally(SENSOR, "best")
-    either.add("in", 0.0, 30.0, heard(2.0, peak_to_peak=0.1))
-    either.add("in", 30.0, 40.0, heard(6.0, peak_to_peak=0.2))
-    either.add("turn", 45.0, 60.0, heard(8.0, peak_to_peak=0.3))
-    either.add("back", 10.0, 45.0, heard(3.0, peak_to_peak=0.4))
+    either = RoundTripMetrics(SENSOR, "best")
+    either.add("in", 0.0, 30.0, signal(2.0, peak_to_peak=0.1))
+    either.add("in", 30.0, 40.0, signal(6.0, peak_to_peak=0.2))
+    either.add("turn", 45.0, 60.0, signal(8.0, peak_to_peak=0.3))
+    either.add("back", 10.0, 45.0, signal(3.0, peak_to_peak=0.4))
     kpis = either.kpis(80.0, 60.0)
     pieces = [(10.0, 2.0, 0.0), (20.0, 2.0, 3.0), (10.0, 6.0, 3.0), (5.0, 0.0, 3.0), (15.0, 0.0, 8.0)]
     called = [
@@ -69,13 +69,13 @@ def test_a_flaw_is_called_where_either_pass_calls_it():
 
 def test_places_may_be_cut_anywhere():
     """The same passes in one piece, and in pieces whose ends are not those of the other pass."""
-    tallies = EitherTally(SENSOR, "best"), EitherTally(SENSOR, "best")
-    tallies[0].add("in", 5.0, 60.0, heard(4.0))
-    tallies[0].add("back", 5.0, 60.0, heard(5.0))
-    for stretch, count, snr in (("in", 37, 4.0), ("back", 23, 5.0)):
+    tallies = RoundTripMetrics(SENSOR, "best"), RoundTripMetrics(SENSOR, "best")
+    tallies[0].add("in", 5.0, 60.0, signal(4.0))
+    tallies[0].add("back", 5.0, 60.0, signal(5.0))
+    for segment, count, snr in (("in", 37, 4.0), ("back", 23, 5.0)):
         ends = np.linspace(5.0, 60.0, count).tolist()
         for low, high in pairwise(ends):
-            tallies[1].add(stretch, low, high, heard(snr))
+            tallies[1].add(segment, low, high, signal(snr))
     whole, cut = (tally.kpis(55.0, 60.0) for tally in tallies)
     assert cut == pytest.approx(whole, rel=1e-9)
 
@@ -84,10 +84,10 @@ def test_drawn_flaws_are_called_as_often():
     """Flaws of 20 % at random places, called where the noise of either pass lets them over the threshold."""
     flaws, rng = 200_000, np.random.default_rng(0)
     snr_in, snr_back = np.linspace(1.0, 6.0, 55), np.linspace(5.0, 3.0, 55)
-    either = EitherTally(SENSOR, "best")
+    either = RoundTripMetrics(SENSOR, "best")
     for metre in range(55):
-        either.add("in", 5.0 + metre, 6.0 + metre, heard(float(snr_in[metre])))
-        either.add("back", 5.0 + metre, 6.0 + metre, heard(float(snr_back[metre])))
+        either.add("in", 5.0 + metre, 6.0 + metre, signal(float(snr_in[metre])))
+        either.add("back", 5.0 + metre, 6.0 + metre, signal(float(snr_back[metre])))
     depth = float(DEPTHS[12])
     at = rng.integers(55, size=flaws)
     called = np.zeros(flaws, dtype=bool)
@@ -101,14 +101,14 @@ def test_drawn_flaws_are_called_as_often():
 def test_what_the_turn_shakes_raises_no_threshold_elsewhere():
     """Spikes in the metres after the turn, silence in the others: those are judged as if there were no turn."""
     rng = np.random.default_rng(0)
-    shaken, alone = EitherTally(SENSOR, "back"), EitherTally(SENSOR, "back")
+    shaken, alone = RoundTripMetrics(SENSOR, "back"), RoundTripMetrics(SENSOR, "back")
     for metre in range(30):
-        shaken.add("turn", 30.0 + metre, 31.0 + metre, heard(1e-9, 0.9, excursions=4.0 * rng.standard_t(3, COUNT)))
+        shaken.add("turn", 30.0 + metre, 31.0 + metre, signal(1e-9, 0.9, excursions=4.0 * rng.standard_t(3, COUNT)))
     for metre in range(25):
         for tally in (shaken, alone):
-            tally.add("back", 5.0 + metre, 6.0 + metre, heard(4.0, 0.5))
-    judged = shaken.tallies
-    assert judged["turn"].threshold(60.0) > judged["back"].threshold(60.0) == alone.tallies["back"].threshold(60.0)
+            tally.add("back", 5.0 + metre, 6.0 + metre, signal(4.0, 0.5))
+    judged = shaken.segments
+    assert judged["turn"].threshold(60.0) > judged["back"].threshold(60.0) == alone.segments["back"].threshold(60.0)
     kpis, silent = shaken.kpis(55.0, 60.0), alone.kpis(55.0, 60.0)
     assert (curve(kpis) >= curve(silent) - 1e-12).all()
     assert kpis["noise_gaussian"] == 0.0
@@ -116,5 +116,5 @@ def test_what_the_turn_shakes_raises_no_threshold_elsewhere():
 
 
 def test_nothing_was_inspected():
-    kpis = EitherTally(SENSOR, "best").kpis(55.0, 60.0)
-    assert kpis == DetectionTally(SENSOR).kpis(55.0, 60.0) | {"call_threshold": HALF}
+    kpis = RoundTripMetrics(SENSOR, "best").kpis(55.0, 60.0)
+    assert kpis == DetectionMetrics(SENSOR).kpis(55.0, 60.0) | {"call_threshold": HALF}

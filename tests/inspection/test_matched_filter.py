@@ -6,19 +6,19 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 
 from probe_env.inspection import sensor as flaw
-from probe_env.inspection.meter import (
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.snr import (
     COUNT,
     FREQUENCY,
     OWN,
     STEP,
-    Meter,
+    SnrEstimator,
     density,
     inverse,
     kept,
     snr_of_groove,
     straightened,
 )
-from probe_env.inspection.sensor import Sensor
 
 FEEDS = np.array([0.02, 0.05, 0.08, 0.2, 0.4, 1.0])
 NONE = np.zeros((len(FEEDS), len(FREQUENCY)))
@@ -76,15 +76,15 @@ def test_noise_is_told_as_the_motion_that_makes_it(angle):
 def test_a_filter_weighs_by_the_period_of_its_own_probe():
     """Two probes in one meter, heard in periods of a second and of a quarter: each as if it were alone."""
     motion = 1e-4 * np.random.default_rng(0).normal(size=(2000, 2))
-    together, alone = Meter(Sensor(), 2, 1e-3), [Meter(Sensor(), 1, 1e-3) for _ in range(2)]
+    together, alone = SnrEstimator(Sensor(), 2, 1e-3), [SnrEstimator(Sensor(), 1, 1e-3) for _ in range(2)]
     for k, periods in enumerate((2, 8)):
         for part in motion[:, k : k + 1].reshape(periods, -1, 1):
-            together.listen(np.array([k]), part, np.array([0.2]))
-            alone[k].listen(np.array([0]), part, np.array([0.2]))
+            together.update(np.array([k]), part, np.array([0.2]))
+            alone[k].update(np.array([0]), part, np.array([0.2]))
     copies = together.fork([1, 0])
     for k in range(2):
-        assert (together.of_filter(k) == alone[k].of_filter(0)).all()
-        assert (copies.of_filter(1 - k) == alone[k].of_filter(0)).all()
+        assert (together.filter_spectrum(k) == alone[k].filter_spectrum(0)).all()
+        assert (copies.filter_spectrum(1 - k) == alone[k].filter_spectrum(0)).all()
 
 
 def ringing(rng, count, seconds, level=1.0):
@@ -143,9 +143,9 @@ def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatt
     sensor, feed, rng = Sensor(), np.full(400, 0.2), np.random.default_rng(seeds(1)[0])
     y, _ = ringing(rng, 400, 8, 2e-6)
     long = density(straightened(y.reshape(8, 1000, 400).transpose(2, 0, 1).reshape(3200, 1000), 1e-3)).mean(axis=0)
-    meter = Meter(sensor, 400, 1e-3)
+    meter = SnrEstimator(sensor, 400, 1e-3)
     for period in y.reshape(8 * periods, -1, 400):
-        reading = meter.listen(np.arange(400), period, feed)
+        reading = meter.update(np.arange(400), period, feed)
     truth = float(snr_of_groove(sensor, feed[:1], long[None])[0])
     assert 1.0 < truth < 4.0  # motion is most of the noise
     middle = reading.excursions[:, 75:125]
@@ -162,9 +162,9 @@ def test_freedom_of_a_mean_of_spectra(passed, deviation, seeds):
     Of 24 draws of 400 probes the mean lay within 0.25 % of the closed form, with the deviations given.
     """
     rng = np.random.default_rng(seeds(1)[0])
-    meter, steps = Meter(Sensor(), 400, STEP), round(passed / STEP)
+    meter, steps = SnrEstimator(Sensor(), 400, STEP), round(passed / STEP)
     for _ in range(round(12.0 / passed)):
-        meter.listen(np.arange(400), rng.normal(size=(steps, 400)), np.full(400, 0.2))
+        meter.update(np.arange(400), rng.normal(size=(steps, 400)), np.full(400, 0.2))
     estimates = meter.spectrum[:, 4:90]
     variance = (estimates.var(axis=0) / estimates.mean(axis=0) ** 2).mean()
     c = inverse(passed)
@@ -184,18 +184,18 @@ def test_the_last_second_has_its_share_of_the_mean(passed):
 def test_a_batch_hears_what_one_hears():
     y, _ = ringing(np.random.default_rng(3), 5, 2)
     y, feeds = 1e-6 * y, np.array([0.05, 0.1, 0.2, 0.3, 0.0])
-    together = Meter(Sensor(), 5, 1e-3)
-    alone = [Meter(Sensor(), 1, 1e-3) for _ in range(5)]
+    together = SnrEstimator(Sensor(), 5, 1e-3)
+    alone = [SnrEstimator(Sensor(), 1, 1e-3) for _ in range(5)]
     for begin in range(0, 2000, 250):
         part = y[begin : begin + 250]
-        reading = together.listen(np.arange(5), part, feeds)
+        reading = together.update(np.arange(5), part, feeds)
         for k, meter in enumerate(alone):
-            own = meter.listen(np.arange(1), part[:, [k]], feeds[[k]])
+            own = meter.update(np.arange(1), part[:, [k]], feeds[[k]])
             assert [values[0] for values in own[:3]] == [values[k] for values in reading[:3]]  # to the last digit
             assert (own.excursions[0] == reading.excursions[k]).all()
-            assert together.of(k)[:3] == meter.of(0)[:3]
+            assert together.last(k)[:3] == meter.last(0)[:3]
     before = reading.snr[2]
-    together.forget(2)
-    quiet = together.listen(np.array([2]), np.zeros((2000, 1)), feeds[[2]])
+    together.reset(2)
+    quiet = together.update(np.array([2]), np.zeros((2000, 1)), feeds[[2]])
     assert quiet.snr[0] == pytest.approx(7.5, rel=1e-5)
     assert quiet.snr[0] > before

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from oracles.scatter import of_another
 
-from probe_env.inspection.meter import Meter
 from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.snr import SnrEstimator
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Contact, Scene
@@ -16,9 +16,9 @@ PROBES, SECONDS, FEED = 8, 40.0, 0.2
 def signal_to_noise(radial, passed):
     """(N,) mean over periods of ``passed`` seconds of one motion (samples, N), once the mean spectrum has filled."""
     count = radial.shape[1]
-    meter, feed = Meter(Sensor(), count, SAMPLE_PERIOD), np.full(count, FEED)
+    meter, feed = SnrEstimator(Sensor(), count, SAMPLE_PERIOD), np.full(count, FEED)
     periods = np.split(radial, round(SECONDS / passed))
-    heard = [meter.listen(np.arange(count), period, feed).snr for period in periods]
+    heard = [meter.update(np.arange(count), period, feed).snr for period in periods]
     return np.mean(heard[round(5.0 / passed) :], axis=0)
 
 

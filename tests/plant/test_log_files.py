@@ -196,7 +196,7 @@ BROKEN = [
     (lines(row=CLOCK, c=lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]'"),
     (
         lines(row=CLOCK, c=lambda t, _: f"2024-05-31T12:00:0{t}{'Z' * (t == 2)}"),
-        "line 4, column 'time [s]': times ",
+        "line 4, column 'time [s]': '2024-05-31T12:00:02Z' mixes times with a zone and times without",
     ),
     (with_days("0{}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"), "lines 3 to 4: no rows for 82801 s"),
     (with_days("6/{}/24", "%H:%M:%S"), "column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024"),

@@ -171,7 +171,7 @@ class Episodes:
             )  # fmt: skip
             self.batch.replace(k, simulator)
             self.judge.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.gauges.meter.forget(k)
+            self.gauges.meter.reset(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
         self._set_friction(which)

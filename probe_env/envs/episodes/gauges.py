@@ -14,7 +14,7 @@ from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import observe
-from probe_env.inspection.meter import Meter
+from probe_env.inspection.snr import SnrEstimator
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.window import Window
@@ -37,7 +37,7 @@ class Gauges:
 
     def __init__(self, config: TaskConfig, batch: SimulatorBatch) -> None:
         self.config, self.batch = config, batch
-        self.meter = Meter(config.sensor, len(batch), SAMPLE_PERIOD)
+        self.meter = SnrEstimator(config.sensor, len(batch), SAMPLE_PERIOD)
         self.observed = np.zeros((len(batch), config.delay_periods + 1, len(config.observations)), dtype=np.float32)
 
     def fork(self, which: Sequence[int], batch: SimulatorBatch) -> Gauges:
@@ -69,7 +69,7 @@ class Gauges:
         noise = np.zeros(len(good))
         which = np.flatnonzero(good)
         if len(which):
-            noise[which] = 1.0 / self.meter.listen(which, window.radial[:, which], window.feed_speed[which]).snr
+            noise[which] = 1.0 / self.meter.update(which, window.radial[:, which], window.feed_speed[which]).snr
         return replace(window, statistics=window.statistics | {"noise_to_signal": noise})
 
     def measured(self, window: Window, contexts: Sequence[Context], actions: FloatArray) -> dict[str, FloatArray]:

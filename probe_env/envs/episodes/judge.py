@@ -14,8 +14,8 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import COSTS, Outcome, TaskConfig, cost_terms, ending, reward_terms, slack
 from probe_env.envs.task.passes import Counted, StepRecord, passes_of
 from probe_env.envs.task.rules import Ending
-from probe_env.inspection.meter import Meter
-from probe_env.inspection.tally import DetectionTally, EitherTally
+from probe_env.inspection.metrics import DetectionMetrics, RoundTripMetrics
+from probe_env.inspection.snr import SnrEstimator
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.window import Window
 
@@ -61,7 +61,7 @@ class Tally:
     greatest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
     samples: dict[str, Percentiles] = field(default_factory=lambda: {name: Percentiles() for name in SIGNALS})
     last_radial: npt.NDArray[np.floating] = field(default_factory=lambda: np.zeros(2))
-    detection: DetectionTally | EitherTally = field(default_factory=DetectionTally)
+    detection: DetectionMetrics | RoundTripMetrics = field(default_factory=DetectionMetrics)
 
     def add_signals(self, squares: Sequence[float], radial: FloatArray, sample_period: float, rest: float) -> None:
         """Add a period: sums over length of each square, and radial displacements (k,) [m] around ``rest``."""
@@ -140,7 +140,7 @@ class Judge:
         self.passes.begin(k, start, helix_length)
         self.tally[k] = Tally(detection=self.passes.detection[k])
 
-    def judge(self, record: StepRecord, window: Window, meter: Meter, buckling: FloatArray) -> Score:
+    def judge(self, record: StepRecord, window: Window, meter: SnrEstimator, buckling: FloatArray) -> Score:
         """Count a period.
 
         Args:
@@ -169,7 +169,7 @@ class Judge:
             tally.lost_drive_events += tally.slack_periods == self.config.lost_drive_periods
             rest = float(radial.mean()) if self.passes.way[k] < 0.0 else 0.0  # on the outer wall, or on its way there
             tally.add_signals(counted.measures[k].tolist(), radial, SAMPLE_PERIOD, rest)
-            self.passes.hear(k, inspected, float(record.seconds[k]), meter.of(k))
+            self.passes.hear(k, inspected, float(record.seconds[k]), meter.last(k))
         return self._score(record, counted, costs, window.diverged)
 
     def _score(self, record: StepRecord, counted: Counted, costs: dict[str, FloatArray], diverged: BoolArray) -> Score:

@@ -15,7 +15,8 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import END_TOLERANCE, Ending, travel
-from probe_env.inspection.tally import TURN, DetectionTally, EitherTally, Reading
+from probe_env.inspection.metrics import TURN, DetectionMetrics, RoundTripMetrics
+from probe_env.inspection.snr import FilteredSignal
 
 BIN: Final = 1.0
 """Length over which the way in is remembered [m]."""
@@ -58,7 +59,7 @@ class WayIn:
     def __init__(self, count: int, config: TaskConfig) -> None:
         self.config = config
         self.way = np.ones(count)
-        self.detection = [DetectionTally(config.sensor) for _ in range(count)]
+        self.detection = [DetectionMetrics(config.sensor) for _ in range(count)]
 
     def fork(self, which: Sequence[int]) -> WayIn:
         """Passes of copies of some probes; what is found counts from here on."""
@@ -66,11 +67,11 @@ class WayIn:
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """An episode of probe ``k`` begins at an inserted length."""
-        self.detection[k] = DetectionTally(self.config.sensor)
+        self.detection[k] = DetectionMetrics(self.config.sensor)
 
-    def hear(self, k: int, inspected: float, passed: float, heard: Reading) -> None:
-        """What was ``Meter.of`` probe ``k`` in the last period: of the length inspected [m], in seconds of motion."""
-        self.detection[k].add(inspected, *heard)
+    def hear(self, k: int, inspected: float, passed: float, signal: FilteredSignal) -> None:
+        """What was ``SnrEstimator.last`` probe ``k`` in the last period: of the length inspected [m], in seconds of motion."""
+        self.detection[k].add(inspected, *signal)
 
     def count(self, period: StepRecord) -> Counted:
         """Add a period."""
@@ -102,7 +103,7 @@ class BothWays:
 
     def __init__(self, count: int, config: TaskConfig, measures: int) -> None:
         self.config, self._columns = config, 3 + measures
-        self.detection = [EitherTally(config.sensor, config.inspects) for _ in range(count)]
+        self.detection = [RoundTripMetrics(config.sensor, config.inspects) for _ in range(count)]
         self.way, self.begun, self.reached = np.ones(count), np.zeros(count), np.zeros(count)
         self.left = np.full(count, np.inf)
         self._shown: list[FloatArray] = [np.zeros((0, self._columns)) for _ in range(count)]
@@ -122,7 +123,7 @@ class BothWays:
         # a row a bin, sums over its length: 1, squares, within the limit, measures
         self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, self._columns))
         self._since_turn[k] = 0.0
-        self.detection[k] = EitherTally(self.config.sensor, self.config.inspects)
+        self.detection[k] = RoundTripMetrics(self.config.sensor, self.config.inspects)
 
     def count(self, period: StepRecord) -> Counted:
         """Add a period."""
@@ -147,11 +148,11 @@ class BothWays:
                     self.left[k] = low
         return Counted(sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3:])
 
-    def hear(self, k: int, inspected: float, passed: float, heard: Reading) -> None:
-        """What was ``Meter.of`` probe ``k`` in the last period counted, which is ``passed`` seconds of motion."""
+    def hear(self, k: int, inspected: float, passed: float, signal: FilteredSignal) -> None:
+        """What was ``SnrEstimator.last`` probe ``k`` in the last period counted, which is ``passed`` seconds of motion."""
         low, high, way_in = self._new[k]
         turning = self._since_turn[k] < TURN
-        self.detection[k].add("in" if way_in else "turn" if turning else "back", low, high, heard)
+        self.detection[k].add("in" if way_in else "turn" if turning else "back", low, high, signal)
         if self.way[k] < 0.0:
             self._since_turn[k] += passed
 

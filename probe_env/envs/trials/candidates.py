@@ -70,7 +70,7 @@ def _stretch(helix_length: float, lost_drive_from: float) -> Stretch:
 
 
 FOUND_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
-"""What whole insertions are told by of what would be found, see ``inspection.tally``."""
+"""What whole insertions are told by of what would be found, see ``inspection.metrics``."""
 LEAST_SNR: Final = 1e-3
 """What no signal at all counts as, so that its inverse is finite."""
 

@@ -14,7 +14,7 @@ from probe_env.envs.episodes.starts import Starts, settling
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts, slack
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of, stretch_of
 from probe_env.fidelity import Fidelity
-from probe_env.inspection.meter import SPAN, Meter
+from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Scene
@@ -77,9 +77,9 @@ def try_sections(
     noise = None
     if heard:
         assert window.radial is not None
-        meter, every = Meter(config.sensor, len(scenes), SAMPLE_PERIOD), np.arange(len(scenes))
+        meter, every = SnrEstimator(config.sensor, len(scenes), SAMPLE_PERIOD), np.arange(len(scenes))
         for second in np.split(window.radial, round(MEASURE / SPAN)):
-            reading = meter.listen(every, second, speed.ravel())
+            reading = meter.update(every, second, speed.ravel())
         noise = np.asarray(1.0 / np.maximum(reading.snr, LEAST_SNR)).reshape(shape)
     deep = drive_counts(config, inserted) & ~diverged
     return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
