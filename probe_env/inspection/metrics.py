@@ -51,13 +51,13 @@ class DetectionMetrics:
     singles: list[float] = field(default_factory=list)
     counts: FloatArray = field(default_factory=lambda: np.zeros(len(EDGES) - 1))
 
-    def add(self, length: float, snr: float, share: float, peak_to_peak: float, excursions: FloatArray) -> None:
-        """A period: metres inspected, and the ``FilteredSignal`` of one probe."""
+    def add(self, length: float, signal: FilteredSignal) -> None:
+        """Add a period of one probe: metres inspected, and its signal."""
         self.lengths.append(length)
-        self.snr.append(snr)
-        self.shares.append(share)
-        self.peaks.append(peak_to_peak)
-        counted = excursions[MIDDLE]
+        self.snr.append(float(signal.snr))
+        self.shares.append(float(signal.share))
+        self.peaks.append(float(signal.peak_to_peak))
+        counted = signal.excursions[MIDDLE]
         self.singles.append(float(counted[len(counted) // 2]))
         place = ((counted - EDGES[0]) / (EDGES[1] - EDGES[0])).astype(int)
         self.counts += np.bincount(np.clip(place, 0, len(self.counts) - 1), minlength=len(self.counts))
@@ -133,7 +133,7 @@ class RoundTripMetrics:
         """A period: inserted length at its ends [m], and the signal of the probe; left out where not looked."""
         if segment in self.segments and high > low:
             self._ends[segment].append((low, high))
-            self.segments[segment].add(high - low, *signal)
+            self.segments[segment].add(high - low, signal)
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
         """As ``DetectionMetrics.kpis``; of both passes S/N and peaks are those of the better one at each place."""
@@ -141,8 +141,8 @@ class RoundTripMetrics:
         thresholds = {segment: metrics.threshold(tube_length) for segment, metrics in inspected.items()}
         passes = [self._places(SEGMENTS[direction], thresholds) for direction in ("in", "back")]
         edges = np.unique(np.concatenate([ends.ravel() for ends, _ in passes]))
-        covered, values = (np.array(rows) for rows in zip(*(_at(*p, 0.5 * (edges[1:] + edges[:-1])) for p in passes)))
-        covered = covered.any(axis=0)
+        found = [_at(*places, 0.5 * (edges[1:] + edges[:-1])) for places in passes]
+        covered, values = np.any([there for there, _ in found], axis=0), np.array([rows for _, rows in found])
         lengths, values = np.diff(edges)[covered], values[:, covered]
         snr, peaks, missed = values[..., 0], values[..., 1], np.prod(1.0 - values[..., 2:], axis=0)
         peaks = peaks[snr.argmax(axis=0), np.arange(len(lengths))]

@@ -210,7 +210,7 @@ class SnrEstimator:
         self._known = np.zeros(count, dtype=np.int64)
         self.spectrum = np.zeros((count, len(FREQUENCY)))
         self._inverse = np.ones(count)
-        self._signal = FilteredSignal(*np.zeros((3, count)), np.zeros((count, COUNT)))
+        self._signal = FilteredSignal(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, COUNT)))
 
     def fork(self, which: Sequence[int]) -> SnrEstimator:
         """An estimator of copies of some of the probes, with their motion."""

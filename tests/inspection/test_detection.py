@@ -23,7 +23,7 @@ from probe_env.inspection.detection import (
 )
 from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.snr import COUNT, FREQUENCY, SnrEstimator
+from probe_env.inspection.snr import COUNT, FREQUENCY, FilteredSignal, SnrEstimator
 
 SENSOR = Sensor()
 CHANCE = 1e-4
@@ -82,10 +82,10 @@ def test_spiky_excursions_hide_flaws():
     assert predicted < float(pod_gaussian(np.array(snr), z)) + 0.06
 
 
-def detection_of(snr, lengths, excursions=SILENT):
+def detection_of(snr, lengths):
     detection = DetectionMetrics(SENSOR)
     for value, length in zip(snr, lengths, strict=True):
-        detection.add(length, value, 0.0, 0.5, excursions)
+        detection.add(length, FilteredSignal(*map(np.asarray, (value, 0.0, 0.5, SILENT))))
     return detection
 
 
@@ -107,7 +107,7 @@ def test_spikes_are_told_from_noise():
     for draw, gaussian in ((rng.normal, True), (lambda size: rng.standard_t(3, size), False)):
         detection = DetectionMetrics(SENSOR)
         for _ in range(300):
-            detection.add(0.2, 5.0, 0.5, 0.1, draw(size=COUNT))
+            detection.add(0.2, FilteredSignal(*map(np.asarray, (5.0, 0.5, 0.1, draw(size=COUNT)))))
         assert detection.gaussian is gaussian
 
 
@@ -136,7 +136,7 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
             traces.append(trace.T)
             spectra.append([meter.filter_spectrum(k) for k in range(members)])
             for k in range(members):
-                detection.add(1.0, *meter.last(k))
+                detection.add(1.0, meter.last(k))
     kpis, z = detection.kpis(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
     curve = np.array([kpis[name] for name in POD_NAMES])
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)

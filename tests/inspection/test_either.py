@@ -9,7 +9,7 @@ from oracles.scatter import hits_within
 from probe_env.inspection.detection import DEPTHS, pod_gaussian, snr_at, threshold
 from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics, RoundTripMetrics
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.snr import COUNT
+from probe_env.inspection.snr import COUNT, FilteredSignal
 
 SENSOR = Sensor()
 HALF = threshold(Sensor(false_calls=0.5 * SENSOR.false_calls), 60.0)
@@ -17,7 +17,7 @@ SILENT = np.zeros(COUNT)
 
 
 def signal(snr, share=0.0, peak_to_peak=0.5, excursions=SILENT):
-    return snr, share, peak_to_peak, excursions
+    return FilteredSignal(*map(np.asarray, (snr, share, peak_to_peak, excursions)))
 
 
 def curve(kpis):
@@ -39,7 +39,7 @@ def test_one_pass_is_judged_as_alone(scored_pass, segment, step):
     for one, other in pairwise(ends):
         low, high = sorted((float(one), float(other)))
         reading = signal(rng.uniform(1.0, 9.0), 0.5, rng.uniform(), rng.standard_t(2, COUNT))
-        alone.add(high - low, *reading)
+        alone.add(high - low, reading)
         either.add(segment, low, high, reading)
         either.add("in" if segment != "in" else "back", low, high, signal(99.0))  # not looked at
     assert not alone.gaussian

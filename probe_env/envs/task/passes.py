@@ -70,8 +70,8 @@ class WayIn:
         self.detection[k] = DetectionMetrics(self.config.sensor)
 
     def hear(self, k: int, inspected: float, passed: float, signal: FilteredSignal) -> None:
-        """What was ``SnrEstimator.last`` probe ``k`` in the last period: of the length inspected [m], in seconds of motion."""
-        self.detection[k].add(inspected, *signal)
+        """Add the last signal of probe ``k``: of the length inspected [m], in seconds of motion."""
+        self.detection[k].add(inspected, signal)
 
     def count(self, period: StepRecord) -> Counted:
         """Add a period."""
@@ -149,7 +149,7 @@ class BothWays:
         return Counted(sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3:])
 
     def hear(self, k: int, inspected: float, passed: float, signal: FilteredSignal) -> None:
-        """What was ``SnrEstimator.last`` probe ``k`` in the last period counted, which is ``passed`` seconds of motion."""
+        """Add the last signal of probe ``k``, of the period counted last, which is ``passed`` seconds of motion."""
         low, high, way_in = self._new[k]
         turning = self._since_turn[k] < TURN
         self.detection[k].add("in" if way_in else "turn" if turning else "back", low, high, signal)
