@@ -107,13 +107,12 @@ class Calibrate:
 
         plant = plant_at(self.tube) or Plant()
         recorded = recorded_of(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
-        response = stored_response()
-        calibration = calibrate(recorded, plant, response, str(self.tube or "tube"))
+        calibration = calibrate(recorded, plant, stored_response(), str(self.tube or "tube"))
         target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})
         pictures = [
             draw_corner(calibration, self.output / "corner.png"),
-            draw_bands(calibration, response, self.output / "bands.png"),
+            draw_bands(calibration, self.output / "bands.png"),
         ]
         print_calibration(calibration, own=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
