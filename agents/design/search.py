@@ -148,8 +148,7 @@ def run_design_search(
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    if seed < 0:
-        raise ValueError(f"seed = {seed!r} is outside the accepted range 0 and more")
+    within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
     name = f"{problem.feed} {problem.identity()} seed {seed}"
     claim(output, problem.tube)
@@ -163,10 +162,9 @@ def run_design_search(
     names = [name for name in problem.probes for _ in problem.reference_feeds()]  # of the first trials
     references = table.iloc[: len(names)].assign(design=names[: len(table)])
     _draw_front(table, references, output / "front.png", problem.tube.title)
-    setting: dict[str, Any] = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
-    setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
+    setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
-    write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **setting)
+    write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -86,11 +86,19 @@ class DesignTrials:
 
     def key(self, design: Design, context: Context, index: int = 0) -> str:
         """Identity of one result; the index of the context seeds the start."""
-        parts = [
-            index, design.built.model_dump(), context.model_dump(), self.policy().describe(), self.full,
-            self.fidelity.model_dump(), self.config.model_dump(mode="json"), version("probe-env"), commit(),
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+        parts = [index, design.built.model_dump(), context.model_dump(), self.policy().describe()]
+        return self._hashed(parts)[:16]
+
+    def _hashed(self, parts: Sequence[Any]) -> str:
+        """Hash of some parts and all that is common to all trials."""
+        common = [self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json")]
+        text = json.dumps([*parts, *common, version("probe-env"), commit()], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """What a manifest says of the trials."""
+        return {"feed": self.feed, "full": self.full, "fidelity": self.fidelity.model_dump()}
 
     def run(
         self,

@@ -117,8 +117,10 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
     behind, most = high - length, POSITIONS["inserted_length_m"][1]
     if (back := behind > bounds.backward).any():
         row = int(back.argmax())
-        problem = f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the"
-        hint = f"{bounds.backward:g} m that are taken for noise - a log is of the way in: cut the file there, or --backward"
+        problem = (
+            f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the {bounds.backward:g} m"
+        )
+        hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
         name = "feed_speed" if encoder is None else "inserted_length"
         raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
     if length.max() > most:

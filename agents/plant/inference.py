@@ -72,7 +72,7 @@ class Posterior(NamedTuple):
 
 
 class Likelihood:
-    """Likelihood of some cases under a response; ``tubes`` are their names, ``tube_indices`` each case's index in them."""
+    """Likelihood of some cases under a response; ``tube_indices`` are each case's in ``tubes``, the names."""
 
     def __init__(self, response: Response, cases: Sequence[Case]) -> None:
         self.response, self.cases = response, cases
@@ -160,10 +160,16 @@ def sampled(
         return np.asarray(likelihood.logarithm(prior.values(normal, tubes)) - 0.5 * (normal**2).sum(axis=1))
 
     walkers = max(WALKERS, 4 * size)
-    _settle(likelihood, prior, rng, tubes)
-    drawn = rng.normal(size=(256 * walkers, size))
-    logarithm = np.concatenate([density(part) for part in np.array_split(drawn, 256)])
-    start = drawn[rng.choice(len(drawn), walkers, replace=False, p=_shares(logarithm, walkers))]
+    # the scatter is settled where draws from the prior are likely, beginning with all of them
+    drawn, chosen = prior.values(rng.normal(size=(FIRST, size)), tubes), np.arange(LEAST)
+    for _ in range(SETTLED):
+        likelihood.settle(drawn[:, chosen])
+        logarithm = np.concatenate([likelihood.logarithm(p) for p in np.array_split(drawn, FIRST // 32, axis=1)])
+        chosen = rng.choice(FIRST, LEAST, p=_shares(logarithm, WALKERS))
+    likelihood.settle(drawn[:, chosen])
+    normal = rng.normal(size=(256 * walkers, size))
+    logarithm = np.concatenate([density(part) for part in np.array_split(normal, 256)])
+    start = normal[rng.choice(len(normal), walkers, replace=False, p=_shares(logarithm, walkers))]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
@@ -177,18 +183,6 @@ def sampled(
     best = prior.values(chain[[int(np.argmax(density_of))]], tubes)[:, 0]
     misfit = [likelihood.misfit(k, best[tube]) for k, tube in enumerate(likelihood.tube_indices)]
     return Posterior(prior.values(chain[rows], tubes), misfit, likelihood)
-
-
-def _settle(likelihood: Likelihood, prior: Prior, rng: np.random.Generator, tubes: int) -> None:
-    """Settle the scatter where draws from the prior are likely, beginning with all of them."""
-    drawn = prior.values(rng.normal(size=(FIRST, tubes + len(prior.shared))), tubes)
-    chosen = np.arange(LEAST)
-    for _ in range(SETTLED):
-        likelihood.settle(drawn[:, chosen])
-        parts = np.array_split(drawn, FIRST // 32, axis=1)
-        logarithm = np.concatenate([likelihood.logarithm(part) for part in parts])
-        chosen = rng.choice(FIRST, LEAST, p=_shares(logarithm, WALKERS))
-    likelihood.settle(drawn[:, chosen])
 
 
 def _shares(logarithm: FloatArray, least: int) -> FloatArray:
