@@ -50,9 +50,6 @@ def test_one_place_in_closed_form():
         for level in (0.5, 0.9):
             wanted = 0.2 * ((z + norm.ppf(level)) / groove) ** (1.0 / exponent)
             assert depth_found(curve, level) == pytest.approx(wanted, rel=2e-3)
-
-
-def test_what_is_never_found_and_what_always_is():
     assert depth_found(np.full(len(DEPTHS), 0.85), 0.9) == 1.0
     assert depth_found(np.ones(len(DEPTHS)), 0.9) == DEPTHS[0]
 

@@ -4,9 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from oracles.scatter import hits_within
 
-from probe_env.inspection.detection import DEPTHS, pod_gaussian, snr_at, threshold
+from probe_env.inspection.detection import pod_gaussian, snr_at, threshold
 from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics, RoundTripMetrics
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import COUNT, FilteredSignal
@@ -78,24 +77,6 @@ def test_places_may_be_cut_anywhere():
             tallies[1].add(segment, low, high, signal(snr))
     whole, cut = (tally.kpis(55.0, 60.0) for tally in tallies)
     assert cut == pytest.approx(whole, rel=1e-9)
-
-
-def test_drawn_flaws_are_called_as_often():
-    """Flaws of 20 % at random places, called where the noise of either pass lets them over the threshold."""
-    flaws, rng = 200_000, np.random.default_rng(0)
-    snr_in, snr_back = np.linspace(1.0, 6.0, 55), np.linspace(5.0, 3.0, 55)
-    either = RoundTripMetrics(SENSOR, "best")
-    for metre in range(55):
-        either.add("in", 5.0 + metre, 6.0 + metre, signal(float(snr_in[metre])))
-        either.add("back", 5.0 + metre, 6.0 + metre, signal(float(snr_back[metre])))
-    depth = float(DEPTHS[12])
-    at = rng.integers(55, size=flaws)
-    called = np.zeros(flaws, dtype=bool)
-    for snr in (snr_in, snr_back):
-        called |= snr_at(SENSOR, snr[at], np.array([depth]))[:, 0] + rng.normal(size=flaws) > HALF
-    predicted = float(curve(either.kpis(55.0, 60.0))[12])
-    least, most = hits_within(flaws, predicted, predicted)
-    assert least <= called.sum() <= most
 
 
 def test_what_the_turn_shakes_raises_no_threshold_elsewhere():

@@ -1,16 +1,14 @@
 """The chart: closed forms, orders, intervals, stored rows that are run again, and resuming."""
 
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from oracles.chains import bent, matrices, plain_chain
-from oracles.scatter import CHANCE, hits_within, reach
+from oracles.scatter import CHANCE, reach
 from scipy.linalg import expm
 
-from agents.evaluation.statistics import ratio_interval
 from agents.records.store import stored_rows
 from agents.studies.chart import draw_chart, ensembles, errors, run_chart, smooth
 from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_ensembles, run_setting
@@ -102,25 +100,6 @@ def test_stored_members_are_found_again():
     for name, deviation in deviations.items():
         chance = reach((deviation, 1), (deviation, 1), chance=CHANCE / 16)  # four members, four names
         assert np.allclose(repeated[name], stored[name], rtol=chance)
-
-
-@pytest.mark.processor
-def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
-    """Means of 24 against 24, scatter 10 %: the interval is near mean +- 1.96 standard errors, and covers.
-
-    Of 600 intervals 93 % covered, and their widths were 0.95 to 1.05 times the normal ones, +- 0.018. 80 notice
-    a coverage of 78 % half of the time.
-    """
-    rng = np.random.default_rng(seeds(1))
-    covered, trials = 0, 80
-    for _ in range(trials):
-        first, second = rng.normal(1.2, 0.12, 24), rng.normal(1.0, 0.1, 24)
-        ratio, low, high = astuple(ratio_interval(first, second))
-        half = 1.96 * ratio * np.sqrt(np.var(first) / 24 / 1.44 + np.var(second) / 24)
-        assert high - low == pytest.approx(2.0 * half, rel=6.0 * 0.018)  # 80 times a chance of 2e-9, and some skewness
-        covered += low <= 1.2 <= high
-    least, most = hits_within(trials, 0.92, 0.96)
-    assert least <= covered <= most
 
 
 def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
