@@ -62,12 +62,9 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     (tmp_path / "mine.toml").write_text(OWN.replace("0.22", "0.23"))
     assert "of mine, as its file was then, not of mine" in refused(capsys, *run, "mine.toml")
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
-
-
-def test_trials_of_table_2_are_not_mixed_with_a_plant_s(capsys):
-    assert main(["compare", "original", "--limit", "1", "--output", "out"]) == 0
-    mine = ("compare", "own.toml", "--limit", "1", "--output", "out", "--tube", "mine.toml")
-    assert "holds trials in the tubes of table 2, not of mine" in refused(capsys, *mine)
+    assert main(["compare", "original", "--limit", "1", "--output", "study"]) == 0
+    mine = ("compare", "own.toml", "--limit", "1", "--output", "study", "--tube", "mine.toml")
+    assert "'study' holds trials in the tubes of table 2, not of mine" in refused(capsys, *mine)
 
 
 def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
