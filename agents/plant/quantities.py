@@ -50,7 +50,7 @@ _AIR_HEADS: Final = (
 _TENSION_HEADS: Final = "tension, cable tension, zugkraft, kabelzug, kabelzugkraft, wurzelzugkraft"
 _RADIAL_HEADS: Final = "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial"
 _NOISE_HEADS: Final = "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen"
-_ALL: Final = (
+_ALL = (
     Quantity("time", "s", "s", -inf, inf, _TIME_HEADS),
     Quantity("inserted_length", "m", "m", 0.0, _LENGTH, _LENGTH_HEADS, noise=0.02),
     Quantity("feed_speed", "m/s", "m/s", -_FEED, _FEED, _FEED_HEADS),

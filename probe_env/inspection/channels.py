@@ -12,8 +12,8 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.sensor import Sensor, shape
-from probe_env.inspection.snr import SPAN, response_of
+from probe_env.inspection.sensor import Sensor, power, shape
+from probe_env.inspection.snr import FREQUENCY, SPAN, passing_time
 
 SHOWN: Final = 10e-3
 """[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
@@ -105,8 +105,12 @@ def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray
     values = np.zeros(len(signal))
     for number, begin in enumerate(range(0, len(signal), passage.stretch)):
         part = padded[begin : begin + passage.stretch + 2 * around]
-        feed, spectrum = float(passage.feed[begin]), passage.spectrum[number]
-        out = response_of(sensor, feed, spectrum, part, passage.sample_period)
+        frequency = np.fft.rfftfreq(len(part), passage.sample_period)
+        motion = np.interp(frequency, FREQUENCY, passage.spectrum[number], right=0.0)
+        noise = sensor.seen_gain**2 * motion + sensor.noise_density
+        gain = np.sqrt(power(frequency * passing_time(sensor, float(passage.feed[begin])))) / noise
+        deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
+        out = np.fft.irfft(np.fft.rfft(part) * -1j * gain, len(part)) / deviation
         values[begin : begin + passage.stretch] = out[around : around + passage.stretch]
     return values
 

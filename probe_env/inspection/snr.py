@@ -120,12 +120,12 @@ def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Float
 
     ``motion`` (N, m) is the one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
     """
-    passing = _passing(sensor, feed)
+    passing = passing_time(sensor, feed)
     noise = sensor.seen_gain**2 * motion + sensor.noise_density
     return _snr(sensor, passing, power(FREQUENCY * passing[:, None]) / noise)
 
 
-def _passing(sensor: Sensor, feed: FloatArray | float) -> FloatArray:
+def passing_time(sensor: Sensor, feed: FloatArray | float) -> FloatArray:
     """Time in which a flaw is passed [s]."""
     return np.asarray(sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))
 
@@ -160,7 +160,7 @@ def filtered_signal(
         spectrum: (N, m) its mean density [m2/Hz].
         inverse: the mean of its inverse over the inverse of its mean, see ``inverse``.
     """
-    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, _passing(sensor, feed)
+    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, passing_time(sensor, feed)
     noise = gain**2 * unbiased(sensor, spectrum, inverse) + electronics
     flaw = power(FREQUENCY * passing[:, None])
     weights, moved = flaw / noise, gain**2 * spectrum
@@ -174,22 +174,6 @@ def filtered_signal(
     excursions = filtered / np.sqrt(np.maximum(variance * LINE, 1e-300))[:, None]
     peak_to_peak = np.abs(gain) * (motion.max(axis=1) - motion.min(axis=1))
     return FilteredSignal(_snr(sensor, passing, weights), variance / all_of_it, peak_to_peak, excursions)
-
-
-def response_of(
-    sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray, sample_period: float
-) -> FloatArray:
-    """(n,) a signal (n,) [V] behind the matched filter, over its noise's deviation.
-
-    ``spectrum`` (m,) is the density of the motion at ``FREQUENCY`` [m2/Hz]; feed in m/s, sample period in s.
-    """
-    passing = _passing(sensor, feed)
-    frequency = np.fft.rfftfreq(len(signal), sample_period)
-    noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
-    gain = np.sqrt(power(frequency * passing)) / noise
-    deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
-    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain, len(signal))
-    return np.asarray(out / deviation)
 
 
 class SnrEstimator:

@@ -78,7 +78,7 @@ def test_noise_is_told_as_the_motion_that_makes_it(angle):
 
 
 def test_a_filter_weighs_by_the_period_of_its_own_probe():
-    """Two probes in one meter, heard in periods of a second and of a quarter: each as if it were alone."""
+    """Two probes in one estimator, in periods of a second and of a quarter: each as if it were alone."""
     motion = 1e-4 * np.random.default_rng(0).normal(size=(2000, 2))
     together, alone = SnrEstimator(Sensor(), 2, 1e-3), [SnrEstimator(Sensor(), 1, 1e-3) for _ in range(2)]
     for k, periods in enumerate((2, 8)):
@@ -140,7 +140,7 @@ def test_white_noise_is_flat():
 def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatter, variance, seeds):
     """SNR^2 of ringing noise by the meter, against that of its true spectrum at the meter's resolution.
 
-    400 probes are heard for 8 s, ``periods`` in each. Of 24 such draws are the means and deviations above: of what is
+    400 probes run for 8 s, ``periods`` in each. Of 24 such draws are the means and deviations above: of what is
     left of the bias of 1/S (uncorrected 6 and 8 % where motion is all the noise), of SNR's scatter, and of the variance
     that the middle of the excursions has over what the spectrum of the same seconds says.
     """
@@ -185,7 +185,7 @@ def test_the_last_second_has_its_share_of_the_mean(passed):
         assert 1.0 - m * (1.0 - np.exp(-1.0 / m)) == pytest.approx(OWN, rel=passed)  # the sum's error is of first order
 
 
-def test_a_batch_hears_what_one_hears():
+def test_a_batch_measures_what_one_measures():
     y, _ = ringing(np.random.default_rng(3), 5, 2)
     y, feeds = 1e-6 * y, np.array([0.05, 0.1, 0.2, 0.3, 0.0])
     together = SnrEstimator(Sensor(), 5, 1e-3)
@@ -210,8 +210,8 @@ def signal_to_noise(radial, passed):
     count = radial.shape[1]
     meter, feed = SnrEstimator(Sensor(), count, SAMPLE_PERIOD), np.full(count, FEED)
     periods = np.split(radial, round(SECONDS / passed))
-    heard = [meter.update(np.arange(count), period, feed).snr for period in periods]
-    return np.mean(heard[round(5.0 / passed) :], axis=0)
+    snr = [meter.update(np.arange(count), period, feed).snr for period in periods]
+    return np.mean(snr[round(5.0 / passed) :], axis=0)
 
 
 def motion(seeds):
@@ -224,8 +224,8 @@ def motion(seeds):
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_one_motion_is_heard_alike_with_and_without_time_lapse(seeds):
-    """In seconds, as ``standard`` and ``reference`` hear it, and in quarters, as ``fast`` does.
+def test_one_motion_measures_the_same_with_and_without_time_lapse(seeds):
+    """In seconds, as ``standard`` and ``reference`` take it, and in quarters, as ``fast`` does.
 
     The logarithm of the ratio, 0.0118, and its deviation from probe to probe are of 32 others; 16 each at 35 and 50 m
     gave 0.010 and 0.004. It is not 0, for the bias of 1/S is taken back as if the motion were Gaussian.

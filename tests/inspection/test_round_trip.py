@@ -1,4 +1,4 @@
-"""What both passes find: of one pass the same as alone, of two by closed form and by drawn flaws."""
+"""What both passes find: of one pass the same as alone, of two by closed form."""
 
 from itertools import pairwise
 
@@ -68,14 +68,14 @@ def test_a_flaw_is_called_where_either_pass_calls_it():
 
 def test_places_may_be_cut_anywhere():
     """The same passes in one piece, and in pieces whose ends are not those of the other pass."""
-    tallies = RoundTripMetrics(SENSOR, "best"), RoundTripMetrics(SENSOR, "best")
-    tallies[0].add("in", 5.0, 60.0, signal(4.0))
-    tallies[0].add("back", 5.0, 60.0, signal(5.0))
+    both = RoundTripMetrics(SENSOR, "best"), RoundTripMetrics(SENSOR, "best")
+    both[0].add("in", 5.0, 60.0, signal(4.0))
+    both[0].add("back", 5.0, 60.0, signal(5.0))
     for segment, count, snr in (("in", 37, 4.0), ("back", 23, 5.0)):
         ends = np.linspace(5.0, 60.0, count).tolist()
         for low, high in pairwise(ends):
-            tallies[1].add(segment, low, high, signal(snr))
-    whole, cut = (tally.kpis(55.0, 60.0) for tally in tallies)
+            both[1].add(segment, low, high, signal(snr))
+    whole, cut = (metrics.kpis(55.0, 60.0) for metrics in both)
     assert cut == pytest.approx(whole, rel=1e-9)
 
 
@@ -86,8 +86,8 @@ def test_what_the_turn_shakes_raises_no_threshold_elsewhere():
     for metre in range(30):
         shaken.add("turn", 30.0 + metre, 31.0 + metre, signal(1e-9, 0.9, excursions=4.0 * rng.standard_t(3, COUNT)))
     for metre in range(25):
-        for tally in (shaken, alone):
-            tally.add("back", 5.0 + metre, 6.0 + metre, signal(4.0, 0.5))
+        for metrics in (shaken, alone):
+            metrics.add("back", 5.0 + metre, 6.0 + metre, signal(4.0, 0.5))
     judged = shaken.segments
     assert judged["turn"].threshold(60.0) > judged["back"].threshold(60.0) == alone.segments["back"].threshold(60.0)
     kpis, silent = shaken.kpis(55.0, 60.0), alone.kpis(55.0, 60.0)
