@@ -96,7 +96,7 @@ class Plan:
 
 
 Source = Callable[[Plan, "deque[Unit]"], Iterator[str]]
-"""Plays episodes of a plan and gives a line of JSON for each, see ``lines_of``."""
+"""Plays episodes of a plan and gives a line of the journal for each."""
 
 
 def run_plan(
@@ -186,30 +186,14 @@ def _shared(setting: Setting) -> dict[str, Any]:
 
 def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
     if workers.here:
-        yield from _play(plan, missing, batch, threads)
+        runner = RolloutRunner(plan, missing, batch, threads)
+        while not runner.over:
+            yield from runner.step()
         return
-    size, units = (
-        max(min(batch, len(missing) // (2 * workers.jobs)), 1),
-        list(missing),
-    )  # two portions a worker, or more
+    size, units = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)  # two portions a worker, or more
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, line in workers.stream(lambda portion: _play(plan, deque(portion), size, 1), portions):
-        yield line
-
-
-def _play(plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> Iterator[str]:
-    playing = Playing(plan, missing, batch, threads)
-    while not playing.over:
-        yield from lines_of(plan, playing.step())
-
-
-def lines_of(plan: Plan, ended: Iterable[Ended]) -> Iterator[str]:
-    """A line of JSON for each episode that has ended."""
-    for episode in ended:
-        profile = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(episode.profile).items()}
-        record = {"key": plan.key(episode.unit), "unit": episode.unit, "commit": commit(), "kpis": episode.kpis}
-        probe = {"probe": episode.probe} if episode.probe else {}
-        yield json.dumps(record | {"profile": profile} | probe) + "\n"
+    for _, lines in workers.map(lambda portion: list(_lines(plan, deque(portion), size, 1, HERE)), portions):
+        yield from lines
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
@@ -231,23 +215,7 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.floa
     return {name: means[name].to_numpy() for name in COLUMNS}
 
 
-class Ended(NamedTuple):
-    """An episode that has ended.
-
-    Attributes:
-        unit: policy name, context number and seed.
-        kpis: by name.
-        profile: a row for each control period of the way in, columns ``COLUMNS``.
-        probe: the random probe; None: the scene's.
-    """
-
-    unit: Unit
-    kpis: dict[str, float]
-    profile: list[tuple[float, ...]]
-    probe: dict[str, float] | None
-
-
-class Playing:
+class RolloutRunner:
     """Episodes of a plan side by side, the next one starting wherever one ends.
 
     Args:
@@ -259,7 +227,7 @@ class Playing:
     Attributes:
         episodes: the running episodes.
         units: unit of each lane.
-        profile: rows of each lane up to now.
+        profile: of each lane a row for each control period of the insertion up to now, columns ``COLUMNS``.
         decided: whether the actions of the next period are decided.
         actions: (N, 2) that were decided last.
         last: the last period; None before the first.
@@ -293,8 +261,8 @@ class Playing:
         """Whether all episodes have ended."""
         return not self.missing and not self.episodes.running.any()
 
-    def step(self) -> Iterator[Ended]:
-        """Play a control period; gives the episodes that end with it."""
+    def step(self) -> Iterator[str]:
+        """Play a control period; gives the lines of the journal of the episodes that end with it."""
         self.decide()
         yield from self.advance()
 
@@ -312,8 +280,8 @@ class Playing:
         self.actions = self._players.act(self._observation, self.active, self.episodes)
         self.decided = True
 
-    def advance(self) -> Iterator[Ended]:
-        """Play the period that was decided on; gives the episodes that end with it."""
+    def advance(self) -> Iterator[str]:
+        """Play the period that was decided on; gives the lines of the journal of the episodes that end with it."""
         direction = self.episodes.passes.way.copy()
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
@@ -323,7 +291,11 @@ class Playing:
             if direction[k] > 0.0:
                 self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
-                yield Ended(self.unit(k), info["episode_kpis"], self.profile[k], self._probes[k])
+                unit, metres = self.unit(k), per_metre(self.profile[k])
+                profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
+                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": info["episode_kpis"]}
+                probe = {"probe": self._probes[k]} if self._probes[k] else {}
+                yield json.dumps(record | {"profile": profile} | probe) + "\n"
 
     def observed(self, k: int) -> npt.NDArray[np.float32]:
         """(1, d) observation on which the policy of a lane decides next."""

@@ -15,7 +15,7 @@ from agents.evaluation import evaluate
 from agents.evaluation import plan as plan_module
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import CARRIED
-from agents.evaluation.plan import Plan, Playing, per_metre, run_plan
+from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
@@ -59,11 +59,11 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
     scene = Scene.model_validate({"tube": {"helix_length": 8.0}, "carrier_length": 4.0})
     config = TaskConfig(passes="both", scene=scene, time_limit=100.0)
     plan = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, BOTH_WAYS["fast"])
-    playing, lengths, rows = Playing(plan, deque(plan.units()), 1, 1), [], []
-    while not playing.over:
-        for ended in playing.step():
-            rows = [row[CARRIED.index("inserted_length")] for row in ended.profile]
-        lengths.append(playing.last.infos[0]["inserted_length"])
+    runner, lengths, rows = RolloutRunner(plan, deque(plan.units()), 1, 1), [], []
+    while not runner.over:
+        if list(runner.step()):
+            rows = [row[CARRIED.index("inserted_length")] for row in runner.profile[0]]
+        lengths.append(runner.last.infos[0]["inserted_length"])
     assert rows == lengths[: int(np.argmax(lengths)) + 1]
     assert rows[-1] == pytest.approx(8.0, abs=0.05)
 
