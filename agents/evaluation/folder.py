@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import errno
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -243,7 +244,7 @@ def _interrupted(folder: Path) -> Evaluation:
     table, profile = grouped(table), grouped(profile)
     compared = {name for _, name, _, _ in chosen}
     left_out = tuple(dict.fromkeys(name for _, name, _, _ in stored if name not in compared))
-    missing = Missing(len(stored), len(plan.episodes), tuple(_gaps(plan.episodes, done)), left_out, plan.command)
+    missing = Missing(len(stored), len(plan.episodes), _gaps(plan.episodes, done), left_out, plan.command)
     return Evaluation(table, profile, setting, plan, *_compared(folder, table, strict=False), missing)
 
 
@@ -259,23 +260,8 @@ def comparable(stored: Sequence[Planned]) -> list[Planned]:
     return [e for e in stored if e[1] in groups[best] and (e[2], e[3]) in shared[best]]
 
 
-def _gaps(planned: Iterable[Planned], done: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    episodes = pd.DataFrame(planned, columns=["key", "policy", "context", "seed"])
-    for name, part in episodes.groupby("policy", sort=False):
-        missing = part.loc[~part["key"].isin(list(done)), "context"]
-        if len(missing) == len(part):
-            yield str(name), f"all of its {len(part)} insertions"
-        elif len(missing):
-            tubes = "tubes" if missing.nunique() > 1 else "tube"
-            yield str(name), f"{len(missing)} of {len(part)} insertions: {tubes} {spans(missing)}"
-
-
-def spans(numbers: Iterable[int]) -> str:
-    """Whole numbers in words: "0 to 3, 7"."""
-    runs: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ", ".join(f"{low}" if low == high else f"{low} to {high}" for low, high in runs)
+def _gaps(planned: Sequence[Planned], done: Collection[str]) -> tuple[tuple[str, str], ...]:
+    """Policies with missing episodes, and how many are missing."""
+    total = Counter(name for _, name, _, _ in planned)
+    missing = Counter(name for key, name, _, _ in planned if key not in done)
+    return tuple((name, f"{missing[name]} of {total[name]} insertions") for name in total if missing[name])

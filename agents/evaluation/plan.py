@@ -8,11 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -111,9 +111,9 @@ def run_plan(
 ) -> pd.DataFrame:
     """Play what is missing in a folder and return the table of all episodes of the plan.
 
-    Each episode is appended to ``episodes.jsonl`` as it ends (with Ray when its portion ends). At the end the tables
-    ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written; until then ``unfinished.json`` lists
-    the episodes of the plan.
+    Each episode is appended to ``episodes.jsonl`` as it ends, with workers when its portion of up to ``batch`` ends. At
+    the end the tables ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written; until then
+    ``unfinished.json`` lists the episodes of the plan.
 
     Args:
         plan: the evaluation.
@@ -148,9 +148,8 @@ def run_plan(
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    policies = {name: policy.describe() for name, policy in plan.policies.items()}
-    made: dict[str, Any] = {"command": command, "commits": table["commit"], "seeds": plan.seeds}
-    write_manifest(output, (*FILES, "setting.json"), **made, policies=policies)
+    files, policies = (*FILES, "setting.json"), plan.described()["policies"]
+    write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
@@ -190,7 +189,7 @@ def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, wo
         while not runner.over:
             yield from runner.step()
         return
-    size, units = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)  # two portions a worker, or more
+    size, units = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
     for _, lines in workers.map(lambda portion: list(_lines(plan, deque(portion), size, 1, HERE)), portions):
         yield from lines
@@ -252,7 +251,7 @@ class RolloutRunner:
         self.actions = np.zeros((count, 2), dtype=np.float32)
         self.last: Step | None = None
         self.active: BoolArray = np.zeros(count, dtype=bool)
-        self._probes: list[dict[str, float] | None] = [None] * count
+        self._probes: dict[int, dict[str, float]] = {}
         self._players = Players(count)
         self._observation: npt.NDArray[np.float32] = self.episodes.observation.copy()
 
@@ -268,14 +267,17 @@ class RolloutRunner:
 
     def decide(self) -> None:
         """Begin episodes in idle lanes, and let the policies decide on the next period."""
-        idle = [k for k in range(len(self.units)) if not self.episodes.running[k]]
-        fresh = idle[: len(self.missing)]
-        for k in fresh:
-            unit = self.units[k] = self.missing.popleft()
-            self.profile[k] = []
-            self._players.begin(k, self.plan.policies[unit[0]])
+        idle = np.flatnonzero(~self.episodes.running).tolist()
+        fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
-            self._begin(fresh)
+            for k, unit in fresh.items():
+                self.units[k], self.profile[k] = unit, []
+                self._players.begin(k, self.plan.policies[unit[0]])
+            options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
+            rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
+            self._observation, started = self.episodes.reset(list(fresh), rngs, options)
+            if self.plan.probes == "random":
+                self._probes |= {k: {name: started[k]["probe"][name] for name in RANGES} for k in fresh}
         self.active = self.episodes.running.copy()
         self.actions = self._players.act(self._observation, self.active, self.episodes)
         self.decided = True
@@ -294,7 +296,7 @@ class RolloutRunner:
                 unit, metres = self.unit(k), per_metre(self.profile[k])
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
                 record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": info["episode_kpis"]}
-                probe = {"probe": self._probes[k]} if self._probes[k] else {}
+                probe = {"probe": self._probes[k]} if k in self._probes else {}
                 yield json.dumps(record | {"profile": profile} | probe) + "\n"
 
     def observed(self, k: int) -> npt.NDArray[np.float32]:
@@ -306,12 +308,3 @@ class RolloutRunner:
         unit = self.units[k]
         assert unit is not None
         return unit
-
-    def _begin(self, fresh: list[int]) -> None:
-        units = {k: self.unit(k) for k in fresh}
-        options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in units.items()}
-        rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in units.items()}
-        self._observation, started = self.episodes.reset(fresh, rngs, options)
-        if self.plan.probes == "random":
-            for k in fresh:
-                self._probes[k] = {name: started[k]["probe"][name] for name in RANGES}

@@ -92,7 +92,7 @@ class Workers:
 
     @contextmanager
     def _backend(self) -> Iterator[tuple[Callable[[], int], int | None, dict[str, Any]]]:
-        """joblib's backend: the number of workers available now, the tasks per worker in a call, and options."""
+        """The backend: the number of workers available now, the tasks per worker in a call, and options."""
         if self.backend == "local":  # results come as they finish, arrays are copied to the workers
             yield lambda: self.jobs, None, {"backend": "loky", "return_as": "generator_unordered", "max_nbytes": None}
             return

@@ -10,11 +10,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
-from numba import njit
 
 import probe_env
 from agents.cli import main
-from agents.terminal.notices import said_when_compiling
 from probe_env import Scene
 from probe_env.physics.methods import METHODS
 
@@ -193,11 +191,3 @@ def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypa
         assert main(["study", "vibration-map", "--tube", tube]) == 0
     assert targets == [Path("output/vibration-map/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
     assert capsys.readouterr().err.count("its map stays: the new one is output/vibration-map/vibration-map.npz") == 3
-
-
-def test_compiling_is_said_once(capsys):
-    first, second = (njit(lambda x, k=k: x + k) for k in (1.0, 2.0))
-    for message in ("compiling kernels, which are kept for later runs\n", ""):
-        with said_when_compiling():
-            assert first(1.0) + second(1.0) == 5.0
-        assert capsys.readouterr().err == message

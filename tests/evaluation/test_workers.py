@@ -93,7 +93,9 @@ def test_workers_that_nobody_waits_for_end(tmp_path):
 @pytest.mark.slow
 def test_workers_end_with_a_command_that_is_killed(tmp_path):
     tasks = [(str(tmp_path), 0), (str(tmp_path), 1)]
-    code = f"from test_workers import *; print(next(TWO.map(sleeping, {tasks}))[1], flush=True); os.kill(os.getpid(), 9)"
+    code = (
+        f"from test_workers import *\nprint(next(TWO.map(sleeping, {tasks}))[1], flush=True)\nos.kill(os.getpid(), 9)"
+    )
     paths = os.pathsep.join([str(Path(__file__).parent), str(ROOT / "tests"), *filter(None, sys.path)])
     ended = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": paths}
