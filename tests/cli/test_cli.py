@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
 
-import probe_env
 from agents.cli import main
 from probe_env import Scene
 from probe_env.physics.methods import METHODS
@@ -122,31 +121,25 @@ def check_film(path, pictures):
     assert all((np.abs(a - b) > 50).any() for a, b in pairwise(frames))
 
 
-FILMS = [
-    pytest.param("film.gif", True, marks=pytest.mark.slow),
-    pytest.param("film.mp4", True, marks=pytest.mark.slow),
-    ("picture.png", False),
-]
-
-
-@pytest.mark.parametrize(("name", "is_film"), FILMS)
-def test_render_writes_an_episode(name, is_film, tmp_path, capsys):
-    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(tmp_path / name), "--every", "40"]
-    assert main(["render", *arguments]) == 0
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("film.gif", marks=pytest.mark.slow),
+        pytest.param("film.mp4", marks=pytest.mark.slow),
+        "picture.png",
+    ],
+)
+def test_render_writes_an_episode_and_slow_motion(name, tmp_path, capsys):
+    """A picture every 4 s; every 5 ms of 0.05 s, each shown for 40 ms."""
+    output, snapshot = tmp_path / name, ["--env-id", "probe_env/Snapshot-v1", "--output", str(tmp_path / name)]
+    assert main(["render", *snapshot, "--every", "40"]) == 0
     assert "share_within_limit" in capsys.readouterr().out
-    check_film(tmp_path / name, 3 if is_film else 1)
-
-
-@pytest.mark.parametrize(("name", "is_film"), FILMS)
-def test_render_writes_slow_motion(name, is_film, tmp_path, capsys):
-    """A picture every 5 ms of 0.05 s, each shown for 40 ms."""
-    output = tmp_path / name
-    arguments = ["--env-id", "probe_env/Snapshot-v1", "--output", str(output), "--duration", "0.05"]
-    assert main([*STRIP, *arguments]) == 0
+    check_film(output, 1 if name == "picture.png" else 3)
+    assert main([*STRIP, *snapshot, "--duration", "0.05"]) == 0
     printed = capsys.readouterr().out
     assert "times_slowed                             8\n" in printed
     assert "inserted_length_m                        52.5\n" in printed
-    check_film(output, 11 if is_film else 1)
+    check_film(output, 1 if name == "picture.png" else 11)
     if output.suffix == ".gif":
         assert iio.immeta(output)["duration"] == 40
     if output.suffix == ".mp4":
@@ -170,14 +163,11 @@ def test_slow_motion_begins_at_a_length_or_says_that_it_was_not_reached(tmp_path
 
 
 def test_version_and_agents(capsys):
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"probe-env {version('probe-env')}\n"
-    assert probe_env.__version__ == version("probe-env")
+    assert (main(["--version"]), capsys.readouterr().out) == (0, f"probe-env {version('probe-env')}\n")
     assert main(["agents"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "ppo seeds 0, 1, 2, 3, 4" in printed
-    assert "probe_env/Insertion-v1 with any probe of the design space in the train tubes" in printed
-    assert "schedules best-both-ways, example, fast-in, shift, slow-back, steady-back" in printed
+    for text in ("ppo seeds 0, 1, 2, 3, 4", "with any probe of the design space in the train tubes", "best-both-ways"):
+        assert text in printed
 
 
 def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypatch):
