@@ -14,8 +14,8 @@ import numpy as np
 
 from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.cases import TABLE_2, EvaluationCase
 from agents.policies.lookup import least_air
+from agents.policies.places import TABLE_2, Place
 from agents.records.manifest import commit
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
@@ -155,13 +155,13 @@ class DesignProblem(DesignTrials):
             raise ValueError(f"tube = {self.tube.name}: {', '.join(self.probes)} can be simulated in none of its tubes")
 
 
-def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -> DesignProblem:
+def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> DesignProblem:
     """The problem that a command names.
 
     Args:
         feed: "best-constant", a schedule, or with ``full`` any policy.
         full: whole insertions.
-        case: task and tubes.
+        place: task and tubes.
         fidelity: preset, or "auto".
 
     Raises:
@@ -169,8 +169,8 @@ def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    config = case.config.all_shown
+    config = place.config.all_shown
     chosen = resolve_fidelity(fidelity, config.scene)
-    problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.tube)
+    problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
     problem.check()
     return problem

@@ -26,8 +26,8 @@ from agents.evaluation.statistics import (
     summarise,
 )
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.catalogue import domains_of, named_policies, own_policies
+from agents.policies.places import Place, load_case
 from agents.policies.policy import check_domains
 from agents.policies.wrappers import BothWays, fidelity_of
 from agents.records.manifest import write_json
@@ -87,7 +87,7 @@ def evaluate(
 
 def plan_of(
     specs: Sequence[str],
-    case: EvaluationCase,
+    place: Place,
     seeds: int,
     fidelity: str | Fidelity,
     probes: Probes = "scene",
@@ -100,13 +100,13 @@ def plan_of(
     """
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = case.config.all_shown
-    policies = named_policies(specs, config, case.vibration, classes=True)
+    config = place.config.all_shown
+    policies = named_policies(specs, config, place.vibration, classes=True)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
-    check_domains(domains_of(specs, forth), config, case.contexts, strict)
-    hardest = Starts(config, case.contexts, probes, *settling(config, {})).stiffest
+    check_domains(domains_of(specs, forth), config, place.contexts, strict)
+    hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
-    plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
+    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes, place.vibration)
     if plan.probes == "random":  # which are drawn as episodes begin
         return plan
     try:
@@ -115,7 +115,7 @@ def plan_of(
             episodes.check_tube(context)
     except ValueError as error:
         raise ValueError(
-            f"{case.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
+            f"{place.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
         ) from error
     return plan
 

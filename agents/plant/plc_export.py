@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from agents.policies import plc_law
-from agents.policies.cases import EvaluationCase
+from agents.policies.places import Place
 from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
 from agents.records.atomic import write_atomically
@@ -99,18 +99,13 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
 
 
 def write_law(
-    constants: Constants,
-    plant: PlantData,
-    case: EvaluationCase,
-    st: Path | None,
-    csv: Path | None,
-    trim: Trim | None = None,
+    constants: Constants, plant: PlantData, place: Place, st: Path | None, csv: Path | None, trim: Trim | None = None
 ) -> None:
     """Write the law as structured text (with a trim, if any) and as a table.
 
     Warns if the plant needs more tension than the law's fixed least air was chosen for, or other tubes.
     """
-    needed, usual = case.config.required_tension, TaskConfig().required_tension
+    needed, usual = place.config.required_tension, TaskConfig().required_tension
     if needed > usual:
         warnings.warn(
             f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, was"
@@ -118,12 +113,12 @@ def write_law(
             " evaluate shielded:plc-law",
             stacklevel=2,
         )
-    check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
+    check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)
     if st:
         write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")
     if csv:
-        diameters = sorted({context.helix_diameter for context in case.contexts})
-        rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)
+        diameters = sorted({context.helix_diameter for context in place.contexts})
+        rows = table(constants, plant, diameters, place.config.scene.tube.helix_length)
         write_atomically(csv, rows.to_csv(index=False, float_format="%.6g"))
         print(f"written: {csv}")

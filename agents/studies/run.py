@@ -17,10 +17,10 @@ from pydantic import ValidationError
 from agents.evaluation.plan import BATCH, Plan, run_plan
 from agents.evaluation.statistics import grouped
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.cases import EvaluationCase, case_of, map_of, plant_at, with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
 from agents.policies.law import Lawful
+from agents.policies.places import Place, map_of, place_of, plant_at, with_probe
 from agents.policies.policy import OutsideDomain, Policy
 from agents.policies.wrappers import BothWays
 from agents.studies.spec import Changes, Study
@@ -89,18 +89,18 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         plant, update = plant_at(tube), _under("plant", study.set | changes)
         if update:
             plant = (plant or Plant()).model_copy(update=update)
-        case = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
-        unvaried = _changed(case.config.all_shown, study.set)
+        place = place_of(plant, study.contexts, study.limit, map_of(tube, plant))
+        unvaried = _changed(place.config.all_shown, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
         accuracy = accuracy.model_copy(update=_under("fidelity", study.set | changes))
         known = config if study.policies_know == "varied task" else unvaried
-        policies, members = _policies(study, known, case, plant)
+        policies, members = _policies(study, known, place, plant)
     except (ValueError, TypeError) as error:
         problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
         raise ValueError(f"{where}: {problem}" if where else problem) from error
-    plan = Plan(policies, case.contexts, study.seeds, config, accuracy)
+    plan = Plan(policies, place.contexts, study.seeds, config, accuracy)
     values = {"fidelity": fidelity} | {name: _value(name, changes, config, plan.fidelity) for name in study.varied}
     return Setting(values, plan, members, _folder(values))
 
@@ -139,7 +139,7 @@ def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) 
 
 
 def _policies(
-    study: Study, config: TaskConfig, case: EvaluationCase, plant: Plant | None
+    study: Study, config: TaskConfig, place: Place, plant: Plant | None
 ) -> tuple[dict[str, Policy], dict[str, Changes]]:
     """Policies by the names that the plan gives them, and their columns."""
     policies: dict[str, Policy] = {}
@@ -148,7 +148,7 @@ def _policies(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
             recommended = {spec: _recommended(spec, config, plant)} if spec in RECOMMENDED else {}
-            base = recommended or named_policies([spec], config, case.vibration)
+            base = recommended or named_policies([spec], config, place.vibration)
         for name, policy in base.items():
             member = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
             if member in policies:
@@ -182,7 +182,7 @@ def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
     from agents.plant.recommendation import recommended, recommended_law
     from agents.plant.response import stored_response
 
-    tubes, response = case_of(plant, "train").contexts, stored_response()
+    tubes, response = place_of(plant, "train").contexts, stored_response()
     if name == "recommended":
         return Scheduled(config, recommended(tubes, response, config).schedule)
     return Lawful(config, law=recommended_law(tubes, response, config))

@@ -38,7 +38,7 @@ def last_line(capsys):
     ("number", "jobs"), [(signal.SIGINT, 1), pytest.param(signal.SIGTERM, 2, marks=pytest.mark.slow)]
 )
 def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, jobs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("agents.policies.cases.TaskConfig", lambda: CONFIG)
+    monkeypatch.setattr("agents.policies.places.TaskConfig", lambda: CONFIG)
     handlers = [signal.getsignal(n) for n in STATUS]
     output = tmp_path / "run"
     arguments = ["evaluate", "constant", "pi", "--limit", "3", "--jobs", str(jobs), "--output", str(output)]

@@ -9,9 +9,9 @@ import pytest
 from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
-from agents.policies.cases import both_ways, case_of, load_case, map_of, with_probe
 from agents.policies.catalogue import make_policy
 from agents.policies.lookup import LEAST_AIR, best_schedule_for, knots, least_air
+from agents.policies.places import both_ways, load_case, map_of, place_at, place_of, with_probe
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_beside
@@ -61,7 +61,7 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
 @pytest.mark.parametrize("passes", ["in", "both"])
 def test_what_policies_were_made_for_is_said_or_refused(passes):
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
-    place = case_of(rough, "test", 4)
+    place = place_of(rough, "test", 4)
     if passes == "both":
         place = both_ways(place, "best")
     with pytest.warns(OutsideDomain) as caught:
@@ -77,7 +77,7 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plan_of(
-            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], case_of(None, "test"), 1, "fast", strict=True
+            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], place_of(None, "test"), 1, "fast", strict=True
         )
 
 
@@ -130,7 +130,7 @@ def small(tmp_path_factory):
 
 
 def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
-    place = load_case(small, "test", 6)
+    place = place_at(small, "test", 6)
     known, plant = place.vibration, Plant.from_toml(small)
     assert map_beside(small).name == "small-map.npz"
     assert known.scene == plant.scene
@@ -161,7 +161,7 @@ def test_a_map_of_another_tube_is_refused_by_name(small, tmp_path):
 def test_results_of_different_plants_never_mix(small, tmp_path):
     plant = Plant.from_toml(small)
     other = plant.model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
-    first, second = (plan_of(["constant"], case_of(each, "test", 1), 1, "fast") for each in (plant, other))
+    first, second = (plan_of(["constant"], place_of(each, "test", 1), 1, "fast") for each in (plant, other))
     run_plan(first, tmp_path, progress=False)
     with pytest.raises(ValueError, match="another setting"):
         run_plan(second, tmp_path, progress=False)
@@ -187,16 +187,16 @@ def test_commands_take_the_file(small, tmp_path, capsys):
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
-    assert load_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
+    assert place_at(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
-        load_case(Path("nowhere.toml"), "test")
+        place_at(Path("nowhere.toml"), "test")
     assert "tubes that ship, by name: example" in missing.value.hint
 
 
 def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():
     """The improved probe has 10 m of guide cable, the plant's own 2.5 m; table 2's helix has room for it."""
     plant = Plant.model_validate({"tube": {"helix_length": 28.0}})
-    config = case_of(plant, "test", 1).config
+    config = place_of(plant, "test", 1).config
     own, improved = config.scene, with_probe(config, "improved").scene
     assert own.inserted_length == pytest.approx(28.0)
     assert improved.probe.guide_length == pytest.approx(10.0)

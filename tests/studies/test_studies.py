@@ -13,9 +13,9 @@ import pytest
 from agents.cli import main
 from agents.evaluation import plan as plans
 from agents.evaluation.statistics import paired_difference
-from agents.policies.cases import with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant
+from agents.policies.places import with_probe
 from agents.records.shipped import shipped_folder, shipped_names
 from agents.studies import run as runs
 from agents.studies.builtin import BUILT_IN

@@ -14,8 +14,8 @@ from safetensors.numpy import load_file
 from agents.cli import main
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.bundle import Agent, build_policy, load_bundle
-from agents.policies.cases import plant_at
 from agents.policies.fixed import Constant
+from agents.policies.places import plant_at
 from agents.training.config import Training
 from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, run_lock, train_all
 from probe_env import Fidelity, load_contexts

@@ -21,9 +21,9 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import a90_95, paired_difference
 from agents.evaluation.workers import Workers
 from agents.plant.recommendation import safe_air
-from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.lookup import FIRST
+from agents.policies.places import Place, load_case
 from agents.policies.policy import Policy
 from agents.policies.wrappers import BothWays, fidelity_of, way_in
 from agents.records.atomic import write_atomically
@@ -133,11 +133,9 @@ def run(request: Request) -> Numbers:
     return best
 
 
-def _tried(
-    trials: int, space: Space, case: EvaluationCase, played: Path, workers: Workers
-) -> tuple[pd.DataFrame, list[str]]:
+def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
-    config, rows, commits = case.config.all_shown, [], []
+    config, rows, commits = place.config.all_shown, [], []
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -152,7 +150,7 @@ def _tried(
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
         trial = study.ask(drawn)
         numbers = as_given(config, trial.params)
-        plan = _plan({"trial": policy_of(config, numbers)}, case)
+        plan = _plan({"trial": policy_of(config, numbers)}, place)
         table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
         means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
         study.tell(trial, means["reward"])
@@ -161,5 +159,5 @@ def _tried(
     return pd.DataFrame(rows), commits
 
 
-def _plan(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
-    return Plan(policies, case.contexts, config=case.config.all_shown, fidelity=fidelity_of(FIDELITY))
+def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
+    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
