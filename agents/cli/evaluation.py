@@ -45,7 +45,7 @@ class Evaluate:
     strict: bool = False
     """Refuse policies that were made for other tubes, instead of a warning."""
     passes: Literal["in", "both"] | None = None
-    """in: insertion; both: insertion and withdrawal. Default: in, or as the tube file says. Schedule files may have
+    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in. Schedule files may have
     columns for the withdrawal (return_feed_speed_m_per_s, return_air_supply_m3_per_h), agents may be trained for both
     passes; other policies withdraw at the highest feed speed."""
     inspects: Literal["in", "back", "best"] | None = None
@@ -148,7 +148,7 @@ class Signal:
     policy: tyro.conf.Positional[str] = "constant"
     """Name of a policy or trained agent, schedule file, feedback law (.json), or trained agent (.safetensors)."""
     flaws: tuple[str, ...] = ()
-    """Flaws as PLACE:DEPTH, in metres from the entrance of the helix and % of the wall: 10:20 30:40. Default: 20 %
+    """Flaws as POSITION:DEPTH, in metres from the entrance of the helix and % of the wall: 10:20 30:40. Default: 20 %
     every 5 m."""
     output: Path = Path("output/signal")
     """Folder of strip.png, flaws.png, channels.csv (X and Y every millisecond), flaws.csv, periods.csv (noise,
@@ -162,7 +162,7 @@ class Signal:
     until: float | None = None
     """Inserted length at the end [m]; default: the end of the helix."""
     fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference or standard; time-lapse would leave metres out."""
+    """Accuracy of the simulation: study, reference or standard; a time-lapse skips metres of the tube."""
     seed: int = 0
     """Seed of the start, the sensor noise and the electronic noise."""
     tube: Path | None = None

@@ -118,7 +118,7 @@ class Calibrate:
         print_calibration(calibration, own=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("it is not for use: a tube.toml that names it is warned of")
+            print("this posterior is not usable: a tube.toml that names it gives a warning")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 

@@ -163,8 +163,10 @@ def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
         try:
             flaw = Flaw(float(position), float(depth) / 100.0)
         except ValueError:
-            raise ValueError(f"flaws: {text!r} is not PLACE:DEPTH, metres and % of the wall, such as 30:20") from None
-        within(f"flaws: place of {text!r}", flaw.place, 0.0, length, "m")
+            raise ValueError(
+                f"flaws: {text!r} is not POSITION:DEPTH, metres and % of the wall, such as 30:20"
+            ) from None
+        within(f"flaws: position of {text!r}", flaw.place, 0.0, length, "m")
         within(f"flaws: depth of {text!r}", 100.0 * flaw.depth, 0.1, 100.0, "%")
         flaws.append(flaw)
     return tuple(sorted(flaws, key=lambda flaw: flaw.place))

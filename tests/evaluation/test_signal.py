@@ -123,8 +123,8 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
 
 def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
     for asked, message in (
-        (["--flaws", "30"], "flaws: '30' is not PLACE:DEPTH"),
-        (["--flaws", "70:20"], "flaws: place of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
+        (["--flaws", "30"], "flaws: '30' is not POSITION:DEPTH"),
+        (["--flaws", "70:20"], "flaws: position of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
         (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
         (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
         (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
