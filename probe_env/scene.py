@@ -31,7 +31,7 @@ class Tube(Model):
     helix_length: Annotated[float, quantity(0.1, 1e3, "m")] = 60.0
     """Length of the tube along its axis [m]."""
     ovality: Annotated[float, quantity(0.0, 0.5, "")] = 0.0
-    """Largest minus smallest inner diameter, divided by the nominal one [-]; a bent tube is flattened in the plane of its
+    """Largest minus smallest inner diameter, divided by the nominal one [-]; a bent tube is flat in the plane of its
     bend. The cross-section for the air does not change."""
 
     @property
