@@ -64,12 +64,10 @@ REFUSED = [
     (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
     (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a scene file, which is TOML"),
     (["simulate", SCENE, "--duration", "1", "--statistics-from", "2"], "statistics_from = 2.0"),
-    (["simulate", SCENE, "--duration", "3.00005"], "duration = 3.00005"),
     (["simulate", SCENE, "--duration", "-1"], "duration = -1.0 s is outside the accepted range 0.001 to 100000 s"),
     (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
     (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
     (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
-    (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
     (
         ["evaluate", "constant", "--passes", "both", "--fidelity", "reference"],
         "fidelity = 'reference' does not simulate the way back; give one of standard, fast, study",
@@ -77,7 +75,6 @@ REFUSED = [
     (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
     (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
     (["render", "--every", "0"], "every = 0"),
-    (["render", "--policy", "fastest"], "policy = 'fastest'"),
     (["render", "--at", "45"], "at = 45.0 m is of the strip: add --view strip"),
     ([*STRIP, "--at", "60"], "at = 60.0 m is outside the accepted range 5 m, where it starts, to less than 60 m"),
     ([*STRIP, "--at", "46", "--tube", "example"], "to less than 45 m"),
@@ -86,7 +83,6 @@ REFUSED = [
     ([*STRIP, "--length", "2"], "length = 2.0 m is outside the accepted range 2.5 to 1000 m"),
     ([*STRIP, "--duration", "2.5"], "duration = 2.5 s is outside the accepted range 0.005 to 2 s"),
     ([*STRIP, "--duration", "0.1005"], "duration = 0.1005 s is not a whole number"),
-    ([*STRIP, "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
     ([*STRIP, "--policy", "fastest"], "policy = 'fastest'"),
 ]
 
