@@ -59,6 +59,8 @@ ORACLES: Final = frozenset(kind.__name__ for kind in (Privileged, Planner, Inspe
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
+MOST_DIAMETERS: Final = 12
+"""Number of helix diameters beyond which there is no table by diameter."""
 DRAWN_AT_FIRST: Final = 4
 """Policies whose traces are visible when the page opens."""
 
@@ -103,6 +105,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "oracles": [name for name in order if name in oracles],
         "strained": strained(table),
         "sentences": sentences(table, done.against),
+        "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
         "downloads": downloads(described, table, done.profile, task.returns),
         "traces": traces(table, done.profile, drawn, _limit_mm(task)),
@@ -301,18 +304,34 @@ def ended(row: Mapping[str, int] | pd.Series) -> str:
     return ", ".join([f"{row['complete']} of {row['episodes']} complete", *parts])
 
 
+def by_diameter(table: pd.DataFrame, informed: Collection[str]) -> Table:
+    """Mean time and length within the limit: a row for each policy, a column for each helix diameter."""
+    groups = list(table.groupby("helix_diameter"))
+    if len(groups) > MOST_DIAMETERS or table["helix_diameter"].min() <= 0.0:
+        return [], []
+    counts = [(diameter, part["context"].nunique()) for diameter, part in groups]
+    names = [f"{diameter:g} m ({count} tube{'s' if count > 1 else ''})" for diameter, count in counts]
+    columns = [_best_marked(part, informed) for _, part in groups]
+    return ["policy", *names], [Row(policy, "", tuple(c[policy] for c in columns)) for policy in ranking(table)]
+
+
 def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
     """A row for each tube: its parameters, then time and length within the limit of every policy."""
     order, rows = ranking(table), []
     known = TUBE if (table["helix_diameter"] > 0.0).all() else {}
     for number, part in table.groupby("context"):
         cells = [Cell(f"{part[name].iloc[0] * factor:.{digits}f}") for name, factor, digits, _ in known.values()]
-        best = next((name for name in ranking(part) if name not in informed), "")
-        for policy in order:
-            time, share = _time_and_share(part, policy)
-            ends = endings(part).loc[policy]
-            failed = ends["episodes"] - ends["complete"]
-            stopped = f", {f'{failed} ' if ends['episodes'] > 1 else ''}not complete" if failed else ""
-            cells.append(Cell(time, share + stopped, policy == best))
-        rows.append(Row(f"{number}", "", tuple(cells)))
+        column = _best_marked(part, informed)
+        rows.append(Row(f"{number}", "", (*cells, *(column[policy] for policy in order))))
     return ["tube", *known, *order], rows
+
+
+def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
+    cells, ends, order = {}, endings(part), ranking(part)
+    best = next((name for name in order if name not in informed), "")
+    for policy in order:
+        time, share = _time_and_share(part, policy)
+        count, complete = ends.loc[policy, ["episodes", "complete"]]
+        failed = f", {f'{count - complete} ' if count > 1 else ''}not complete" if complete < count else ""
+        cells[policy] = Cell(time, share + failed, policy == best)
+    return cells
