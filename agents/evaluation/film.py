@@ -17,6 +17,7 @@ from tqdm import tqdm
 import probe_env
 from agents.policies.catalogue import make_policy
 from agents.records.atomic import write_atomically
+from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import FRAME_PERIOD, SLOWED, Motion, Strip, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
@@ -169,16 +170,18 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
         raise ValueError(
             f"at = {at:g} m was not reached: the episode ended at {info['inserted_length']:.4g} m{reasons}"
         )
-    window, before = episodes.window, (np.zeros(0), np.zeros(0))
+    axial: FloatArray = np.zeros(0)
+    radial: FloatArray = np.zeros(0)
+    window = episodes.window
     if window and window.axial is not None and window.radial is not None:
-        before = window.axial[:, 0], window.radial[:, 0]
-    simulator, remaining = episodes.batch.simulators[0], duration
-    watch = Watch(simulator, length, *before)
+        axial, radial = window.axial[:, 0], window.radial[:, 0]
+    watch, remaining = Watch(episodes.batch.simulators[0], length, axial, radial), duration
     while remaining > 0.5 * SAMPLE_PERIOD and not episode.ended:
         action = episode.decide()
         targets = episodes.config.targets(action[None]) * episodes.passes.way[:, None]
         period = episodes.config.period / episodes.time_lapse(targets)[0]  # of the dynamics
-        watch.follow(episodes.batch.simulators[0], *targets[0], min(remaining, period))
+        feed_speed, air_supply_rate = targets[0]
+        watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(remaining, period))
         episode.step(action)
         remaining -= period
     return watch.motion()

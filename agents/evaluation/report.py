@@ -242,7 +242,7 @@ def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
 
 
 def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
-    row = endings(table).loc[policy]
+    row = dict(endings(table).iterrows())[policy]
     missing = row["episodes"] - row["complete"]
     return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
 
@@ -270,7 +270,7 @@ Table = tuple[list[str], list[Row]]
 def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
     """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
-    rows, ends, order = [], endings(table), ranking(table)
+    rows, ends, order = [], dict(endings(table).iterrows()), ranking(table)
     best = next((name for name in order if name not in informed), order[0])
     for policy in order:
         cells = []
@@ -284,7 +284,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
             if difference.low < 0.0 < difference.high:
                 against = against._replace(text=f"{against.text} (unclear)")
         cells.insert(1, against)  # the first is the reward
-        complete, _, reasons = ended(ends.loc[policy]).partition(", ")
+        complete, _, reasons = ended(ends[policy]).partition(", ")
         note = "yours" if policy in own else "oracle" if policy in informed else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
@@ -327,11 +327,11 @@ def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
 
 
 def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
-    cells, ends, order = {}, endings(part), ranking(part)
+    cells, ends, order = {}, dict(endings(part).iterrows()), ranking(part)
     best = next((name for name in order if name not in informed), "")
     for policy in order:
         time, share = _time_and_share(part, policy)
-        count, complete = ends.loc[policy, ["episodes", "complete"]]
+        count, complete = ends[policy]["episodes"], ends[policy]["complete"]
         failed = f", {f'{count - complete} ' if count > 1 else ''}not complete" if complete < count else ""
         cells[policy] = Cell(time, share + failed, policy == best)
     return cells
