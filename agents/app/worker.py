@@ -29,7 +29,7 @@ from agents.app.runs import (
     RunRequest,
     RunStarted,
 )
-from agents.evaluation.plan import BATCH, Plan, Playing, Unit, lines_of, run_plan, stored_episodes
+from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
 from agents.evaluation.run import claim_folder, write_report
 from agents.terminal.refusals import refusal
 from probe_env import Plant
@@ -68,14 +68,14 @@ def _load_kernels() -> None:
     episodes.reset([0], {0: np.random.default_rng(0)})
 
 
-def row_of(playing: Playing, k: int) -> tuple[float, ...]:
+def row_of(playing: RolloutRunner, k: int) -> tuple[float, ...]:
     """The last period of probe ``k``, the columns ``runs.COLUMNS``."""
     assert playing.last is not None
     names = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate")
     return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.tally[k].reward)
 
 
-def shape_of(playing: Playing, k: int) -> ProbeShape:
+def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
     """Probe ``k`` at the end of its last period."""
     episodes = playing.episodes
     simulator = episodes.batch.simulators[k]
@@ -138,7 +138,7 @@ class _Player:
     def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
         """The lines of the episodes; obeys commands and sends frames in between."""
         self.manual = next((p for p in plan.policies.values() if isinstance(p, ManualPolicy)), None)
-        playing = Playing(plan, missing, BATCH, None)
+        playing = RolloutRunner(plan, missing, BATCH, None)
         self.due = time.monotonic()
         while not playing.over:
             self._receive(playing)
@@ -148,11 +148,11 @@ class _Player:
             for k in np.flatnonzero(playing.active).tolist():
                 self.rows.setdefault(playing.unit(k), []).append(row_of(playing, k))
             self.done += len(ended)
-            yield from lines_of(plan, ended)
+            yield from ended
             if playing.over or time.monotonic() - self.shown_at >= 1.0 / FRAMES_PER_SECOND:
                 self._show(playing)
 
-    def _receive(self, playing: Playing) -> None:
+    def _receive(self, playing: RolloutRunner) -> None:
         """Obey commands; wait while paused, or as long as the pace asks for."""
         while True:
             self.due = max(self.due, time.monotonic() - 1.0)  # does not catch up after a wait
@@ -165,7 +165,7 @@ class _Player:
         if self.pace:
             self.due += 1.0 / self.pace
 
-    def _obey(self, command: Command, playing: Playing) -> bool:
+    def _obey(self, command: Command, playing: RolloutRunner) -> bool:
         """Obey a command; returns whether to simulate a period at once."""
         match command.name:
             case "go":
@@ -189,7 +189,7 @@ class _Player:
                 self.manual.feed_speed, self.manual.air_supply_rate = command.values
         return False
 
-    def _show(self, playing: Playing) -> None:
+    def _show(self, playing: RolloutRunner) -> None:
         """Send a frame."""
         running = playing.episodes.running
         if self.watched >= len(running) or not running[self.watched]:
@@ -200,7 +200,7 @@ class _Player:
         self.pipe.send(Frame(units, self.watched, rows, shape, self.done, self.paused))
         self.rows, self.shown_at = {}, time.monotonic()
 
-    def _look(self, playing: Playing) -> None:
+    def _look(self, playing: RolloutRunner) -> None:
         """Send slow motion of the watched probe, simulated on a copy: the run itself does not change."""
         if not playing.decided:
             playing.decide()

@@ -1,4 +1,4 @@
-"""Commands log, calibrate, recommend and plc."""
+"""Commands log, calibrate, recommend, plc and app."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Calibrate:
         print_calibration(calibration, own=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("it is not for use: a tube.toml that names it is warned of")
+            print("this posterior is not usable: a tube.toml that names it gives a warning")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 
@@ -194,3 +194,28 @@ class Plc:
         trim = read_trim() if self.trimmed else None
         write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
         print_law(constants, trim)
+
+
+@dataclass(frozen=True)
+class App:
+    """Open the app in the browser: edit a schedule, run it in your tube, watch and compare.
+
+    The page is served to this machine only.
+
+    Example: probe-env app --tube mine.toml
+    """
+
+    tube: Path | None = None
+    """Tube file (tube.toml) to open; default: the study's tubes."""
+    port: int = 5006
+    """Port of the server; 0: any free port."""
+    output: Path = Path("output/app")
+    """Folder of runs, schedules and tubes."""
+    show: bool = True
+    """Open the page in the default browser."""
+
+    def run(self) -> None:
+        """Serve until it is interrupted."""
+        from agents.app.server import serve
+
+        serve(self.tube, self.port, self.output, self.show)

@@ -23,12 +23,12 @@ class Train:
     output: Path | None = None
     """Folder of the runs seed-K; default: output/train/NAME."""
     seeds: tuple[int, ...] = ()
-    """Training seeds; default: as the file says."""
+    """Training seeds; default: as in the file."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     resume: bool = False
     """Continue from the last checkpoints in the folder."""
     tube: Path | None = None
-    """Your plant (tube.toml); default: as the file says."""
+    """Your plant (tube.toml); default: as in the file."""
 
     def run(self) -> None:
         """Train, print the learning curves."""

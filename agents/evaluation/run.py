@@ -189,7 +189,8 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
             cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
         rows.append(cells)
     header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown.values()))
-    print_table("Means with 95 % intervals over the contexts", header, rows)
+    title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
+    print_table(title, header, rows)
     for name, row in endings(table).iterrows():
         print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
     for line in (*strained(table), *sentences(table, against)):

@@ -18,7 +18,7 @@ from agents.app.server import make_server
 from agents.app.state import AppState
 from agents.app.worker import row_of, shape_of
 from agents.design.compare import cells, read_comparison, summarise
-from agents.evaluation.plan import Plan, Playing
+from agents.evaluation.plan import Plan, RolloutRunner
 from agents.policies.catalogue import named_policies
 from agents.policies.places import place_of
 from probe_env.fidelity import resolve_fidelity
@@ -124,7 +124,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     place = place_of(None, "test", 1)
     config = place.config.all_shown
     plan = Plan(named_policies(["constant"], config), place.contexts, config=config, fidelity=resolve_fidelity("fast"))
-    playing, page = Playing(plan, deque(plan.units()), 1, 1), open_page(app)
+    playing, page = RolloutRunner(plan, deque(plan.units()), 1, 1), open_page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
     monkeypatch.setattr("agents.app.screens.insertion.time", clock)
     run = page.session.run = Run(RunRequest(policies=(), output=app.output), "running")

@@ -12,7 +12,6 @@ import pytest
 from kills import hook_replace, hook_sync
 
 from agents.cli import main
-from agents.design.problem import DesignProblem
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import Constant
 from probe_env import load_contexts
@@ -71,36 +70,13 @@ def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["results.json", "scene.toml"]
 
 
-def test_an_interrupted_search_says_how_many_designs_are_stored(tmp_path, capsys, monkeypatch):
-    asked = []
-
-    def value(self, point, workers=None):
-        asked.append(point)
-        if len(asked) == 5:
-            os.kill(os.getpid(), signal.SIGINT)
-        return 10.0 - point["guide_length"], point["guide_length"], 1.0
-
-    monkeypatch.setattr(DesignProblem, "value", value)
-    output = tmp_path / "run"
-    assert main(["design", "--limit", "1", "--trials", "8", "--output", str(output)]) == 130
-    assert f"4 of 8 designs are stored in {output}; the same command goes on" in last_line(capsys)
-
-
 def command(prelude, *arguments, pipe=""):
     """The command as a process of its own, after a prelude; one that hangs is ended and fails."""
     code = f"import os, signal, sys\n{prelude}\nfrom agents.cli import main\nsys.exit(main())"
     line = shlex.join([sys.executable, "-c", code, *arguments]) + pipe
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    return subprocess.run(
-        line,
-        shell=True,
-        executable="/bin/bash",
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        timeout=300.0,
-        env=environment,
-    )
+    shell = {"shell": True, "executable": "/bin/bash", "env": environment, "cwd": ROOT, "timeout": 300.0}
+    return subprocess.run(line, capture_output=True, text=True, **shell)
 
 
 IN_IMPORT = """

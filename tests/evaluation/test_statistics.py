@@ -145,9 +145,6 @@ def test_a_strained_cable_is_named():
     assert strained(table[["policy"]]) == []
 
 
-# ---- detection depths ----
-
-
 def found(**snr):
     """Episodes of policies by the signal-to-noise of the 20 % groove in each of their tubes."""
     rows = []

@@ -1,11 +1,12 @@
 """Policies around a policy: the shield keeps the drive and leaves alone what is safe; fidelities of both passes."""
 
+import json
 from collections import deque
 
 import numpy as np
 import pytest
 
-from agents.evaluation.plan import Plan, Playing
+from agents.evaluation.plan import Plan, RolloutRunner
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
 from agents.policies.fixed import Constant
 from agents.policies.wrappers import Shielded, fidelity_of
@@ -110,10 +111,10 @@ def outcomes(policy, tubes):
     """KPIs and profile by policy and tube, without and with the shield."""
     policies = {"bare": policy, "shielded": Shielded(CONFIG, policy)}
     plan = Plan(policies, tubes, config=CONFIG, fidelity=resolve_fidelity("fast"))
-    playing, found = Playing(plan, deque(plan.units()), 12, 1), {}
-    while not playing.over:
-        found |= {ended.unit[:2]: (ended.kpis, ended.profile) for ended in playing.step()}
-    return found
+    runner, ended = RolloutRunner(plan, deque(plan.units()), 12, 1), []
+    while not runner.over:
+        ended += map(json.loads, runner.step())
+    return {tuple(record["unit"][:2]): (record["kpis"], record["profile"]) for record in ended}
 
 
 def test_hard_tubes_lose_their_drive_without_it_and_not_with_it():
