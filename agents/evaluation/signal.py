@@ -42,7 +42,7 @@ from probe_env.inspection.channels import (
     support_signal,
 )
 from probe_env.inspection.detection import snr_at
-from probe_env.inspection.meter import SPAN, Meter
+from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.inspection.sensor import GROOVE, Sensor
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
@@ -65,7 +65,7 @@ class Insertion:
     Attributes:
         passage: time, position, feed and motion of every sample.
         periods: info of every control period, SI units.
-        detection: detection figures by name of the inspected length, see ``inspection.tally``.
+        detection: detection figures by name of the inspected length, see ``inspection.metrics``.
     """
 
     passage: Passage
@@ -239,12 +239,12 @@ def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> Flo
         radial: (k,) motion [m].
         feed: (k,) feed speed [m/s].
     """
-    meter, spectra = Meter(sensor, 1, SAMPLE_PERIOD), []
+    meter, spectra = SnrEstimator(sensor, 1, SAMPLE_PERIOD), []
     # the first piece is half a stretch, so that each second ends half a stretch after a piece
     ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
     for begin, end in itertools.pairwise([0, *ends]):
-        meter.listen(np.zeros(1, dtype=np.int64), radial[begin:end, None], feed[begin : begin + 1])
-        spectra.append(meter.of_filter(0))
+        meter.update(np.zeros(1, dtype=np.int64), radial[begin:end, None], feed[begin : begin + 1])
+        spectra.append(meter.filter_spectrum(0))
     # of a second that ends half a stretch after the next one; the last ones have what there is
     last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(spectra) - 1)
     return np.array(spectra)[last]
