@@ -11,8 +11,8 @@ import pandas as pd
 
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit
-from agents.records.reading import FileError, read_csv
-from agents.records.tables import Columns
+from agents.records.tables import Columns, read_csv
+from probe_env.files import FileError
 
 COMMIT: Final = "commit"
 COLUMNS: Final[Columns] = {COMMIT: "text"}

@@ -13,7 +13,7 @@ from agents.cli import main
 from agents.plant.recommendation import MARGIN, beyond, cheapest_path, expected_costs, recommended
 from agents.plant.response import Metres, stored_response
 from agents.policies.catalogue import DATA
-from agents.records.reading import read_csv
+from agents.records.tables import read_csv
 from probe_env import Context, Plant
 from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
 from probe_env.scene import Probe

@@ -12,7 +12,8 @@ from scipy.linalg import expm
 
 from agents.evaluation.statistics import ratio_interval
 from agents.records.store import stored_rows
-from agents.studies.chart import draw_chart, ensembles, errors, run_chart, smooth
+from agents.studies.builtin import Request
+from agents.studies.chart import draw_chart, ensembles, errors, run, smooth
 from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_ensembles, run_setting
 from agents.studies.chart.smooth import orders, resolved
 from probe_env.files import FileError
@@ -197,4 +198,4 @@ def test_stored_tables_are_read_before_anything_is_run(tmp_path, monkeypatch):
         folder.mkdir()
         (folder / f"{name}.csv").write_text("a,b\n1,2\n")
         with pytest.raises(FileError, match=rf"{name}.csv: column '(commit|method)' is missing; found: a, b"):
-            run_chart(folder)
+            run(Request(folder))

@@ -10,7 +10,8 @@ from oracles.scatter import CHANCE, reach
 from scipy.signal import get_window
 
 from agents.records.store import stored_rows
-from agents.studies.claims import cases, run_claims
+from agents.studies.builtin import Request
+from agents.studies.claims import cases, claims_of, run
 from agents.studies.claims.cases import (
     CASES,
     INSERTED,
@@ -22,7 +23,6 @@ from agents.studies.claims.cases import (
     run_case,
     trip,
 )
-from agents.studies.claims.claims import claims_of
 from probe_env.physics.closed_forms import steady_root_tension
 
 ROOT = Path(__file__).parents[2]
@@ -127,20 +127,21 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("agents.studies.claims.SUBSET", ("l10", "original-l10-u200-in"))
-    options = {"duration": 0.5, "subset": True}
-    run_claims(tmp_path, **options)
+    monkeypatch.setattr(cases, "DURATION", 0.5)
+    run(Request(tmp_path, limit=1))
     first = stored_rows(tmp_path / "ensemble.csv")
     original, ran = cases.run_case, []
     monkeypatch.setattr(
         cases, "run_case", lambda case, *rest: ran.append((case.name, rest[1])) or original(case, *rest)
     )
-    run_claims(tmp_path, members=2, **options)
+    run(Request(tmp_path, limit=1, trials=2))
     assert sorted(ran) == [("l10", 1), ("original-l10-u200-in", 1)]
     second = stored_rows(tmp_path / "ensemble.csv")
     assert len(second) == 4
     merged = second[second["member"] == 0].sort_values("case").reset_index(drop=True)
     pd.testing.assert_frame_equal(merged[first.columns], first.sort_values("case").reset_index(drop=True))
-    run_claims(tmp_path, duration=0.6, subset=True)  # of another duration: the first stay
+    monkeypatch.setattr(cases, "DURATION", 0.6)
+    run(Request(tmp_path, limit=1))  # of another duration: the first stay
     assert len(stored_rows(tmp_path / "ensemble.csv")) == 6
     assert pd.read_csv(tmp_path / "claims.csv")["case"].tolist() == []
     assert "Claims: 1 run(s) a case, 0.6 s each" in capsys.readouterr().out

@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from agents.studies.stability.one_mass import amplification, bounce
+from agents.studies.stability import amplification, bounce
 
 
 def test_newmark_keeps_amplitude_and_lengthens_the_period():

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 from oracles.scatter import CHANCE, reach
 
+from agents.evaluation.workers import Workers
 from agents.studies import stability
-from agents.studies.stability.passive import METHODS as ENERGY_STEPS
-from agents.studies.stability.passive import run_energy
-from agents.studies.stability.stability_map import METHODS, by_step, cells, run_cell, verdicts
+from agents.studies.builtin import Request
+from agents.studies.stability import ENERGY_STEPS, METHODS, by_step, cells, run_cell, run_energy, verdicts
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
 MAP = pd.read_csv(FOLDER / "map.csv")
@@ -110,8 +110,8 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
     """Two cells: a step that is stable and one that is not."""
     monkeypatch.setattr(stability, "run_one_mass", lambda: pd.read_csv(FOLDER / "one_mass.csv"))
     monkeypatch.setattr(stability, "run_energy", lambda: pd.read_csv(FOLDER / "energy.csv"))
-    runs = [("imex", 1e6, 10.0, 0.05, ratio) for ratio in (1.0, 4.4)]
-    table = stability.run_stability(tmp_path, runs, jobs=1)
+    monkeypatch.setattr(stability, "cells", lambda: [("imex", 1e6, 10.0, 0.05, ratio) for ratio in (1.0, 4.4)])
+    table = stability.run(Request(tmp_path, workers=Workers(jobs=1)))
     stored = pd.read_csv(tmp_path / "map.csv")
     assert table["diverged_at_s"].notna().tolist() == stored["diverged_at_s"].notna().tolist() == [False, True]
     steps = pd.read_csv(tmp_path / "steps.csv").set_index("ratio")

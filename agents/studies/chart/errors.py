@@ -40,13 +40,13 @@ TIMED_NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
 TIMED_LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
 LONGEST_TIMED = 1e-4  # [s], time step
 REPEATS = 5
+COST_COLUMNS = ["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"]
 
 
 def run_costs(output: Path) -> None:
     """Processor time of a node-step with full lanes on one thread, the best of ``REPEATS``; stored in costs.csv.
 
-    Columns method, nodes_per_pitch, carrier_length_m, ns_per_node_step. Always measured as a whole, since only ratios
-    within one run of one machine carry over.
+    Always measured as a whole, since only ratios within one run of one machine carry over.
     """
     cells = [(m, nodes, length) for m in METHODS for nodes in TIMED_NODES.get(m, (4,)) for length in TIMED_LENGTHS]
     rows = []
@@ -60,13 +60,13 @@ def run_costs(output: Path) -> None:
             seconds.append(time.process_time() - begin)
         node_steps = kind.width * steps * (length + 2.5) / 0.1 * nodes
         rows.append((method, nodes, length, min(seconds[1:]) / node_steps * 1e9))
-    table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
+    table = pd.DataFrame(rows, columns=COST_COLUMNS)
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
 
 
 def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
     """Processor time [s] of one probe for a simulated second, for rows with the columns of a ``Setting``."""
-    keys = ["method", "nodes_per_pitch", "carrier_length_m"]
+    keys = COST_COLUMNS[:3]
     node_step = settings[keys].merge(costs, how="left", on=keys)["ns_per_node_step"].to_numpy()
     nodes = (settings["carrier_length_m"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
     seconds: pd.Series = nodes / settings["time_step_s"] * node_step * 1e-9

@@ -22,8 +22,7 @@ from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
-from agents.studies.builtin import Request
-from agents.studies.tables import print_frame
+from agents.studies.builtin import Request, print_frame
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES

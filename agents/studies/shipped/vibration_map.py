@@ -18,8 +18,8 @@ from agents.policies.fixed import FixedPolicy
 from agents.policies.places import plant_at
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
-from agents.records.reading import read_parquet
 from agents.records.shipped import file_or_shipped, ships
+from agents.records.tables import read_parquet
 from agents.studies.builtin import Request
 from agents.studies.shipped.network import fit_network
 from probe_env import Context, Scene, load_contexts
