@@ -20,8 +20,8 @@ from agents.evaluation.kpis import CORE
 from agents.evaluation.run import evaluate_plan
 from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
 from agents.policies.law import Law
+from agents.policies.trained import read_weights
 from agents.policies.view import View
-from agents.records.arrays import read_weights
 from agents.records.journal import Journal
 from agents.records.models import read_json
 from agents.records.searches import open_study
@@ -395,7 +395,7 @@ def header(shape, descr="<f4"):
 
 MAPS = BINARY | {
     "cut off": cut_off,
-    "bomb": member("weights0.npy", header((1 << 23,)) + b"\0" * (1 << 25), zipfile.ZIP_DEFLATED),
+    "bomb": member("bomb.npy", header((1 << 23,)) + b"\0" * (1 << 25), zipfile.ZIP_DEFLATED),
     "huge header": member("weights9.npy", header((1 << 45,))),
     "objects": member("weights9.npy", header((1,), "|O") + b"\0" * 8),
     "not a .npy": member("script.py", b"print()"),
@@ -407,7 +407,7 @@ MAPS = BINARY | {
 
 
 def test_maps(tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.records.arrays.MOST_BYTES", 1 << 24)  # a bomb of 32 MiB will do
+    monkeypatch.setattr("probe_env.files.MOST_BYTES", 1 << 24)  # a bomb of 32 MiB will do
     assert failures_of(shutil.copy(MAP, tmp_path / "map.npz"), MAPS, VibrationMap.load) == []
 
 

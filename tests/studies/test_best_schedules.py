@@ -121,5 +121,9 @@ def test_a_search_killed_between_its_files_gives_the_same(tmp_path):
 
 def test_a_shorter_search_begins_as_a_longer_one():
     """What an interrupt left undone is all that differs: nothing of an earlier search is needed to go on."""
-    both = [optimise.search(lambda x: -((x[0] - 0.3) ** 2) - x[1] ** 2, (0.5, 0.5), n, "test")[0] for n in (48, 96)]
+
+    def rewards_of(x):
+        return list(-((x[:, 0] - 0.3) ** 2) - x[:, 1] ** 2)
+
+    both = [optimise.search(rewards_of, (0.5, 0.5), generations, "test")[0] for generations in (3, 6)]
     assert (both[0] == both[1][:48]).all()
