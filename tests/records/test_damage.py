@@ -19,7 +19,6 @@ from agents.evaluation.folder import PROFILE, Compared, Episode, Evaluated, Sett
 from agents.evaluation.kpis import CORE
 from agents.evaluation.run import evaluate_plan
 from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
-from agents.policies.law import Law
 from agents.policies.trained import read_weights
 from agents.policies.view import View
 from agents.records.journal import Journal
@@ -82,10 +81,7 @@ def record_with(**changes):
 
 
 RECORDS = {
-    "half a line": second_line(b'{"key": "0123\n'),
     "no JSON": second_line(b"seven\n"),
-    "NULs": second_line(b"\0" * 40 + b"\n"),
-    "nested": second_line(b"[" * 100_000 + b"\n"),
     "a line without end": second_line(b"x" * (5 << 20) + b"\n"),
     "text for a number": record_with(kpis=dict.fromkeys(KPI_NAMES, "high")),
     "NaN": record_with(kpis=dict.fromkeys(KPI_NAMES, float("nan"))),
@@ -346,27 +342,6 @@ def test_bundles(bundle, refused):
     assert failures_of(bundle, BUNDLES, load_bundle) == []
     one_byte(bundle)
     refused(["evaluate", bundle, *FAST], f"{bundle}: changed or cut off")
-
-
-LAW = {
-    "scene": {}, "ranges": {"friction": [0.1, 0.3]}, "friction": [0.1, 0.3], "inserted_length": [5.0, 60.0],
-    "tables": [{"helix_diameter": 1.2, "feed_speed": [[0.3, 0.1]] * 2, "air_supply_rate": [[0.01, 0.03]] * 2}],
-}  # fmt: skip
-LAWS = {
-    "unknown field": {"ranges": {"foo": [1.0, 2.0]}},
-    "range that ends before it begins": {"ranges": {"friction": [0.3, 0.1]}},
-    "friction of NaN": {"friction": [float("nan"), 0.3]},
-    "feed of NaN": {"tables": [LAW["tables"][0] | {"feed_speed": [[float("nan"), 0.1]] * 2}]},
-}
-
-
-def test_feedback_laws(tmp_path, refused):
-    path = tmp_path / "law.json"
-    path.write_text(json.dumps(LAW))
-    assert Law.read(path).friction == (0.1, 0.3)
-    assert failures_of(path, JSON | {name: text(json.dumps(LAW | law)) for name, law in LAWS.items()}, Law.read) == []
-    path.write_text(json.dumps(LAW | LAWS["unknown field"]))
-    refused(["evaluate", path, *FAST], f"{path}: ")
 
 
 def arrays_as(change):
