@@ -54,23 +54,19 @@ def test_orders_are_those_of_theory():
     assert found[list(expected)].to_dict() == pytest.approx(expected, abs=0.1)
     assert ((found["linear"][["imex", "implicit"]] > 1.6) & (found["linear"][["imex", "implicit"]] < 2.0)).all()
     assert np.isnan(found["linear", "imex32"])  # rounding grows as the step shrinks: a least error, no order
-
-
-def test_errors_below_ten_times_the_references_difference_are_left_out():
     difference = float(SMOOTH.loc[SMOOTH["method"] == "references", "error"].iloc[0])
     shown = resolved(SMOOTH, "contact")["error"].dropna()
     assert len(shown) > 20
-    assert difference <= shown.min() / 10.0
-
-
-REPEATED = (("linear", "newmark", 1e-4), ("step-load", "imex", 1e-4), ("impact", "implicit", 5e-5))
-REPEATED += (("linear", "explicit", 1e-4),)
+    assert difference <= shown.min() / 10.0  # what is below is left out
 
 
 @pytest.mark.processor
 def test_stored_errors_are_found_again(monkeypatch):
     monkeypatch.setattr(smooth, "LEAST_TIMED", 1e-9)  # once is enough
-    for scene, method, time_step in REPEATED:
+    for scene, method, time_step in (
+        ("linear", "newmark", 1e-4), ("step-load", "imex", 1e-4), ("impact", "implicit", 5e-5),
+        ("linear", "explicit", 1e-4),
+    ):  # fmt: skip
         case = smooth.cases()[scene]
         row = SMOOTH[(SMOOTH["scene"] == scene) & (SMOOTH["method"] == method) & (SMOOTH["time_step_s"] == time_step)]
         stored, stored_sweeps = row[["error", "sweeps"]].iloc[0]
@@ -167,12 +163,9 @@ def test_the_figures_and_tables_come_from_the_stored_runs(tmp_path):
 
 
 def test_every_setting_of_the_chart_is_stored():
-    constant, inserted = (pd.read_csv(FOLDER / f"{name}.csv") for name in ("errors", "insertion-errors"))
     stored = stored_rows(FOLDER / "ensembles.csv")[[*Setting().key, "member"]].itertuples(index=False, name=None)
     assert {(*setting.key.values(), setting.members - 1) for setting in SETTINGS} <= set(stored)
-    assert len(inserted) == 2 * len(INSERTIONS)
-    beyond = constant[(constant["method"] == "imex") & (constant["time_step_s"] >= 5e-4)]
-    assert (beyond[beyond["contact_stiffness_n_per_m"] == 1e5]["diverged"] == 1.0).all()
+    assert len(pd.read_csv(FOLDER / "insertion-errors.csv")) == 2 * len(INSERTIONS)
 
 
 def test_a_known_bias_of_time_lapse_is_found():
