@@ -14,7 +14,7 @@ from agents.evaluation.statistics import ratio_interval
 from agents.records.store import stored_rows
 from agents.studies.builtin import Request
 from agents.studies.chart import draw_chart, ensembles, errors, run, smooth
-from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_ensembles, run_setting
+from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_missing
 from agents.studies.chart.smooth import orders, resolved
 from probe_env.files import FileError
 from probe_env.physics import closed_forms
@@ -92,7 +92,7 @@ def test_stored_members_are_found_again():
     noticed, and any change of a mean.
     """
     setting = Setting(time_step=2.5e-4, length=10.0, members=4)
-    repeated = pd.DataFrame(run_setting(setting))
+    repeated = pd.DataFrame(setting.rows())
     stored = stored_rows(FOLDER / "ensembles.csv")
     stored = stored[(stored[list(setting.key)] == list(setting.key.values())).all(axis=1) & (stored["member"] < 4)]
     deviations = {"axial_mean_m": 1e-4, "tension_mean_n": 5e-5, "radial_rms_m": 0.018, "axial_rms_m": 0.017}
@@ -122,29 +122,29 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
 
 def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
     settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (1e-3 / 7, 2.5e-4, 5e-4)]
-    run, ran = ensembles.run_setting, []
+    rows, ran = Setting.rows, []
 
     def breaks_off(setting):
         if len(ran) == 1:
             raise KeyboardInterrupt
         ran.append(setting)
-        return run(setting)
+        return rows(setting)
 
-    monkeypatch.setattr(ensembles, "run_setting", breaks_off)
+    monkeypatch.setattr(Setting, "rows", breaks_off)
     with pytest.raises(KeyboardInterrupt):
-        run_ensembles(tmp_path, settings)
-    monkeypatch.setattr(ensembles, "run_setting", lambda setting: ran.append(setting) or run(setting))
-    table = run_ensembles(tmp_path, settings)
+        run_missing(tmp_path / "ensembles.csv", settings, "member")
+    monkeypatch.setattr(Setting, "rows", lambda setting: ran.append(setting) or rows(setting))
+    table = run_missing(tmp_path / "ensembles.csv", settings, "member")
     assert len(ran) == 3  # nothing twice
     assert len(table) == 6
     assert table.groupby("time_step_s")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
-    run_ensembles(tmp_path, settings)
+    run_missing(tmp_path / "ensembles.csv", settings, "member")
     assert len(ran) == 3  # a seventh of a millisecond is no short decimal, and it is found again
 
 
 def test_an_insertion_is_a_row_a_stretch_and_member():
     insertion = ensembles.Insertion("superelement32", time_lapse=20.0, members=2)
-    rows = pd.DataFrame(ensembles.run_insertion(insertion, ensembles.START + 2 * STRETCH))
+    rows = pd.DataFrame(insertion.rows(ensembles.START + 2 * STRETCH))
     assert rows[["from_m", "member"]].to_numpy().tolist() == [[5.0, 0], [5.0, 1], [10.0, 0], [10.0, 1]]
     assert (rows["tension_mean_n"].diff(2).dropna() > 0.0).all()  # a longer probe pulls more
 
@@ -184,8 +184,8 @@ def test_a_known_bias_of_time_lapse_is_found():
 
 
 def test_stored_tables_are_read_before_anything_is_run(tmp_path, monkeypatch):
-    for function in ("run_ensembles", "run_insertions", "run_smooth", "errors.run_costs"):
-        monkeypatch.setattr(f"agents.studies.chart.{function}", lambda output: pytest.fail("something was run"))
+    for function in ("run_missing", "run_smooth", "errors.run_costs"):
+        monkeypatch.setattr(f"agents.studies.chart.{function}", lambda *_: pytest.fail("something was run"))
     for name in ("ensembles", "costs"):
         folder = tmp_path / name
         folder.mkdir()

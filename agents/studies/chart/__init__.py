@@ -19,7 +19,7 @@ from agents.records.store import COLUMNS, as_csv
 from agents.records.tables import Columns, read_csv
 from agents.studies.builtin import Request, print_frame
 from agents.studies.chart import errors
-from agents.studies.chart.ensembles import run_ensembles, run_insertions
+from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, run_missing
 from agents.studies.chart.smooth import cases, orders, resolved, run_smooth
 from agents.studies.claims.cases import load_rows
 from probe_env.physics.closed_forms.bare_chains import LAPACK
@@ -50,8 +50,10 @@ def run(request: Request) -> None:
         path = request.output / f"{name}.csv"
         if path.exists():
             read_csv(path, columns)
-    for function in (run_ensembles, run_insertions, run_smooth, errors.run_costs):
-        function(request.output)
+    run_missing(request.output / "ensembles.csv", SETTINGS, "member")
+    run_missing(request.output / "insertions.csv", INSERTIONS, "member", "from_m")
+    run_smooth(request.output)
+    errors.run_costs(request.output)
     draw_chart(request.output)
 
 
