@@ -11,10 +11,10 @@ from oracles.scatter import CHANCE, hits_within, reach
 from scipy.linalg import expm
 
 from agents.evaluation.statistics import ratio_interval
-from agents.records.store import stored_rows
+from agents.records.store import Store, stored_rows
 from agents.studies.builtin import Request
 from agents.studies.chart import draw_chart, ensembles, errors, run, smooth
-from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting, run_missing
+from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting
 from agents.studies.chart.smooth import orders, resolved
 from probe_env.files import FileError
 from probe_env.physics import closed_forms
@@ -120,25 +120,29 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
     assert least <= covered <= most
 
 
-def test_an_interrupted_chart_goes_on(tmp_path, monkeypatch):
+def test_an_interrupted_chart_goes_on(tmp_path):
     settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (1e-3 / 7, 2.5e-4, 5e-4)]
-    rows, ran = Setting.rows, []
+    runs, ran = {setting.last: setting for setting in settings}, []
 
     def breaks_off(setting):
         if len(ran) == 1:
             raise KeyboardInterrupt
-        ran.append(setting)
-        return rows(setting)
+        return goes_on(setting)
 
-    monkeypatch.setattr(Setting, "rows", breaks_off)
+    def goes_on(setting):
+        ran.append(setting)
+        return setting.rows()
+
+    def filled(rows_of):
+        return Store(tmp_path / "ensembles.csv", (*Setting().key, "member")).fill(runs, rows_of)
+
     with pytest.raises(KeyboardInterrupt):
-        run_missing(tmp_path / "ensembles.csv", settings, "member")
-    monkeypatch.setattr(Setting, "rows", lambda setting: ran.append(setting) or rows(setting))
-    table = run_missing(tmp_path / "ensembles.csv", settings, "member")
+        filled(breaks_off)
+    table = filled(goes_on)
     assert len(ran) == 3  # nothing twice
     assert len(table) == 6
     assert table.groupby("time_step_s")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
-    run_missing(tmp_path / "ensembles.csv", settings, "member")
+    filled(goes_on)
     assert len(ran) == 3  # a seventh of a millisecond is no short decimal, and it is found again
 
 
@@ -184,7 +188,7 @@ def test_a_known_bias_of_time_lapse_is_found():
 
 
 def test_stored_tables_are_read_before_anything_is_run(tmp_path, monkeypatch):
-    for function in ("run_missing", "run_smooth", "errors.run_costs"):
+    for function in ("Store", "run_smooth", "errors.run_costs"):
         monkeypatch.setattr(f"agents.studies.chart.{function}", lambda *_: pytest.fail("something was run"))
     for name in ("ensembles", "costs"):
         folder = tmp_path / name

@@ -26,7 +26,6 @@ from agents.studies.claims.cases import (
 from probe_env.physics.closed_forms import steady_root_tension
 
 ROOT = Path(__file__).parents[2]
-SCENES = ROOT / "configs" / "scenes"
 TABLE = load_rows(ROOT / "results" / "study")
 NAMED = {case.name: case for case in CASES}
 
@@ -40,7 +39,7 @@ def test_a_stored_member_is_repeated(name):
     And as the chart's 32 members of imex at 1e-4 s have: up to 0.006 % of the means and 1.5 % of radial rms. A tenth of
     the vibration is noticed, and a thousandth of a mean.
     """
-    row = run_case(NAMED[name], SCENES, 1, 8.0)
+    row = run_case(NAMED[name], 1, 8.0)
     stored = TABLE[(TABLE["case"] == name) & (TABLE["member"] == 1)].iloc[0]
     for statistic, scatter in (("axial_mean_m", 1e-4), ("root_tension_mean_n", 5e-5), ("radial_rms_m", 0.015)):
         chance = reach((scatter, 1), (scatter, 1), chance=CHANCE / 3)
@@ -100,7 +99,7 @@ def test_verdicts_follow_the_rows():
 def test_withdrawals_differ_from_their_insertions_in_direction_alone():
     for case in TRIPS:
         if case.withdrawn:
-            fed, back = NAMED[insertion_of(case.name)].load_scene(SCENES), case.load_scene(SCENES)
+            fed, back = NAMED[insertion_of(case.name)].load_scene(), case.load_scene()
             assert (back.couple, fed.couple) == ("tangent", "frame")
             assert fed.feed_speed > 0.0 < fed.air_supply_rate
             turned = {"feed_speed": -fed.feed_speed, "air_supply_rate": -fed.air_supply_rate, "couple": "tangent"}
@@ -111,12 +110,12 @@ def test_withdrawals_differ_from_their_insertions_in_direction_alone():
 def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
     """Pressure and pull at the root of 3 m within 1 %; equal to the bit when run again."""
     case = trip("original", 3, withdrawn=withdrawn)
-    row = run_case(case, SCENES, 1, 2.0)
-    expected = steady_root_tension(case.load_scene(SCENES))
+    row = run_case(case, 1, 2.0)
+    expected = steady_root_tension(case.load_scene())
     assert row["root_tension_mean_n"] == pytest.approx(expected, rel=0.01)
     assert math.copysign(1.0, row["root_tension_mean_n"]) == (-1.0 if withdrawn else 1.0)
     assert row["radial_mean_m"] == pytest.approx(5.2e-3 if withdrawn else 0.0, abs=1e-4)
-    pd.testing.assert_series_equal(pd.Series(run_case(case, SCENES, 1, 2.0)), pd.Series(row), check_exact=True)
+    pd.testing.assert_series_equal(pd.Series(run_case(case, 1, 2.0)), pd.Series(row), check_exact=True)
 
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
@@ -126,7 +125,7 @@ def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     first = stored_rows(tmp_path / "ensemble.csv")
     original, ran = cases.run_case, []
     monkeypatch.setattr(
-        cases, "run_case", lambda case, *rest: ran.append((case.name, rest[1])) or original(case, *rest)
+        cases, "run_case", lambda case, *rest: ran.append((case.name, rest[0])) or original(case, *rest)
     )
     run(Request(tmp_path, limit=1, trials=2))
     assert sorted(ran) == [("l10", 1), ("original-l10-u200-in", 1)]

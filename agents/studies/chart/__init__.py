@@ -15,11 +15,11 @@ from matplotlib.axes import Axes
 from agents.records.atomic import write_atomically
 from agents.records.drawing import GREY, GRID, save
 from agents.records.manifest import CHECKOUT, write_manifest
-from agents.records.store import COLUMNS, as_csv
+from agents.records.store import COLUMNS, Store, as_csv
 from agents.records.tables import Columns, read_csv
 from agents.studies.builtin import Request, print_frame
 from agents.studies.chart import errors
-from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, run_missing
+from agents.studies.chart.ensembles import CONVERGED, INSERTIONS, SETTINGS, Insertion, Setting
 from agents.studies.chart.smooth import cases, orders, resolved, run_smooth
 from agents.studies.claims.cases import load_rows
 from probe_env.physics.closed_forms.bare_chains import LAPACK
@@ -50,8 +50,10 @@ def run(request: Request) -> None:
         path = request.output / f"{name}.csv"
         if path.exists():
             read_csv(path, columns)
-    run_missing(request.output / "ensembles.csv", SETTINGS, "member")
-    run_missing(request.output / "insertions.csv", INSERTIONS, "member", "from_m")
+    ensembles = Store(request.output / "ensembles.csv", (*Setting().key, "member"))
+    ensembles.fill({setting.last: setting for setting in SETTINGS}, Setting.rows, "setting")
+    insertions = Store(request.output / "insertions.csv", (*CONVERGED.key, "member", "from_m"))
+    insertions.fill({insertion.last: insertion for insertion in INSERTIONS}, Insertion.rows, "insertion")
     run_smooth(request.output)
     errors.run_costs(request.output)
     draw_chart(request.output)

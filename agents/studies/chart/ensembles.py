@@ -7,19 +7,15 @@ start perturbation of 0.1 micrometre. All runs of one setting share a batch.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
-from agents.records.store import Store
 from agents.studies.claims.cases import PERTURBATION
-from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
@@ -50,10 +46,6 @@ class Run:
     def last(self) -> tuple[Any, ...]:
         """Key of its last row in the table."""
         return (*self.key.values(), self.members - 1)
-
-    def rows(self) -> list[dict[str, Any]]:
-        """What is stored of it."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -197,22 +189,3 @@ def _statistics(window: Window, member: int) -> dict[str, float]:
     peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
     values = {name: float(window.statistics[name][member]) for name in STATISTICS}
     return values | {PEAK: peaks[0] if peaks else float("nan")}
-
-
-def run_missing(path: Path, runs: Sequence[Run], *keys: str) -> pd.DataFrame:
-    """The table of a file with all runs; rows of those that are not stored yet are added to it.
-
-    Args:
-        path: of the table, of one kind of runs.
-        runs: in the order in which they are run.
-        keys: columns that identify a row of a run, as ``Run.last`` has them.
-
-    Raises:
-        RuntimeError: a probe diverged in an insertion.
-    """
-    store = Store(path, (*runs[0].key, *keys))
-    announce(Work("setting", len(runs), lambda: sum(store.has(*run.last) for run in runs), store.path))
-    missing = [run for run in runs if not store.has(*run.last)]
-    for run in tqdm(missing, desc=path.stem, unit="setting", disable=not missing):
-        store.add(*run.rows())
-    return store.table

@@ -16,7 +16,6 @@ from scipy.stats import mannwhitneyu
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, MM, save
 from agents.records.manifest import write_manifest
-from agents.records.shipped import shipped_folder
 from agents.studies.builtin import Request, print_frame
 from agents.studies.claims import cases
 from agents.studies.claims.cases import PROBES, SUBSET, TRIPS, USUAL_FRICTION, insertion_of, run_cases, trip
@@ -47,7 +46,7 @@ def run(request: Request) -> pd.DataFrame:
     request.without("tube")
     members, output, duration = request.budget("trials", 1, 1000), request.output, cases.DURATION
     names = () if request.limit is None else SUBSET
-    table = run_cases(shipped_folder("scenes"), output, members, duration, names, request.workers.jobs)
+    table = run_cases(output, members, names, request.workers.jobs)
     claims = claims_of(table)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
     files = ("ensemble.csv", "claims.csv")
