@@ -21,8 +21,7 @@ from pydantic_core import PydanticCustomError
 from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.evaluation.statistics import grouped
 from agents.records.atomic import write_atomically
-from agents.records.journal import Journal
-from agents.records.models import Key, Record, Stored, read_json, require
+from agents.records.models import Journal, Key, Record, Stored, read_json, require
 from agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
 from agents.terminal.names import name_problem
 from probe_env import Context

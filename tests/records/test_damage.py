@@ -21,8 +21,7 @@ from agents.evaluation.run import evaluate_plan
 from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
 from agents.policies.trained import read_weights
 from agents.policies.view import View
-from agents.records.journal import Journal
-from agents.records.models import read_json
+from agents.records.models import Journal, read_json
 from agents.records.searches import open_study
 from agents.records.tables import read_csv, read_parquet
 from probe_env import Scene
