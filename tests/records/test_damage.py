@@ -272,15 +272,19 @@ def bundle(tmp_path):
     return path
 
 
-def resealed(change):
-    """Damage the description and the weights and hash them again, so that only their content is wrong."""
+def resealed(change=lambda *_: None, **entries):
+    """Damage the description and the weights and hash them again, so that only their content is wrong.
+
+    ``entries`` of the metadata are others then; None takes one out.
+    """
 
     def damage(path):
         content, _, weights = read_weights(path)
         description = json.loads(content)
         change(description, weights)
         content = json.dumps(description)
-        path.write_bytes(save(weights, {"description": content, "hash": _hash(content, weights)}))
+        metadata = {"description": content, "hash": _hash(content, weights)} | entries
+        path.write_bytes(save(weights, {name: value for name, value in metadata.items() if value is not None}))
 
     return damage
 
@@ -303,25 +307,14 @@ def one_byte(path):
     path.write_bytes(content)
 
 
-def metadata(**changes):
-    """Other metadata of the same weights; None takes an entry out."""
-
-    def damage(path):
-        content, digest, weights = read_weights(path)
-        entries = {"description": content, "hash": digest} | changes
-        path.write_bytes(save(weights, {name: value for name, value in entries.items() if value is not None}))
-
-    return damage
-
-
 BUNDLES = BINARY | {
     "cut off": cut_off,
     "huge header": lambda path: path.write_bytes((1 << 45).to_bytes(8, "little") + b"{}"),
     "wrong byte": one_byte,
     "no metadata": lambda path: path.write_bytes(save(load(path.read_bytes()))),
-    "no description": metadata(description=None),
-    "another hash": metadata(hash="0" * 32),
-    "a deep description": metadata(description="[" * 100_000),
+    "no description": resealed(description=None),
+    "another hash": resealed(hash="0" * 32),
+    "a deep description": resealed(description="[" * 100_000),
     "NaN": weight_as(lambda old: old * np.float32("nan")),
     "enormous": weight_as(lambda old: old + np.float32(1e30)),
     "double": weight_as(lambda old: old.astype(float)),
