@@ -29,7 +29,7 @@ STUDY = CHECKOUT / "results" / "study"
 """Stored runs of the slow methods, made by the study ``claims``."""
 TABLES: dict[str, Columns] = {
     **dict.fromkeys(("ensembles", "insertions", "smooth"), COLUMNS),
-    "costs": dict.fromkeys(errors.COST_COLUMNS, "number") | {"method": "text", "nodes_per_pitch": "count"},
+    "costs": {**dict.fromkeys(errors.COST_COLUMNS, "number"), "method": "text", "nodes_per_pitch": "count"},
 }
 PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")
 COLOURS = dict(zip((*ON_NODES, LAPACK, *(m for m in METHODS if m not in ON_NODES)), cycle(PALETTE), strict=False))

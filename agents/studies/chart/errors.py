@@ -103,7 +103,7 @@ def constant_length(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     groups = dict(list(members.groupby(KEYS)))
     rows = []
     for key, part in groups.items():
-        setting = dict(zip(KEYS, key, strict=True))
+        setting: dict[str, Any] = dict(zip(KEYS, key, strict=True))
         reference = converged(setting["carrier_length_m"], setting["contact_stiffness_n_per_m"])
         base = groups.get(tuple(reference.key.values()))
         row: dict[str, Any] = setting | {"members": len(part), "diverged": float(part["diverged"].astype(bool).mean())}

@@ -167,7 +167,8 @@ def search(
     """
     bounds = np.tile([0.0, 1.0], (len(start), 1))
     optimizer = CMA(np.array(start), sigma=spread, bounds=bounds, seed=0, population_size=population)
-    points, rewards = [], []
+    points: list[FloatArray] = []
+    rewards: list[float] = []
     for _ in tqdm(range(generations), desc=name, unit="generation"):
         if optimizer.should_stop():
             break

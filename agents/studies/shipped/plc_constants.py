@@ -97,16 +97,16 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
-    def by_map(laws: list[Constants]) -> list[float]:
-        by_law = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
-        return [float(rewards.mean()) for rewards in by_law]
+    def by_map(points: FloatArray) -> list[float]:
+        laws = [PlcLaw(config, constants_at(point)) for point in points]
+        return [float(quasi_steady_rewards(law, whole.contexts, vibration).mean()) for law in laws]
 
-    def simulated(laws: list[Constants]) -> list[float]:
+    def simulated(points: FloatArray) -> list[float]:
         nonlocal done
-        policies = {f"law-{done + k}": PlcLaw(place.config.all_shown, law) for k, law in enumerate(laws)}
-        plan = Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity("fast"))
+        policies = {f"law-{done + k}": PlcLaw(config, constants_at(point)) for k, point in enumerate(points)}
+        plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast"))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
-        done += len(laws)
+        done += len(points)
         commits.extend(table["commit"])
         means = table.groupby("policy")["reward"].mean()
         return [float(means[name]) for name in policies]
@@ -114,14 +114,11 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     stages = ("map", by_map, WIDE, max(trials // POPULATION, 1)), ("simulated", simulated, NEAR, generations)
     best = Constants()
     for where, reward, spread, count in stages:
-        points, rewards, mean = search(
-            lambda points, reward=reward: reward([*map(constants_at, points)]),
-            point_of(best), count, f"plc-law, {where}", spread, POPULATION,
-        )  # fmt: skip
-        centre = constants_at(np.clip(mean, 0.0, 1.0))
-        tried = [*zip(map(constants_at, points), rewards, strict=True), (centre, reward([centre])[0])]
-        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in tried]
-        best = max([tried[-1], *tried], key=lambda one: one[1])[0]  # of equals the search's mean
+        points, rewards, mean = search(reward, point_of(best), count, f"plc-law, {where}", spread, POPULATION)
+        centre = np.clip(mean, 0.0, 1.0)
+        laws, gained = [*map(constants_at, points), constants_at(centre)], [*rewards, *reward(centre[None])]
+        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in zip(laws, gained, strict=True)]
+        best = laws[-1] if gained[-1] >= max(gained) else laws[int(np.argmax(gained))]  # of equals the search's mean
     table = pd.DataFrame(rows)
     write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
     best_rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
