@@ -18,9 +18,8 @@ from agents.policies.catalogue import domains_of, name_and_spec
 from agents.policies.places import TABLE_2
 from agents.policies.policy import check_domains
 from agents.records.atomic import write_atomically
-from agents.records.journal import Journal
 from agents.records.manifest import commit, write_manifest
-from agents.records.models import Key, Stored, require
+from agents.records.models import Journal, Key, Stored, require
 from agents.records.tables import Columns, read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce

@@ -22,15 +22,14 @@ from pydantic_core import PydanticCustomError
 from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.evaluation.statistics import grouped
 from agents.records.atomic import write_atomically
-from agents.records.journal import Journal
-from agents.records.models import Key, Record, Stored, require
-from agents.records.reading import FileError, check_table, read_csv, read_json, read_parquet
-from agents.records.tables import Columns, Kind
+from agents.records.models import Journal, Key, Record, Stored, read_json, require
+from agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
 from agents.terminal.names import name_problem
 from probe_env import Context
 from probe_env.design import RANGES
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import ENDINGS, TaskConfig
+from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"

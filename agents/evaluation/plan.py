@@ -25,7 +25,7 @@ from agents.evaluation.kpis import CARRIED, HEARD
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
 from agents.records.manifest import commit, origin, write_json, write_manifest
-from agents.records.reading import FileError, read_json
+from agents.records.models import read_json
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.arrays import BoolArray
@@ -37,6 +37,7 @@ from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Players
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import with_nodes
+from probe_env.files import FileError
 
 BATCH: Final = 16
 """Episodes side by side."""

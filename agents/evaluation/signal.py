@@ -42,8 +42,8 @@ from probe_env.inspection.channels import (
     support_signal,
 )
 from probe_env.inspection.detection import snr_at
-from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.inspection.sensor import GROOVE, Sensor
+from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 

@@ -25,8 +25,8 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.policies.policy import Domain, RangesOfTubes
+from agents.policies.trained import RESTORE, read_weights
 from agents.policies.view import View
-from agents.records.arrays import RESTORE, read_weights
 from agents.records.atomic import write_atomically
 from probe_env.envs.task import TaskConfig, action_in
 from probe_env.envs.task.observations import PROBE

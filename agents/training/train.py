@@ -32,9 +32,9 @@ from agents.policies.policy import ranges_of
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_json, write_manifest
-from agents.records.models import Stored
-from agents.records.reading import FileError, read_csv, read_json
+from agents.records.models import Stored, read_json
 from agents.records.tables import CURVE as CURVE_COLUMNS
+from agents.records.tables import read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from agents.training.config import Training
@@ -42,7 +42,7 @@ from agents.training.imitation import imitate
 from agents.training.view_env import ViewVecEnv
 from agents.vec_env import ProbeVecEnv
 from probe_env.fidelity import resolve_fidelity
-from probe_env.files import MEBI, one_line, read_bytes
+from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
 BUFFER: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

@@ -12,6 +12,8 @@ import pytest
 from imageio_ffmpeg import count_frames_and_secs
 
 from agents.cli import main
+from agents.studies.builtin import Request
+from agents.studies.shipped.vibration_map import target_of
 from probe_env import Scene
 from probe_env.physics.methods import METHODS
 
@@ -167,13 +169,9 @@ def test_version_and_agents(capsys):
 
 
 def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypatch):
-    pytest.importorskip("torch")
-    targets = []
-    maker = "agents.studies.shipped.vibration_map.make_map"
-    monkeypatch.setattr(maker, lambda seeds, request, target: targets.append(target))
     monkeypatch.chdir(ROOT)
     (tmp_path / "mine.toml").write_text(TUBE.read_text())
-    for tube in ("snr", str(TUBE), "configs/design/../tubes/snr.toml", str(tmp_path / "mine.toml")):
-        assert main(["study", "vibration-map", "--tube", tube]) == 0
-    assert targets == [Path("output/vibration-map/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
-    assert capsys.readouterr().err.count("its map stays: the new one is output/vibration-map/vibration-map.npz") == 3
+    tubes = ("snr", str(TUBE), "configs/design/../tubes/snr.toml", str(tmp_path / "mine.toml"))
+    targets = [target_of(Request(Path("output"), tube=Path(tube))) for tube in tubes]
+    assert targets == [Path("output/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
+    assert capsys.readouterr().err.count("its map stays: the new one is output/vibration-map.npz") == 3

@@ -9,8 +9,8 @@ import pytest
 from agents.cli import main
 from agents.evaluation.signal import STRETCH, Insertion, by_period, centred_spectra, correlation
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
-from probe_env.inspection.snr import FREQUENCY
 from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.snr import FREQUENCY
 
 NONE = np.zeros(0)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from oracles.scatter import of_another
 from scipy.integrate import quad
+from scipy.signal import lfilter
 
 from probe_env.inspection import sensor as flaw
 from probe_env.inspection.sensor import Sensor
@@ -183,6 +184,29 @@ def test_the_last_second_has_its_share_of_the_mean(passed):
     if passed == 0.005:
         m = -passed / np.log(r)
         assert 1.0 - m * (1.0 - np.exp(-1.0 / m)) == pytest.approx(OWN, rel=passed)  # the sum's error is of first order
+
+
+@pytest.mark.slow
+@pytest.mark.processor
+@pytest.mark.parametrize(("passed", "mean", "deviation"), [(0.25, 0.119, 0.045), (0.05, 0.175, 0.047)])
+def test_bursts_stand_out_alike_at_any_period(passed, mean, deviation, seeds):
+    """Share of excursions beyond 3 deviations, of noise that waxes and wanes in a second, beside a spectrum a second.
+
+    Means and deviations of the logarithm of the ratio are of 24 draws. Means over 2 s of the motion would have made
+    0.4 and more of it, means over 2 s on the tube -0.4 and less.
+    """
+    rng, number, fade = np.random.default_rng(seeds(1)[0]), 400, np.exp(-STEP)
+    drive, start = rng.normal(size=(2400, number)), fade * rng.normal(size=(1, number))
+    drift = lfilter([np.sqrt(1.0 - fade**2)], [1.0, -fade], drive, axis=0, zi=start)[0]
+    motion, shares = 1e-4 * np.exp(0.5 * drift) * rng.normal(size=drift.shape), []
+    for each in (1.0, passed):
+        meter, steps, seen = SnrEstimator(Sensor(), number, STEP), round(each / STEP), []
+        for begin in range(0, len(motion), steps):
+            reading = meter.update(np.arange(number), motion[begin : begin + steps], np.full(number, 0.2))
+            if begin >= 800:
+                seen.append(reading.excursions[:, 75:125])
+        shares.append((np.abs(seen) > 3.0).mean())
+    assert np.log(shares[1] / shares[0]) == pytest.approx(mean, abs=of_another(deviation, 24, among=2))
 
 
 def test_a_batch_measures_what_one_measures():

@@ -24,7 +24,7 @@ from agents.plant.recommendation import (
 from agents.plant.response import Metres, stored_response
 from agents.policies.catalogue import DATA
 from agents.policies.places import place_of
-from agents.records.reading import read_csv
+from agents.records.tables import read_csv
 from probe_env import Context, Plant
 from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
 from probe_env.envs.vibration_map import feeds

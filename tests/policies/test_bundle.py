@@ -12,8 +12,8 @@ from stable_baselines3 import PPO
 
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.catalogue import make_policy
+from agents.policies.trained import read_weights
 from agents.policies.view import View
-from agents.records.arrays import read_weights
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import OBSERVATIONS

@@ -57,6 +57,10 @@ def test_what_is_no_law_is_refused_in_one_line(tmp_path: Path) -> None:
         ({"inserted_length": [5.0]}, "inserted_length"),
         ({"tables": []}, "tables"),
         ({"extra": 1}, "extra"),
+        ({"ranges": GIVEN["ranges"] | {"foo": [1.0, 2.0]}}, "foo"),
+        ({"ranges": GIVEN["ranges"] | {"friction": [0.3, 0.1]}}, "friction"),
+        ({"friction": [float("nan"), 0.3]}, "friction"),
+        ({"tables": [GIVEN["tables"][0] | {"feed_speed": [[float("nan"), 0.2], [0.3, 0.1]]}]}, "feed_speed"),
         ({"tables": [GIVEN["tables"][0] | {"feed_speed": [[0.4, 9.0], [0.3, 0.1]]}]}, "a value is outside"),
         (None, "not JSON"),
     ):

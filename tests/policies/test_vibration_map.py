@@ -14,7 +14,6 @@ from agents.policies.lookup import best_schedule_for, expected_costs, grid, knot
 from agents.policies.on_map import Adaptive, Privileged, TensionScheduled
 from agents.policies.places import plant_at
 from agents.policies.view import HALF_RANGE, MIDDLE, View
-from agents.records.reading import FileError
 from agents.studies.builtin import Request
 from agents.studies.shipped.best_schedules import run_search
 from agents.studies.shipped.vibration_map import Wandering, fit_map
@@ -30,6 +29,7 @@ from probe_env.envs.vibration_map import (
     rms_limit,
     stored_map,
 )
+from probe_env.files import FileError
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension
 from probe_env.physics.model.chain import air_speed
 

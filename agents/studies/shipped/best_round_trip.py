@@ -28,8 +28,7 @@ from agents.policies.policy import Policy
 from agents.policies.wrappers import BothWays, fidelity_of, way_in
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
-from agents.studies.builtin import Request
-from agents.studies.tables import print_frame
+from agents.studies.builtin import Request, print_frame
 from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig

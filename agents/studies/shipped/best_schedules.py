@@ -28,7 +28,8 @@ from probe_env.schedule import Schedule
 
 KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
 AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
-POPULATION: Final = 16
+POPULATION, SPREAD = 16, 0.2
+"""Of a search: points of a generation, and their first standard deviation as a share of the ranges."""
 TRIALS: Final = 1200
 """Schedules tried in a search."""
 
@@ -129,7 +130,11 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
     stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
     training = family.tubes(train.contexts)
     cost = MapCost(training, config, vibration)
-    points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, name)
+
+    def rewards_of(points: FloatArray) -> list[float]:
+        return [cost.reward(family.schedule(point.tolist(), config)) for point in points]
+
+    points, rewards, _ = search(rewards_of, family.start, -(-trials // POPULATION), name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
     table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
     simulated = run_plan(plan_of(best), output / "simulated" / name, workers=request.workers)
@@ -144,23 +149,32 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
 
 
 def search(
-    reward: Callable[[list[float]], float], start: Sequence[float], trials: int, name: str
-) -> tuple[FloatArray, FloatArray]:
-    """Points tried (n, d) of the unit cube and their rewards (n,) by CMA-ES; fewer trials once it has converged.
+    rewards_of: Callable[[FloatArray], Sequence[float]], start: Sequence[float] | FloatArray, generations: int,
+    name: str, spread: float = SPREAD, population: int = POPULATION,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """CMA-ES in the unit cube: points tried (n, d), their rewards (n,) and where the search ended (d,).
 
-    A generation is tried to its end or not at all, so a longer search begins as a shorter one.
+    A generation is tried to its end or not at all, so a longer search begins as a shorter one; fewer generations once
+    it has converged.
+
+    Args:
+        rewards_of: rewards (population,) of the points (population, d) of a generation.
+        start: of the search (d,).
+        generations: at most.
+        name: shown with the progress.
+        spread: first standard deviation of the points.
+        population: points of a generation.
     """
-    optimizer = CMA(
-        np.array(start), sigma=0.2, bounds=np.array([[0.0, 1.0]] * len(start)), seed=0, population_size=POPULATION
-    )
+    bounds = np.tile([0.0, 1.0], (len(start), 1))
+    optimizer = CMA(np.array(start), sigma=spread, bounds=bounds, seed=0, population_size=population)
     points: list[FloatArray] = []
     rewards: list[float] = []
-    with tqdm(total=trials, desc=name, unit="trial") as bar:
-        while len(points) < trials and not optimizer.should_stop():
-            generation = [optimizer.ask() for _ in range(POPULATION)]
-            gained = [reward(point.tolist()) for point in generation]
-            optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
-            points += generation
-            rewards += gained
-            bar.update(POPULATION)
-    return np.array(points), np.array(rewards)
+    for _ in tqdm(range(generations), desc=name, unit="generation"):
+        if optimizer.should_stop():
+            break
+        generation = np.array([optimizer.ask() for _ in range(population)])
+        gained = rewards_of(generation)
+        optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
+        points += [*generation]
+        rewards += gained
+    return np.array(points), np.array(rewards), optimizer.mean

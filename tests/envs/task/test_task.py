@@ -70,6 +70,29 @@ def test_crawling_to_the_time_limit_does_not_pay(insertions):
         assert terms[k].sum() < insertions[1][k].sum() - 100.0
 
 
+@pytest.mark.processor
+def test_contexts_leave_something_to_decide(insertions):
+    """Racing beats the study's feed in a mild context and loses in a hard one.
+
+    Of twelve other starts of each by 14.418 to six digits, and by 437 +- 9: far beyond both margins.
+    """
+    study_hard, study_mild, race_hard, race_mild = insertions[1].sum(axis=1)
+    assert race_mild > study_mild + 5.0
+    assert race_hard < study_hard - 20.0
+
+
+def test_no_context_makes_crawling_pay():
+    """The best that crawling can come to, silent all the way, is less than the study's feed ringing all the way."""
+    config, length = TaskConfig(), 55.0
+    crawled = config.feed_speeds[0] * config.time_limit
+    best_crawl = config.progress_weight * crawled - config.time_weight * config.time_limit
+    best_crawl -= config.uninspected_weight * (length - crawled)
+    seconds = length / CONSTANT[0] + config.period
+    worst_study = length * (config.progress_weight - config.vibration_weight * config.ratio_cap**2)
+    worst_study -= (config.time_weight + config.air_weight * CONSTANT[1]) * seconds
+    assert best_crawl < worst_study - 100.0
+
+
 def test_observations_stay_within_their_bounds(insertions):
     _, _, observations = insertions
     low, high = np.array([bounds[:2] for bounds in OBSERVATIONS.values()]).T
