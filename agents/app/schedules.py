@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from agents.plant.logs import read_log
 from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
-from agents.policies.lookup import FIRST
+from agents.policies.on_map import FIRST
 from agents.policies.places import Place
 from agents.records.shipped import file_or_shipped
 from probe_env.arrays import FloatArray

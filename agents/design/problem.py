@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.lookup import least_air
+from agents.policies.on_map import least_air
 from agents.policies.places import TABLE_2, Place
 from agents.records.manifest import commit
 from probe_env import Context, Design

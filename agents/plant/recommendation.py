@@ -23,7 +23,7 @@ from agents.plant.prior import UNKNOWNS
 from agents.plant.response import CHANNELS, Metres, Response, steady_tension
 from agents.policies.catalogue import name_and_spec
 from agents.policies.law import Law, OfDiameter
-from agents.policies.lookup import FIRST, SPACING
+from agents.policies.on_map import FIRST, SPACING
 from agents.policies.places import place_of
 from agents.policies.policy import OutsideDomain
 from agents.records.atomic import write_atomically

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
-from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InspectionPlanner, Planner
+from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
 from agents.policies.plc_law import PlcLaw, TrimmedLaw
 from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
@@ -121,7 +121,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if spec in (*MAP_POLICIES, *PLANNERS):
         known = vibration or stored_map()
         check_measure(known, config)
-        on_map, settings = MAP_POLICIES[spec] if spec in MAP_POLICIES else (Planner, PLANNERS[spec])
+        on_map, settings = MAP_POLICIES[spec] if spec in MAP_POLICIES else (InsertionPlanner, PLANNERS[spec])
         return on_map(config, vibration=known, **settings)
     if spec in LAWS:
         return LAWS[spec](config)

@@ -20,6 +20,16 @@ from probe_env.schedule import Schedule
 
 State = tuple[np.ndarray, ...]
 STUDY_FEED, STUDY_AIR = 0.2, 63.0 / 3600.0
+NEEDED: Final = {
+    "root_tension": "the root tension (observe_root_tension = true)",
+    "friction": "the tube (privileged = true)",
+}
+"""Observations that not every task shows."""
+
+
+def gain(config: TaskConfig, seconds: float) -> float:
+    """Share of the newest value in an average with a time constant [s], for one control period."""
+    return float(1.0 - np.exp(-config.period / seconds))
 
 
 @dataclass
@@ -30,11 +40,21 @@ class FixedPolicy(ABC):
         config: the task that it acts in.
         memory: size of the memory for each environment, besides the time.
         stands: whether a feed of 0 is a standstill, and not the slowest feed of the task's device.
+        needs: observations without which it cannot act, of ``NEEDED``.
+
+    Raises:
+        ValueError: the task does not show what it needs.
     """
 
     config: TaskConfig
     memory: ClassVar[int] = 0
     stands: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for name in self.needs:
+            if name not in self.config.observations:
+                raise ValueError(f"{type(self).__name__} needs a task that shows {NEEDED[name]}")
 
     @abstractmethod
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.fixed import FixedPolicy
+from agents.policies.fixed import FixedPolicy, gain
 from agents.policies.policy import Domain, RangesOfTubes, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
@@ -99,6 +99,7 @@ class Lawful(FixedPolicy):
     average: float = 15.0
     """Time constant of the friction's average [s]."""
     memory: ClassVar[int] = 1
+    needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
     @property
     def domain(self) -> Domain:
@@ -111,16 +112,10 @@ class Lawful(FixedPolicy):
         memory[:, 0] = np.median(self.law.friction)
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the averaged friction.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
-        if "root_tension" not in seen:
-            raise ValueError("a feedback law needs a task that shows the root tension")
+        """Of the averaged friction."""
         friction = friction_from_tension({name: seen[name] for name in MEASURED}, self.config.scene)
-        gain = 1.0 - np.exp(-self.config.period / self.average)
-        memory[:, 0] += gain * (np.clip(friction, self.law.friction[0], self.law.friction[-1]) - memory[:, 0])
+        credible = np.clip(friction, self.law.friction[0], self.law.friction[-1])
+        memory[:, 0] += gain(self.config, self.average) * (credible - memory[:, 0])
         return self.law.at(memory[:, 0], seen["inserted_length"], seen["helix_diameter"])
 
     def describe(self) -> dict[str, Any]:

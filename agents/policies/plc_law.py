@@ -16,8 +16,8 @@ from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 
-from agents.policies.fixed import FixedPolicy
-from agents.policies.lookup import least_air
+from agents.policies.fixed import FixedPolicy, gain
+from agents.policies.on_map import least_air
 from agents.policies.policy import Domain, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
@@ -87,7 +87,7 @@ class PlantData(Model):
     feed_speeds: tuple[float, float]
     """[m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s], the least that schedules blow, see ``lookup.least_air``, and the most."""
+    """[m3/s], the least that schedules blow, see ``on_map.least_air``, and the most."""
 
     @classmethod
     def of(cls, config: Any) -> Self:
@@ -163,8 +163,10 @@ class PlcLaw(FixedPolicy):
 
     constants: Constants = field(default_factory=read_constants)
     memory: ClassVar[int] = 2
+    needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._plant = PlantData.of(self.config)
 
     @property
@@ -177,17 +179,11 @@ class PlcLaw(FixedPolicy):
         memory[:] = FRICTION, np.log(self.constants.quiet)
 
     def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By length, tension, noise and helix diameter.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
-        if "root_tension" not in seen:
-            raise ValueError("the PLC's law needs a task that shows the root tension")
+        """By length, tension, noise and helix diameter."""
         c, plant = self.constants, self._plant
-        gain = 1.0 - np.exp(-self.config.period / c.average)
-        memory[:, 0] += gain * (friction_of(seen["root_tension"], seen, plant) - memory[:, 0])
-        memory[:, 1] += gain * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - memory[:, 1])
+        weight = gain(self.config, c.average)
+        memory[:, 0] += weight * (friction_of(seen["root_tension"], seen, plant) - memory[:, 0])
+        memory[:, 1] += weight * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - memory[:, 1])
         return law_at(c, plant, (seen["inserted_length"], memory[:, 0], memory[:, 1], seen["helix_diameter"]))
 
     def describe(self) -> dict[str, Any]:
@@ -211,12 +207,10 @@ class TrimmedLaw(PlcLaw):
         """The law's, with the feed past the onset trimmed."""
         feed, air = super().targets(seen, memory[:, : PlcLaw.memory])
         noise, trim = memory[:, -2], memory[:, -1]
-        period = self.config.period
-        gain = 1.0 - np.exp(-period / NOISE_AVERAGE)
-        noise += gain * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - noise)
+        noise += gain(self.config, NOISE_AVERAGE) * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - noise)
         past = air > self._plant.air_supply_rates[0]  # the onset
         short = np.clip(np.log(self.trim.aim) - noise, -LOWERED, RAISED)
-        trim += np.where(past, period / self.trim.time * short, 0.0)
+        trim += np.where(past, self.config.period / self.trim.time * short, 0.0)
         np.clip(trim, -MOST_TRIM, MOST_TRIM, out=trim)
         trimmed = np.clip(feed * np.exp(trim), *self._plant.feed_speeds)
         return np.where(past, trimmed, feed), air

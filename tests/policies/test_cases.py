@@ -10,7 +10,7 @@ from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
 from agents.policies.catalogue import make_policy
-from agents.policies.lookup import LEAST_AIR, best_schedule_for, knots, least_air
+from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.places import both_ways, load_case, map_of, place_at, place_of, with_probe
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene

@@ -9,7 +9,7 @@ from oracles.scatter import of_another
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import make_policy
-from agents.policies.lookup import best_schedule_for, knots
+from agents.policies.on_map import best_schedule_for, knots
 from agents.policies.planner import (
     BLUR,
     Estimate,

@@ -22,7 +22,7 @@ from agents.evaluation.statistics import a90_95, paired_difference
 from agents.evaluation.workers import Workers
 from agents.plant.recommendation import safe_air
 from agents.policies.fixed import STUDY_AIR, Scheduled
-from agents.policies.lookup import FIRST
+from agents.policies.on_map import FIRST
 from agents.policies.places import Place, load_case
 from agents.policies.policy import Policy
 from agents.policies.wrappers import BothWays, fidelity_of, way_in

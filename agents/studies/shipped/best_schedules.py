@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.policies.fixed import Scheduled
-from agents.policies.lookup import FIRST, least_air
+from agents.policies.on_map import FIRST, least_air
 from agents.policies.places import map_of, place_of, plant_at
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
