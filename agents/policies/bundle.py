@@ -94,6 +94,8 @@ class Description(Model):
 class Agent:
     """A trained policy with SB3's ``predict`` on the task's own observations; memory is in the state that it returns.
 
+    Where a probe is drawn back, too, its feed is in the steps of the device that it was trained with.
+
     Args:
         description: what it is.
         policy: SB3's policy with its weights.
@@ -111,6 +113,8 @@ class Agent:
             if trained != here:
                 raise ValueError(f"{name} = {here!r} differs from {trained!r}, which the agent was trained with")
         others = [name for name in PREVIOUS if getattr(description.task, name) != getattr(config, name)]
+        step = description.task.feed_speed_step
+        self._feed_speed_step = step if config.returns and step != config.feed_speed_step else 0.0
         if others and description.view.guide is not None:
             trained, here = getattr(description.task, others[0]), getattr(config, others[0])
             raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, in which the agent's guide acts")
@@ -151,6 +155,10 @@ class Agent:
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
         if self._other_ranges:
             acted = self.config.actions(*self.description.task.targets(acted).T).astype(np.float32)
+        if self._feed_speed_step:  # a network's output varies all the time, and every change shakes a withdrawn probe
+            feed, air = self.config.targets(acted).T
+            feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
+            acted = self.config.actions(feed, air).astype(np.float32)
         return (acted[0] if np.ndim(observation) == 1 else acted), (memory, inner)
 
     def describe(self) -> dict[str, Any]:

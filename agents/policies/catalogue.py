@@ -16,7 +16,7 @@ from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
 from agents.policies.plc_law import PlcLaw, TrimmedLaw
 from agents.policies.policy import Domain, Policy
-from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
+from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, unshielded, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -183,8 +183,7 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, cl
     if trained is not None and trained.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
-        agent, step = _agent(file, config), trained.feed_speed_step
-        return InSteps(config, agent, step) if step > 0.0 else agent
+        return _agent(file, config)
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, way back", back, config)

@@ -131,12 +131,13 @@ class Training(Model):
             raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
         if is_surrogate(self.validation.fidelity):
             raise PydanticCustomError("fidelity", "validation.fidelity = 'surrogate': agents are chosen by simulation")
-        for given in (self.environment.fidelity, self.validation.fidelity):
-            fidelity = resolve_fidelity(given, self.task.scene, both_ways=self.task.returns)
-            if fidelity.time_lapse > 1.0 and not self.task.growing:
+        task = self.task
+        trained = resolve_fidelity(self.environment.fidelity, task.scene, both_ways=task.returns)
+        for fidelity in (trained, self.validation_fidelity):
+            if fidelity.time_lapse > 1.0 and not task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
-            whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
-        self.view.columns(self.task)
+            whole_steps("task.period / fidelity.time_lapse", task.period / fidelity.time_lapse, fidelity.time_step)
+        self.view.columns(task)
         assert self.validated_in
         if self.imitation is not None:
             try:
@@ -168,6 +169,11 @@ class Training(Model):
     def validated_in(self) -> tuple[Context, ...]:
         """Tubes in which the best model is chosen."""
         return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+
+    @property
+    def validation_fidelity(self) -> Fidelity:
+        """Settings of the simulation in which the best model is chosen."""
+        return resolve_fidelity(self.validation.fidelity, self.task.scene, both_ways=self.task.returns)
 
     @property
     def vibration(self) -> VibrationMap | None:

@@ -10,8 +10,15 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from agents.evaluation.plan import per_metre
-from agents.policies.on_map import best_schedule_for, expected_costs, grid, knots
-from agents.policies.on_map import Adaptive, Privileged, TensionScheduled
+from agents.policies.on_map import (
+    Adaptive,
+    Privileged,
+    TensionScheduled,
+    best_schedule_for,
+    expected_costs,
+    grid,
+    knots,
+)
 from agents.policies.places import plant_at
 from agents.policies.view import HALF_RANGE, MIDDLE, View
 from agents.records.reading import FileError

@@ -1,4 +1,4 @@
-"""Policies around a policy: the shield keeps the drive and leaves alone what is safe; fidelities of both passes."""
+"""Policies around a policy: the shield keeps the drive and leaves alone what is safe."""
 
 from collections import deque
 
@@ -8,10 +8,10 @@ import pytest
 from agents.evaluation.plan import Plan, Playing
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
 from agents.policies.fixed import Constant
-from agents.policies.wrappers import Shielded, fidelity_of
+from agents.policies.wrappers import Shielded
 from probe_env import Context, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
-from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
+from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
 CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).all_shown
@@ -156,7 +156,3 @@ def test_what_it_cannot_do_is_refused():
     for passes in ("in", "both"):
         with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).all_shown)
-
-    with pytest.raises(ValueError, match="'reference' does not simulate the way back; give one of standard, "):
-        fidelity_of("reference")
-    assert fidelity_of("fast") == BOTH_WAYS["fast"]

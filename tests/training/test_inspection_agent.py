@@ -8,7 +8,7 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.policies.bundle import Agent, Description, Network, build_policy, write_bundle
 from agents.policies.catalogue import make_policy
 from agents.policies.view import View
-from agents.policies.wrappers import BothWays, InSteps
+from agents.policies.wrappers import BothWays
 from agents.training.config import Training
 from agents.training.train import BEST, train_all
 from probe_env import load_contexts
@@ -72,15 +72,14 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     write_bundle(path, description, build_policy(description))
     config = TaskConfig(passes="both").all_shown
     policy = make_policy(str(path), config)
-    assert isinstance(policy, InSteps)
     assert policy.domain.helix_length == 60.0
-    assert policy.describe()["step"] == 0.05
     rows = np.random.default_rng(0).uniform(-1.0, 1.0, (3, len(config.observations))).astype(np.float32)
     actions, state = policy.predict(rows, deterministic=True)
-    own, _ = policy.agent.predict(rows, deterministic=True)
+    stepped = TaskConfig(passes="both", feed_speed_step=0.05).all_shown
+    own, _ = make_policy(str(path), stepped).predict(rows, deterministic=True)
     feed, air = config.targets(actions).T
-    wanted, blown = config.targets(own).T
-    np.testing.assert_allclose(feed / 0.05, np.round(wanted / 0.05), atol=1e-6)
+    requested, blown = TaskConfig().targets(own).T
+    np.testing.assert_allclose(feed / 0.05, np.round(requested / 0.05), atol=1e-6)
     np.testing.assert_allclose(air, blown, rtol=1e-6)
     one, _ = policy.predict(rows[0], deterministic=True)
     np.testing.assert_allclose(one, actions[0], rtol=0, atol=1e-6)  # a row's and a table's sums, in single precision
