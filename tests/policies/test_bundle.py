@@ -7,6 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from poisons import Poison
 from safetensors.numpy import save
 from stable_baselines3 import PPO
 
@@ -90,16 +91,6 @@ def test_another_task_is_refused(tmp_path):
         View(observations=("moon",)).columns(TASK)
     with pytest.raises(FileNotFoundError):
         load_bundle(tmp_path / "nowhere.safetensors")
-
-
-class Poison:
-    """Unpickled, it would write a file."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return (open, (str(self.path), "w"))
 
 
 def test_pickles_are_refused_and_not_executed(tmp_path):
