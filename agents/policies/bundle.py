@@ -150,16 +150,16 @@ class Agent:
         features, memory = view.features(self.config, rows, memory, new)
         start = np.ones(len(rows), dtype=bool) if state is None else new
         actions, inner = self.policy.predict(features, inner, start, deterministic)
-        acted = view.env_actions(self.description.task, actions, view.guided(features))
-        if not np.isfinite(acted).all():
+        applied = view.env_actions(self.description.task, actions, view.guided(features))
+        if not np.isfinite(applied).all():
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
         if self._other_ranges:
-            acted = self.config.actions(*self.description.task.targets(acted).T).astype(np.float32)
+            applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)
         if self._feed_speed_step:  # a network's output varies all the time, and every change shakes a withdrawn probe
-            feed, air = self.config.targets(acted).T
+            feed, air = self.config.targets(applied).T
             feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
-            acted = self.config.actions(feed, air).astype(np.float32)
-        return (acted[0] if np.ndim(observation) == 1 else acted), (memory, inner)
+            applied = self.config.actions(feed, air).astype(np.float32)
+        return (applied[0] if np.ndim(observation) == 1 else applied), (memory, inner)
 
     def describe(self) -> dict[str, Any]:
         """Equal for equal agents."""

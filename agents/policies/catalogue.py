@@ -59,15 +59,15 @@ def named_policies(
     }
 
 
-def name_and_spec(given: str) -> tuple[str, str]:
+def name_and_spec(argument: str) -> tuple[str, str]:
     """Name and spec of a policy argument; an existing file wins, whatever characters its name has."""
-    if given.startswith(PREFIX):
-        name, spec = name_and_spec(unshielded(given))
+    if argument.startswith(PREFIX):
+        name, spec = name_and_spec(unshielded(argument))
         return f"shielded-{name}", PREFIX + spec
-    splits = [(given[:k], given[k + 1 :]) for k, character in enumerate(given) if character == "="]
-    if _is_file(given) or not splits:
-        custom = CLASS.fullmatch(given)
-        return custom["name"] if custom else name_of(Path(given)) if "." in given else given, given
+    splits = [(argument[:k], argument[k + 1 :]) for k, character in enumerate(argument) if character == "="]
+    if _is_file(argument) or not splits:
+        custom = CLASS.fullmatch(argument)
+        return custom["name"] if custom else name_of(Path(argument)) if "." in argument else argument, argument
     return next((split for split in splits if _is_known(unshielded(split[1])) or _is_file(split[1])), splits[0])
 
 
@@ -119,10 +119,10 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         kind, arguments = BUILT_IN[spec]
         return kind(config, **arguments)
     if spec in (*MAP_POLICIES, *PLANNERS):
-        known = vibration or stored_map()
-        check_measure(known, config)
+        vibration = vibration or stored_map()
+        check_measure(vibration, config)
         on_map, settings = MAP_POLICIES[spec] if spec in MAP_POLICIES else (InsertionPlanner, PLANNERS[spec])
-        return on_map(config, vibration=known, **settings)
+        return on_map(config, vibration=vibration, **settings)
     if spec in LAWS:
         return LAWS[spec](config)
     if spec in STORED:

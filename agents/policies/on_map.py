@@ -71,12 +71,12 @@ def expected_costs(
 
     ``shift`` [decades] is by how much more the probe vibrates than the map says; default: the shipped map.
     """
-    count, known = len(knots(config)), vibration or stored_map()
-    check_measure(known, config)
+    count, vibration = len(knots(config)), vibration or stored_map()
+    check_measure(vibration, config)
     feed, air = (np.tile(column, count) for column in grid(config))
     costs = []
     for context in contexts:
-        mean, deviation = _grid_vibration(tuple(map(float, context)), config, known)
+        mean, deviation = _grid_vibration(tuple(map(float, context)), config, vibration)
         costs.append(expected_cost(mean + shift, deviation, feed, air, config).reshape(count, -1))
     return np.array(costs)
 
@@ -116,9 +116,8 @@ def looked_up(
     shifts: Sequence[float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Feed speed [m/s] and air supply [m3/s], (N,) each, of the best schedules for tubes at inserted lengths [m]."""
-    louder = shifts or [0.0] * len(tubes)
-    known = zip(tubes, louder, length, strict=True)
-    pairs = [best_schedule_for(tube, config, decades, vibration).at(place) for tube, decades, place in known]
+    rows = zip(tubes, shifts or [0.0] * len(tubes), length, strict=True)
+    pairs = [best_schedule_for(tube, config, shift, vibration).at(at) for tube, shift, at in rows]
     return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
 
@@ -128,11 +127,11 @@ class ByDiameter(FixedPolicy):
 
     schedules: dict[float, Schedule] = field(default_factory=dict)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the schedule of the diameter says for the inserted length."""
-        known = np.array(list(self.schedules))
-        nearest = [known[np.abs(known - d).argmin()] for d in seen["helix_diameter"]]
-        pairs = [self.schedules[d].at(place) for d, place in zip(nearest, seen["inserted_length"], strict=True)]
+        diameters = np.array(list(self.schedules))
+        nearest = [diameters[np.abs(diameters - d).argmin()] for d in measured["helix_diameter"]]
+        pairs = [self.schedules[d].at(place) for d, place in zip(nearest, measured["inserted_length"], strict=True)]
         return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
     @classmethod
@@ -155,8 +154,8 @@ class MapPolicy(FixedPolicy):
 
     def describe(self) -> dict[str, Any]:
         """With a hash of the map."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
-        return {"policy": type(self).__name__, **own, "map": self.vibration.digest, "least_air": LEAST_AIR}
+        settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
+        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "least_air": LEAST_AIR}
 
 
 @dataclass
@@ -167,12 +166,12 @@ class Privileged(MapPolicy):
     """Weight that the schedule is best for; default: the task's."""
     needs: ClassVar[tuple[str, ...]] = ("friction",)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Looked up in the map."""
-        tubes = np.column_stack([seen[name] for name in CONTEXT]).astype(np.float32)
+        tubes = np.column_stack([measured[name] for name in CONTEXT]).astype(np.float32)
         contexts = [_context(*map(float, tube)) for tube in tubes]
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(contexts, seen["inserted_length"], config, self.vibration)
+        return looked_up(contexts, measured["inserted_length"], config, self.vibration)
 
 
 @dataclass
@@ -191,12 +190,12 @@ class TensionScheduled(MapPolicy):
         """Memory: the estimate."""
         memory[:, 0] = self.prior
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Stiffness, drag and probe are taken as the scene's."""
-        known = {name: seen[name] for name in MEASURED}
-        tubes = self.tubes(friction_from_tension(known, self.config.scene), seen["helix_diameter"], memory)
+        without_probe = {name: measured[name] for name in MEASURED}
+        tubes = self.tubes(friction_from_tension(without_probe, self.config.scene), measured["helix_diameter"], memory)
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(tubes, seen["inserted_length"], config, self.vibration)
+        return looked_up(tubes, measured["inserted_length"], config, self.vibration)
 
     def tubes(self, friction: FloatArray, helix_diameter: FloatArray, memory: FloatArray) -> list[Context]:
         """Tubes (N,) of the averaged friction, which ``memory`` keeps; rounded so that few schedules are searched."""
@@ -226,34 +225,34 @@ class Adaptive(TensionScheduled):
         """Tubes of the map, with any probe."""
         return Domain.of_map(self.vibration, any_probe=True)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Looked up in the shifted map. Memory: the friction estimate, the shift [decades], feed and air."""
-        tubes = self.tubes(friction_from_tension(seen, self.config.scene), seen["helix_diameter"], memory)
+        tubes = self.tubes(friction_from_tension(measured, self.config.scene), measured["helix_diameter"], memory)
         memory[:, 1] += gain(self.config, self.shift_average) * (
-            np.clip(self._louder(seen, tubes), *SHIFTS) - memory[:, 1]
+            np.clip(self._shift(measured, tubes), *SHIFTS) - memory[:, 1]
         )
         rounded = np.round(memory[:, 1] / SHIFT_STEP) * SHIFT_STEP
         shifts = [round(float(decades), 4) for decades in rounded]
         config = _weighted(self.config, self.vibration_weight)
-        feed, air = looked_up(tubes, seen["inserted_length"], config, self.vibration, shifts)
-        wanted = np.column_stack([feed, np.clip(self._taut(seen), air, self.config.air_supply_rates[1])])
-        applied = np.column_stack([seen["feed_speed"], seen["air_supply_rate"]])
-        acted = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)
-        memory[:, 2:] = acted + gain(self.config, self.smoothing) * (wanted - acted)
+        feed, air = looked_up(tubes, measured["inserted_length"], config, self.vibration, shifts)
+        goal = np.column_stack([feed, np.clip(self._taut(measured), air, self.config.air_supply_rates[1])])
+        applied = np.column_stack([measured["feed_speed"], measured["air_supply_rate"]])
+        before = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)
+        memory[:, 2:] = before + gain(self.config, self.smoothing) * (goal - before)
         return memory[:, 2], memory[:, 3]
 
-    def _louder(self, seen: dict[str, FloatArray], tubes: list[Context]) -> FloatArray:
+    def _shift(self, measured: dict[str, FloatArray], tubes: list[Context]) -> FloatArray:
         """Measured vibration (N,) over the map's, in decades."""
         values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
-        length, feed, air = (seen[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
+        length, feed, air = (measured[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
         expected = 10.0 ** self.vibration.tells(length, feed, air, values, self.config.scene)[0] * 1e-4
-        return np.asarray(np.log10(seen["rf_noise"] / np.hypot(expected, RF_FLOOR)))
+        return np.asarray(np.log10(measured["rf_noise"] / np.hypot(expected, RF_FLOOR)))
 
-    def _taut(self, seen: dict[str, FloatArray]) -> FloatArray:
+    def _taut(self, measured: dict[str, FloatArray]) -> FloatArray:
         """Air supply (N,) [m3/s] for the least tension, which goes with the square of the wind."""
-        no_wind = seen["feed_speed"] / air_speed(self.config.scene, 1.0)
-        tension = np.maximum(seen["root_tension"], 0.1 * self.least_tension)
-        return np.asarray(no_wind + (seen["air_supply_rate"] - no_wind) * np.sqrt(self.least_tension / tension))
+        no_wind = measured["feed_speed"] / air_speed(self.config.scene, 1.0)
+        tension = np.maximum(measured["root_tension"], 0.1 * self.least_tension)
+        return np.asarray(no_wind + (measured["air_supply_rate"] - no_wind) * np.sqrt(self.least_tension / tension))
 
 
 @lru_cache

@@ -54,12 +54,12 @@ def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibra
     Raises:
         ValueError: no such list, or a limit out of range.
     """
-    known, most = vibration or stored_map(), SPLIT_SIZES[split]
+    vibration, most = vibration or stored_map(), SPLIT_SIZES[split]
     if plant is None:
-        return Place(TaskConfig(), spread_contexts(split, limit), known)
+        return Place(TaskConfig(), spread_contexts(split, limit), vibration)
     if not 0 <= limit <= most:
         raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
-    return Place(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), known)
+    return Place(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), vibration)
 
 
 def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:

@@ -63,8 +63,8 @@ class Tuning(Stored):
         """Sampler of the trial with this number; the first trial has the file's own values where the space has them."""
         seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
         sampler = TPESampler(seed=seed, multivariate=True, constant_liar=False)
-        own = {name: _label(value_in(self.training, name)) for name in self.axes}
-        fixed = {name: value for name, value in own.items() if _contains(self.axes[name], value)}
+        values = {name: _label(value_in(self.training, name)) for name in self.axes}
+        fixed = {name: value for name, value in values.items() if _contains(self.axes[name], value)}
         return sampler if number else PartialFixedSampler(fixed, sampler)
 
     def with_parameters(self, parameters: dict[str, Any]) -> Training:

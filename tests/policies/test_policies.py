@@ -52,6 +52,16 @@ def test_predict_follows_sb3_s_protocol(name):
     assert policy.describe() == make_policy(name, CONFIG).describe()
 
 
+def test_policies_name_what_their_task_does_not_show():
+    for name, config, message in (
+        ("privileged", TaskConfig(), r"Privileged needs a task that shows the tube \(privileged = true\)"),
+        ("adaptive", TaskConfig(observe_root_tension=False), "Adaptive needs a task that shows the root tension"),
+        ("plc-law", TaskConfig(observe_root_tension=False), "PlcLaw needs a task that shows the root tension"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make_policy(name, config)
+
+
 def test_agents_and_schedules_that_ship_go_by_name():
     by_name = named_policies(["ppo", "ppo@2", "mine@3=student@3", "example"], CONFIG)
     assert list(by_name) == ["ppo", "ppo@2", "mine@3", "example"]
@@ -104,7 +114,7 @@ def test_a_schedule_beyond_the_device_is_told(tmp_path):
         policy.predict(np.zeros(5, dtype=np.float32))
 
 
-OWN = """
+MODULE = """
 from agents.policies.fixed import Constant
 
 class Mine(Constant):
@@ -126,7 +136,7 @@ mine = 1
 def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeypatch):
     """By module and name, in one pass and in both; a spec from a file may not import code."""
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "own_policies_here.py").write_text(OWN)
+    (tmp_path / "own_policies_here.py").write_text(MODULE)
     (tmp_path / "broken_here.py").write_text("import nowhere_at_all")
     spec = "own_policies_here:Mine"
     specs = [spec, f"slow={spec}", f"shielded:{spec}", "pi"]

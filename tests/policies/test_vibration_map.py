@@ -9,11 +9,9 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from agents.evaluation.plan import per_metre
 from agents.policies.on_map import (
     Adaptive,
     Privileged,
-    TensionScheduled,
     best_schedule_for,
     expected_costs,
     grid,
@@ -151,15 +149,6 @@ def test_friction_is_found_from_the_tension_in_any_bore_and_with_any_probe():
     assert failures == []
 
 
-def test_policies_name_what_their_task_does_not_show():
-    hidden, blind = TaskConfig(), TaskConfig(observe_root_tension=False)
-    with pytest.raises(ValueError, match="privileged = true"):
-        Privileged(hidden).predict(np.zeros(len(hidden.observations), dtype=np.float32))
-    for kind in (TensionScheduled, Adaptive):
-        with pytest.raises(ValueError, match="root tension"):
-            kind(blind).predict(np.zeros(len(blind.observations), dtype=np.float32))
-
-
 def test_wandering_holds_for_a_segment_and_differs_between_episodes():
     names, policy = list(CONFIG.observations), Wandering(CONFIG)
     rows = np.zeros((3, len(names)), dtype=np.float32)
@@ -260,18 +249,14 @@ def test_the_limit_in_metres_costs_what_the_limit_in_signal_to_noise_does():
     assert expected_cost(half, np.array([1e-6]), feed, air, still) == pytest.approx([0.75], rel=1e-4)
 
 
-def test_a_map_keeps_its_measure(tmp_path):
+def test_a_map_keeps_its_measure_and_one_of_millimetres_is_not_asked_for_noise(tmp_path):
     path = tmp_path / "mine-map.npz"
-    path.write_bytes(constant_map(-0.3, 0.01, "snr").to_bytes())
-    assert VibrationMap.load(path).measure == "snr"
-    path.write_bytes(constant_map(-0.3, 0.01, "displacement").to_bytes())
-    assert VibrationMap.load(path).measure == "displacement"
+    for measure in ("snr", "displacement"):
+        path.write_bytes(constant_map(-0.3, 0.01, measure).to_bytes())
+        assert VibrationMap.load(path).measure == measure
     path.write_bytes(constant_map(-0.3, 0.01, "loudness").to_bytes())
     with pytest.raises(FileError, match="measure = 'loudness' is not one of displacement, snr"):
         VibrationMap.load(path)
-
-
-def test_a_map_of_millimetres_is_not_asked_for_noise(tmp_path):
     tube = np.array([[getattr(Context(), name) for name in CONTEXT]])
     with pytest.raises(ValueError, match="but the map is of displacement: make one of these"):
         expected_costs(tube, SNR, vibration=stored_map())
@@ -280,8 +265,3 @@ def test_a_map_of_millimetres_is_not_asked_for_noise(tmp_path):
         run_search("best-constant", 16, Request(tmp_path), stored_map(), plant_at("snr"))
     with pytest.raises(ValueError, match="vibration_measure = 'velocity': maps know displacement and snr only"):
         expected_costs(tube, TaskConfig(vibration_measure="velocity"), vibration=stored_map())
-
-
-def test_a_metre_has_its_noise():
-    periods = [(t, length, 0.2, 0.02, 1e-4, 4.0, noise) for t, length, noise in ((1, 5.4, 3e-4), (2, 5.8, 4e-4))]
-    assert pd.DataFrame(per_metre(periods))["noise_rms_m"].tolist() == pytest.approx([np.sqrt(12.5) * 1e-4])

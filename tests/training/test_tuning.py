@@ -291,13 +291,8 @@ def test_bad_ranges_and_options_are_named_before_any_work(tmp_path, capsys):
     for line, problem in BROKEN.items():
         text = f"{FILE}\n[search]\n{line}\n".replace("'", '"')
         check(text, (), f"search{'.' if line else ':'}{problem}")
-    for name, value, most in (
-        ("phases", 4, "1 to 3"),
-        ("phases", 0, "1 to 3"),
-        ("trials", 0, "1 to"),
-        ("seed", -1, "0 to"),
-    ):
-        check(FILE + SPACE, (f"--{name}", str(value)), f"{name} = {value} is outside the accepted range {most}")
+    for name, value in (("phases", 4), ("phases", 0), ("trials", 0), ("seed", -1)):
+        check(FILE + SPACE, (f"--{name}", str(value)), f"{name} = {value} is outside the accepted range")
     assert failures == []
     assert not (tmp_path / "out").exists()
 
