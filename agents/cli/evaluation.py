@@ -184,11 +184,11 @@ class Signal:
     def run(self) -> None:
         """Simulate, draw, write, print."""
         from agents.evaluation.signal import Look, draw_curves, run_signal
-        from agents.policies.places import place_at, plant_at
+        from agents.policies.places import load_case, plant_at
 
         plant = plant_at(self.tube)
         spacing = plant.tube.support_spacing if plant else None
         look = Look(self.context, self.flaws, spacing, self.until, self.seed)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
-        run_signal(self.policy, place_at(self.tube, self.contexts), self.fidelity, look, self.output)
+        run_signal(self.policy, load_case(self.tube, self.contexts), self.fidelity, look, self.output)

@@ -185,13 +185,13 @@ class Plc:
     def run(self) -> None:
         """Write, print."""
         from agents.plant.plc_export import print_law, write_law
-        from agents.policies.places import place_at
+        from agents.policies.places import load_case
         from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory to trim with")
         constants = read_constants()
-        place = place_at(self.tube, "test")
+        place = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
         write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
         print_law(constants, trim)

@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.catalogue import named_policies
-from agents.policies.places import place_at, place_of
+from agents.policies.places import load_case, place_of
 from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context
@@ -182,7 +182,7 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
 def test_a_plant_is_predicted_by_the_map_beside_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
     episodes = env.unwrapped.episodes
-    own = place_at(Path("snr"), "test", 1).vibration
+    own = load_case(Path("snr"), "test", 1).vibration
     assert episodes.map == own != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]

@@ -11,7 +11,7 @@ from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
 from agents.policies.catalogue import make_policy
 from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.places import both_ways, load_case, map_of, place_at, place_of, with_probe
+from agents.policies.places import both_ways, load_case, map_of, place_of, with_probe
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_beside
@@ -130,7 +130,7 @@ def small(tmp_path_factory):
 
 
 def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
-    place = place_at(small, "test", 6)
+    place = load_case(small, "test", 6)
     known, plant = place.vibration, Plant.from_toml(small)
     assert map_beside(small).name == "small-map.npz"
     assert known.scene == plant.scene
@@ -187,9 +187,9 @@ def test_commands_take_the_file(small, tmp_path, capsys):
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
-    assert place_at(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
+    assert load_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
-        place_at(Path("nowhere.toml"), "test")
+        load_case(Path("nowhere.toml"), "test")
     assert "tubes that ship, by name: example" in missing.value.hint
 
 

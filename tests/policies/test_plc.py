@@ -9,7 +9,7 @@ import pytest
 from agents.cli import main
 from agents.plant.plc_export import structured_text, table, write_law
 from agents.policies.catalogue import make_policy
-from agents.policies.places import place_at
+from agents.policies.places import load_case
 from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
@@ -197,7 +197,7 @@ def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
         ("[tube]\ninner_diameter = 22.5e-3\n", "the law was not made for these tubes: inner_diameter = 0.0225 m"),
     ):
         file.write_text(text)
-        place = place_at(file, "test")
+        place = load_case(file, "test")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             write_law(read_constants(), PlantData.of(place.config), place, tmp_path / "law.st", None)

@@ -161,4 +161,5 @@ def _tried(trials: int, space: Space, place: Place, played: Path, workers: Worke
 
 
 def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
-    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity(FIDELITY, both_ways=True))
+    fidelity = resolve_fidelity(FIDELITY, both_ways=True)
+    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity)
