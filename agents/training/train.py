@@ -85,15 +85,10 @@ def train_all(
         return sum(len(read_csv(curve, CURVE_COLUMNS)) for curve in curves if curve.exists())
 
     announce(Work("phase", len(folders) * phases, done, output, "the same command with --resume goes on"))
-    tasks = [(seed, folder.absolute(), index) for index, (seed, folder) in enumerate(folders.items())]
-    curves = dict(workers.map(partial(_train_task, training, origin, workers.here), tasks))
-    rows: pd.DataFrame = pd.concat([curves[task] for task in tasks], ignore_index=True)
+    one = partial(train, training, output.absolute(), origin, threads=None if workers.here else 1)
+    curves = dict(workers.map(one, training.seeds))
+    rows: pd.DataFrame = pd.concat([curves[seed] for seed in training.seeds], ignore_index=True)
     return rows
-
-
-def _train_task(training: Training, origin: dict[str, Any], here: bool, task: tuple[int, Path, int]) -> pd.DataFrame:
-    seed, folder, index = task
-    return train(training, seed, folder, origin, *((None, 0) if here else (1, index)))
 
 
 def prepare(training: Training, output: Path, resume: bool, origin: dict[str, Any]) -> dict[int, Path]:
@@ -157,22 +152,22 @@ def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
 
 def train(
     training: Training,
-    seed: int,
-    folder: Path,
+    output: Path,
     origin: dict[str, Any],
+    seed: int,
     threads: int | None = None,
-    position: int = 0,
+    position: int | None = None,
     watch: Callable[[dict[str, Any]], None] = lambda row: None,
 ) -> pd.DataFrame:
     """Train one seed to its end, from its last checkpoint if there is one.
 
     Args:
         training: settings.
-        seed: of weights, episodes and exploration.
-        folder: of checkpoint, best agent, learning curve and logs.
+        output: its folder seed-K is for checkpoint, best agent, learning curve and logs.
         origin: how the run was started, see ``manifest.origin``.
+        seed: of weights, episodes and exploration.
         threads: of the simulation; default: all cores.
-        position: line of the progress bar.
+        position: line of the progress bar; default: the first, and a line a seed where seeds have a thread each.
         watch: receives the row of every phase once it is stored, also those before the last checkpoint; an exception
             that it raises ends the training.
 
@@ -180,6 +175,9 @@ def train(
         ValueError: another process trains in the folder.
         FileError: the checkpoint is damaged or of another run.
     """
+    folder = output / f"seed-{seed}"
+    if position is None:
+        position = training.seeds.index(seed) if threads else 0
     with run_lock(folder):
         torch.set_num_threads(1)
         env, plan = _environments(training, threads)

@@ -81,15 +81,12 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
         )
 
 
-def test_an_agent_and_adaptive_know_other_probes_only_if_they_were_made_for_them():
+def test_domains_know_other_probes_if_a_policy_was_made_for_them_and_reach_as_far_as_the_map():
     config = OTHER.configured().all_shown
     for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
         deviations = make_policy(spec, config).domain.outside(config, [Context()])
         assert any("probe: another" in line for line in deviations) == (not sees)
         assert any("helix_length = 80 m, beyond 60 m" in line for line in deviations)
-
-
-def test_ranges_of_lists_and_of_ranges_are_those_of_the_shipped_map():
     whole = Domain.of_map(stored_map()).ranges
     assert ranges_of("random") == whole
     for name, (low, high) in ranges_of("train").items():
@@ -129,20 +126,13 @@ def small(tmp_path_factory):
     return file
 
 
-def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
+def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_refused(small, tmp_path):
     place = load_case(small, "test", 6)
-    known, plant = place.vibration, Plant.from_toml(small)
     assert map_beside(small).name == "small-map.npz"
-    assert known.scene == plant.scene
-    assert known.digest != stored_map().digest
-    policy = make_policy("tension-scheduled", place.config.all_shown, known)
+    assert place.vibration.scene == Plant.from_toml(small).scene
+    assert place.vibration == VibrationMap.load(map_beside(small)) != stored_map()
+    policy = make_policy("tension-scheduled", place.config.all_shown, place.vibration)
     assert policy.domain.outside(place.config, place.contexts) == []
-    loaded = VibrationMap.load(map_beside(small))
-    assert loaded == known
-    assert hash(loaded) == hash(known)
-
-
-def test_a_map_of_another_tube_is_refused_by_name(small, tmp_path):
     file, text = tmp_path / "small.toml", small.read_text()
     map_beside(file).write_bytes(map_beside(small).read_bytes())
     for changed, message in (
@@ -178,10 +168,7 @@ def test_passes_and_what_is_scored():
         load_case(None, "test", 1, "in", "back")
 
 
-def test_commands_take_the_file(small, tmp_path, capsys):
-    arguments = ["--tube", str(small), "--limit", "1", "--fidelity", "fast", "--output", str(tmp_path / "e")]
-    assert main(["evaluate", "slow-down", "constant", *arguments]) == 0
-    assert "1 of 1 complete" in capsys.readouterr().out
+def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
     broken = tmp_path / "broken.toml"
     broken.write_text("[contact]\nfriction = 2.0\n")
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0

@@ -169,10 +169,7 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
         wanted = np.trapezoid(rate[k:], np.minimum(places[k:], CONFIG.scene.tube.helix_length))
         assert worth_of_rest(tube, np.array([places[k]]), CONFIG, vibration)[0] == pytest.approx(wanted, rel=1e-9)
     assert worth_of_rest(tube, np.array([CONFIG.scene.tube.helix_length]), CONFIG, vibration)[0] == 0.0
-
-
-def test_the_rest_reaches_to_the_end_of_a_helix_that_ends_between_two_knots() -> None:
-    """Beyond the last knot a schedule is what it is there, and so is what a metre of it earns."""
+    # beyond the last knot of a helix a schedule is what it is there, and so is what a metre of it earns
     end = 31.2
     config = TaskConfig(scene=Scene.model_validate({"tube": {"helix_length": end}, "carrier_length": 20.0}))
     last = knots(config)[-1]

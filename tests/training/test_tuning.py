@@ -73,7 +73,7 @@ def reward(training, phase):
     return worth - (settings["n_steps"] == 4) - (len(training.network.net_arch) == 2) + 0.1 * phase
 
 
-def stub(training, seed, folder, origin, position, watch):
+def stub(training, folder, origin, seed, position, watch):
     """In the place of a training."""
     for phase in range(1, training.phases + 1):
         watch({"phase": phase, "reward": reward(training, phase), "wall_s": 1.0, "validation_s": 0.5})
@@ -125,14 +125,14 @@ def test_broken_off_again_and_again_equals_never_broken_off(tmp_path, whole, mon
     """In the first trial and the last, in those that are drawn and those that TPE asks for, in either phase."""
     breaks = {(0, 1), (1, 2), (1, 1), (10, 1), (TRIALS - 1, 1)}
 
-    def breaking(training, seed, folder, origin, position, watch):
+    def breaking(training, folder, origin, seed, position, watch):
         def interrupted(row):
-            if (point := (int(folder.parent.name), row["phase"])) in breaks:
+            if (point := (int(folder.name), row["phase"])) in breaks:
                 breaks.remove(point)
                 raise KeyboardInterrupt
             watch(row)
 
-        stub(training, seed, folder, origin, position, interrupted)
+        stub(training, folder, origin, seed, position, interrupted)
 
     monkeypatch.setattr(module, "train", breaking)
     breaks_off = 0
@@ -165,10 +165,10 @@ def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
 
 
 def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, monkeypatch, capsys):
-    def breaking(training, seed, folder, origin, position, watch):
+    def breaking(training, folder, origin, seed, position, watch):
         if training.learning["learning_rate"] > 2e-3:
             raise ValueError("weights that are not finite")
-        stub(training, seed, folder, origin, position, watch)
+        stub(training, folder, origin, seed, position, watch)
 
     monkeypatch.setattr(module, "train", breaking)
     search(tuning_of(tmp_path), 6, tmp_path)
@@ -223,10 +223,10 @@ def test_the_command_goes_on_and_leaves_a_training_file_with_the_best_parameters
 
 
 def test_an_interrupted_search_says_how_many_trials_are_stored(tmp_path, monkeypatch, capsys):
-    def interrupting(training, seed, folder, origin, position, watch):
-        if folder.parent.name == "0002":
+    def interrupting(training, folder, origin, seed, position, watch):
+        if folder.name == "0002":
             os.kill(os.getpid(), signal.SIGINT)
-        stub(training, seed, folder, origin, position, watch)
+        stub(training, folder, origin, seed, position, watch)
 
     monkeypatch.setattr(module, "train", interrupting)
     output = tmp_path / "out"
