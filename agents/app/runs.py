@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from agents.evaluation.plan import Plan, Unit
 from agents.evaluation.run import plan_of
+from agents.policies.cases import load_case
 from agents.policies.catalogue import name_and_spec, own_policies
 from agents.policies.fixed import STUDY_AIR, STUDY_FEED
-from agents.policies.places import load_case
 from agents.records.models import Stored
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.pictures.strip import Motion

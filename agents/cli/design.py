@@ -45,7 +45,7 @@ class Compare:
         """Run what is missing, store, print."""
         from agents.design.compare import compare, print_comparison
         from agents.design.trials import DesignTrials
-        from agents.policies.places import load_case
+        from agents.policies.cases import load_case
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import checked_name, name_of
         from probe_env.fidelity import resolve_fidelity
@@ -60,7 +60,7 @@ class Compare:
         designs = {name: _design(path, place.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
-        config = place.config.all_shown
+        config = place.config.full_observation
         fidelity = resolve_fidelity(self.fidelity, config.scene)
         trials = DesignTrials(place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube)
         print_comparison(compare(designs, trials, self.output))
@@ -111,7 +111,7 @@ class DesignSearch:
         """Search, store, print."""
         from agents.design.problem import design_problem
         from agents.design.search import run_design_search
-        from agents.policies.places import load_case
+        from agents.policies.cases import load_case
 
         place = load_case(self.tube, self.contexts, self.limit)
         problem = design_problem(self.feed, self.full, place, self.fidelity)

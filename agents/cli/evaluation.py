@@ -136,7 +136,7 @@ class Render:
     def run(self) -> None:
         """Simulate, draw, write."""
         from agents.evaluation.film import Look, render_episode, render_strip
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
 
         if self.at is not None and self.view != "strip":
             raise ValueError(f"at = {self.at!r} m is of the strip: add --view strip")
@@ -184,7 +184,7 @@ class Signal:
     def run(self) -> None:
         """Simulate, draw, write, print."""
         from agents.evaluation.signal import Look, draw_curves, run_signal
-        from agents.policies.places import load_case, plant_at
+        from agents.policies.cases import load_case, plant_at
 
         plant = plant_at(self.tube)
         spacing = plant.tube.support_spacing if plant else None

@@ -101,7 +101,7 @@ class Calibrate:
 
         from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
         from agents.plant.response import stored_response
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
         from agents.records.manifest import origin, write_json
         from probe_env import Plant
 
@@ -153,7 +153,7 @@ class Recommend:
         """Search, store, simulate, print."""
         from agents.plant.recommendation import Confirmation, recommend
         from agents.plant.response import stored_response
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
 
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
@@ -185,7 +185,7 @@ class Plc:
     def run(self) -> None:
         """Write, print."""
         from agents.plant.plc_export import print_law, write_law
-        from agents.policies.places import load_case
+        from agents.policies.cases import load_case
         from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:

@@ -26,8 +26,8 @@ from agents.evaluation.statistics import (
     summarise,
 )
 from agents.evaluation.workers import HERE, Workers
+from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.catalogue import domains_of, named_policies, own_policies
-from agents.policies.places import Place, load_case
 from agents.policies.policy import check_domains
 from agents.policies.wrappers import BothWays
 from agents.records.manifest import write_json
@@ -85,7 +85,7 @@ def evaluate(
 
 def plan_of(
     specs: Sequence[str],
-    place: Place,
+    place: EvaluationCase,
     seeds: int,
     fidelity: str | Fidelity,
     probes: Probes = "scene",
@@ -98,7 +98,7 @@ def plan_of(
     """
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = place.config.all_shown
+    config = place.config.full_observation
     policies = named_policies(specs, config, place.vibration, classes=True)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
     check_domains(domains_of(specs, forth), config, place.contexts, strict)

@@ -15,8 +15,8 @@ from agents.evaluation import figures, statistics
 from agents.evaluation.folder import read_episodes
 from agents.evaluation.recording import Chart, Insertion, insert
 from agents.evaluation.statistics import grouped
+from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import make_policy
-from agents.policies.places import Place
 from agents.records.atomic import write_atomically
 from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
@@ -83,7 +83,7 @@ class Look:
     seed: int = 0
 
 
-def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path) -> pd.DataFrame:
+def run_signal(spec: str, place: EvaluationCase, fidelity: str, look: Look, output: Path) -> pd.DataFrame:
     """Simulate an insertion; prints its flaws, writes channels, flaws and periods.csv, signal.json and two figures.
 
     Returns:
@@ -93,7 +93,7 @@ def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path)
         ValueError: an argument is not valid; nothing was written.
         RuntimeError: the simulation diverged; nothing was written.
     """
-    config = place.config.all_shown
+    config = place.config.full_observation
     spacing = SPACING if look.support_spacing is None else look.support_spacing
     within("context", look.context, 0, len(place.contexts) - 1, "")
     within("support_spacing", spacing, 0.05, 100.0, "m")

@@ -13,8 +13,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from pydantic_core import PydanticCustomError
 
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
+from agents.policies.cases import case_of, map_of
 from agents.policies.catalogue import make_policy
-from agents.policies.places import map_of, place_of
 from agents.policies.plc_law import Constants
 from agents.policies.policy import Policy
 from agents.policies.view import View, guide_of
@@ -163,12 +163,12 @@ class Training(Model):
         plant, named = self.environment.tube, self.environment.contexts
         if plant is None:
             return named
-        return plant.contexts(RANDOM_TUBES) if named == "random" else place_of(plant, named).contexts
+        return plant.contexts(RANDOM_TUBES) if named == "random" else case_of(plant, named).contexts
 
     @property
     def validated_in(self) -> tuple[Context, ...]:
         """Tubes in which the best model is chosen."""
-        return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+        return case_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
 
     @property
     def validation_fidelity(self) -> Fidelity:
@@ -186,7 +186,9 @@ class Training(Model):
         """Who is imitated first."""
         if self.imitation is None:
             return None
-        return make_policy(self.imitation.teacher, self.task.all_shown, self.vibration)  # may look at more than it
+        return make_policy(
+            self.imitation.teacher, self.task.full_observation, self.vibration
+        )  # may look at more than it
 
     @property
     def view(self) -> View:

@@ -251,7 +251,7 @@ class ViewVecEnv(VecEnvWrapper):
 
 def _environments(training: Training, threads: int | None) -> tuple[ViewVecEnv, Plan]:
     """Environments to train in, and the validation without its agent."""
-    settings, task = training.environment, training.task.all_shown
+    settings, task = training.environment, training.task.full_observation
     batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, task,
         fidelity=settings.fidelity, contexts=training.trained_in, probes=settings.probes, threads=threads,

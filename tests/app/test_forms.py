@@ -10,8 +10,8 @@ from agents.app import schedules
 from agents.app.forms import TubeForm, text_of, tube_fields, value_of
 from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
+from agents.policies.cases import load_case
 from agents.policies.catalogue import DATA
-from agents.policies.places import load_case
 from agents.records.shipped import shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant

@@ -13,7 +13,7 @@ from agents.app.run_store import new_folder, read_request, stored_run, stored_ru
 from agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.run import evaluate_plan, plan_of
-from agents.policies.places import load_case
+from agents.policies.cases import load_case
 from probe_env.inspection.detection import threshold
 from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import GROOVE, Sensor

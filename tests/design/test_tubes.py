@@ -7,7 +7,7 @@ import pytest
 
 from agents.cli import main
 from agents.design.problem import DesignProblem, design_problem
-from agents.policies.places import load_case
+from agents.policies.cases import load_case
 from probe_env import Design
 
 OWN = """

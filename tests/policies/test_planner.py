@@ -211,10 +211,10 @@ def test_a_planner_beats_the_map_that_it_looks_beyond(seeds: Callable[[int], Seq
     """
     config, gain, deviation, runs = TaskConfig(scene={"tube": {"helix_length": 30.0}}), 2.98, 1.11, 8
     policies = {
-        "planner": InsertionPlanner(config.all_shown, candidates=4, periods=3, every=3),
-        "by the map": make_policy("privileged", config.all_shown),
+        "planner": InsertionPlanner(config.full_observation, candidates=4, periods=3, every=3),
+        "by the map": make_policy("privileged", config.full_observation),
     }
-    plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.all_shown, resolve_fidelity("fast"))
+    plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.full_observation, resolve_fidelity("fast"))
     rewards = run_plan(plan, None, progress=False).pivot(index="seed", columns="policy", values="reward")
     least = gain - of_another(deviation, 16, members=runs)
     assert (rewards["planner"] - rewards["by the map"]).mean() > least > 0.0

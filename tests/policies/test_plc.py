@@ -8,8 +8,8 @@ import pytest
 
 from agents.cli import main
 from agents.plant.plc_export import structured_text, table, write_law
+from agents.policies.cases import load_case
 from agents.policies.catalogue import make_policy
-from agents.policies.places import load_case
 from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
@@ -33,7 +33,7 @@ from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
 from tests.oracles.structured_text import FunctionBlock, block_inputs
 
-CONFIG = TaskConfig().all_shown
+CONFIG = TaskConfig().full_observation
 PLANT = PlantData.of(CONFIG)
 TRIM = Trim(aim=4e-5, time=60.0)
 

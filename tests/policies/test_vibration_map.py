@@ -9,6 +9,7 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from agents.policies.cases import plant_at
 from agents.policies.on_map import (
     Adaptive,
     Privileged,
@@ -17,7 +18,6 @@ from agents.policies.on_map import (
     grid,
     knots,
 )
-from agents.policies.places import plant_at
 from agents.policies.view import HALF_RANGE, MIDDLE, View
 from agents.records.reading import FileError
 from agents.studies.builtin import Request
@@ -211,7 +211,7 @@ def test_an_agent_that_sees_the_probe_estimates_friction_with_its_floats():
     """Small floats have less drag, so less tension: taken for table 2's they look like much more friction."""
     probe = {"carrier_float_diameter": 0.0175, "guide_float_diameter": 0.0175}
     scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5)
-    config = CONFIG.all_shown
+    config = CONFIG.full_observation
     place = {name: k for k, name in enumerate(config.observations)}
     row = np.zeros((1, len(place)), dtype=np.float32)
     measured = {

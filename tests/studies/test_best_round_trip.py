@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from agents.plant.recommendation import MARGIN, pressed, pulled, safe_air
+from agents.policies.cases import both_ways, case_of
 from agents.policies.catalogue import make_policy
-from agents.policies.places import both_ways, place_of
 from agents.studies.builtin import Request
 from agents.studies.shipped import best_round_trip as searched
 from agents.studies.shipped.best_round_trip import (
@@ -32,8 +32,8 @@ from probe_env.inspection.tally import POD_NAMES
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.schedule import BACK, FORTH, Schedule
 
-CONFIG = both_ways(place_of(None, "train", 1), "best").config
-TUBES = place_of(None, "train").contexts
+CONFIG = both_ways(case_of(None, "train", 1), "best").config
+TUBES = case_of(None, "train").contexts
 SPACE = ranges(CONFIG, TUBES)
 PLANT = Plant(
     tube=Tubes(inner_diameter=23e-3, helix_length=45.0),
@@ -126,7 +126,7 @@ def test_the_file_says_both_ways(tmp_path: Path) -> None:
 
 def test_what_is_tried_is_what_the_device_can_do() -> None:
     """Of a plant with steps, whose air is less than the study's: starts are moved into its range."""
-    place = both_ways(place_of(PLANT, "train", 6), "best")
+    place = both_ways(case_of(PLANT, "train", 6), "best")
     config, space = place.config, ranges(place.config, place.contexts)
     wanted = dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True))
     given = as_given(config, wanted)
@@ -162,7 +162,7 @@ def test_air_is_safe_in_every_tube() -> None:
         assert (max(pressed(CONFIG, tube, air, feeds[0]) for tube in TUBES) <= load / MARGIN) == safe
     pulls = pulled(CONFIG, TUBES, np.array([air_in - 1.0, air_in]), feeds[1])
     assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
-    unseen = place_of(None, "test").contexts
+    unseen = case_of(None, "test").contexts
     assert [k for k, tube in enumerate(unseen) if pressed(CONFIG, tube, 130.0, 0.4) > load] == [29]
     fewer = safe_air(CONFIG, TUBES[:6], feeds)
     assert fewer[0] <= air_in

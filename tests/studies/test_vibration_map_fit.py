@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.policies.places import load_case, map_beside
+from agents.policies.cases import load_case, map_beside
 from agents.studies.builtin import Request
 from agents.studies.shipped import vibration_map as maker
 from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map

@@ -17,9 +17,9 @@ from safetensors.numpy import load_file
 from agents.cli import main
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
+from agents.policies.cases import plant_at
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
-from agents.policies.places import plant_at
 from agents.policies.view import View
 from agents.policies.wrappers import BothWays
 from agents.training.config import Training
@@ -293,7 +293,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
     path = str(tmp_path / "seed-0" / BEST)
     config = TaskConfig(
         passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
-    ).all_shown
+    ).full_observation
     agent = make_policy(path, config)
     assert isinstance(agent, Agent)
     asked, predict, way = [], agent.predict, list(config.observations).index("way")
@@ -310,7 +310,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())
     with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
-        make_policy(path, TaskConfig().all_shown)
+        make_policy(path, TaskConfig().full_observation)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
 
@@ -321,12 +321,12 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     view = View(observations=tuple(task.observations))
     description = Description(algorithm="ppo", network=Network(net_arch=(8,)), view=view, task=task, trained={})
     write_bundle(path, description, build_policy(description))
-    config = TaskConfig(passes="both").all_shown
+    config = TaskConfig(passes="both").full_observation
     policy = make_policy(str(path), config)
     assert policy.domain.helix_length == 60.0
     rows = np.random.default_rng(0).uniform(-1.0, 1.0, (3, len(config.observations))).astype(np.float32)
     actions, state = policy.predict(rows, deterministic=True)
-    stepped = TaskConfig(passes="both", feed_speed_step=0.05).all_shown
+    stepped = TaskConfig(passes="both", feed_speed_step=0.05).full_observation
     own, _ = make_policy(str(path), stepped).predict(rows, deterministic=True)
     feed, air = config.targets(actions).T
     requested, blown = TaskConfig().targets(own).T
@@ -343,4 +343,4 @@ def test_both_ways_need_a_method_that_goes_back():
         settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
             Training(**settings)
-    assert isinstance(make_policy("ppo", TaskConfig(passes="both").all_shown), BothWays)
+    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), BothWays)

@@ -16,8 +16,8 @@ from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
+from agents.policies.cases import case_of
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
@@ -94,8 +94,8 @@ def run(request: Request) -> None:
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
     """The constants of plc-law: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
-    whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
-    config = whole.config.all_shown
+    whole, place = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
+    config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
@@ -105,8 +105,8 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
 
     def simulated(laws: list[Constants]) -> list[float]:
         nonlocal done
-        policies = {f"law-{done + k}": PlcLaw(place.config.all_shown, law) for k, law in enumerate(laws)}
-        plan = Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity("fast"))
+        policies = {f"law-{done + k}": PlcLaw(place.config.full_observation, law) for k, law in enumerate(laws)}
+        plan = Plan(policies, place.contexts, config=place.config.full_observation, fidelity=resolve_fidelity("fast"))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
         done += len(laws)
         commits.extend(table["commit"])
@@ -147,8 +147,8 @@ def _searched(
 
 def search_trim(limit: int, request: Request) -> Trim:
     """The constants of trimmed-law: a grid of aims and times, compared with the law without a trim."""
-    place = place_of(None, "train", limit)
-    config = place.config.all_shown
+    place = case_of(None, "train", limit)
+    config = place.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
     policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
     policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}

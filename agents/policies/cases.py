@@ -33,7 +33,7 @@ class Named(NamedTuple):
 TABLE_2: Final = Named("table 2", "", "")
 
 
-class Place(NamedTuple):
+class EvaluationCase(NamedTuple):
     """An evaluation case: task, tubes, vibration map, and the plant."""
 
     config: TaskConfig
@@ -42,7 +42,7 @@ class Place(NamedTuple):
     tube: Named = TABLE_2
 
 
-def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> Place:
+def case_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> EvaluationCase:
     """A shipped list of tubes, or as many tubes sampled from the ranges of a plant, others for each list.
 
     Args:
@@ -56,10 +56,10 @@ def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibra
     """
     vibration, most = vibration or stored_map(), SPLIT_SIZES[split]
     if plant is None:
-        return Place(TaskConfig(), spread_contexts(split, limit), vibration)
+        return EvaluationCase(TaskConfig(), spread_contexts(split, limit), vibration)
     if not 0 <= limit <= most:
         raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
-    return Place(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), vibration)
+    return EvaluationCase(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), vibration)
 
 
 def plant_at(tube: Path | None) -> Plant | None:
@@ -101,7 +101,7 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
-def both_ways(case: Place, inspects: str) -> Place:
+def both_ways(case: EvaluationCase, inspects: str) -> EvaluationCase:
     """The same case with a task of both passes and twice the time; ``inspects`` as in ``TaskConfig``."""
     update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * case.config.time_limit}
     return case._replace(config=case.config.model_copy(update=update))
@@ -113,7 +113,7 @@ def load_case(
     limit: int = 0,
     passes: Literal["in", "both"] | None = None,
     inspects: Literal["in", "back", "best"] | None = None,
-) -> Place:
+) -> EvaluationCase:
     """The task, tubes and map of a plant, or of the shipped lists, for the passes to be made.
 
     Args:
@@ -128,7 +128,7 @@ def load_case(
         ValueError: an argument or a file is not valid.
     """
     plant = plant_at(tube)
-    case = place_of(plant, split, limit, map_of(tube, plant))
+    case = case_of(plant, split, limit, map_of(tube, plant))
     if tube is not None and plant is not None:
         name = checked_name(name_of(tube), "a tube's file is called")
         bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
