@@ -16,7 +16,7 @@ from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
 from agents.policies.plc_law import PlcLaw, TrimmedLaw
 from agents.policies.policy import Domain, Policy
-from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, unshielded, way_in
+from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -62,27 +62,29 @@ def named_policies(
 def name_and_spec(argument: str) -> tuple[str, str]:
     """Name and spec of a policy argument; an existing file wins, whatever characters its name has."""
     if argument.startswith(PREFIX):
-        name, spec = name_and_spec(unshielded(argument))
+        name, spec = name_and_spec(argument.removeprefix(PREFIX))
         return f"shielded-{name}", PREFIX + spec
     splits = [(argument[:k], argument[k + 1 :]) for k, character in enumerate(argument) if character == "="]
     if _is_file(argument) or not splits:
         custom = CLASS.fullmatch(argument)
         return custom["name"] if custom else name_of(Path(argument)) if "." in argument else argument, argument
-    return next((split for split in splits if _is_known(unshielded(split[1])) or _is_file(split[1])), splits[0])
+    return next((split for split in splits if _is_known(split[1])), splits[0])
 
 
 def _is_known(spec: str) -> bool:
-    return spec in (*NAMES, *shipped_names("schedules")) or agent_file(spec) is not None or bool(CLASS.fullmatch(spec))
+    bare = spec.removeprefix(PREFIX)
+    named = bare in (*NAMES, *shipped_names("schedules")) or agent_file(bare) is not None
+    return named or bool(CLASS.fullmatch(bare)) or _is_file(spec)
 
 
 def _is_file(spec: str) -> bool:
-    path = Path(unshielded(spec))
+    path = Path(spec.removeprefix(PREFIX))
     return path.suffix in (".csv", ".toml", ".json", ".safetensors") and path.exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
     """Names of the user's own policies: classes, and files except for agents that ship."""
-    pairs = [(name, unshielded(spec)) for name, spec in map(name_and_spec, specs)]
+    pairs = [(name, spec.removeprefix(PREFIX)) for name, spec in map(name_and_spec, specs)]
     return [
         name
         for name, spec in pairs
@@ -110,9 +112,9 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if config.returns:
         return _both_ways(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
-        if unshielded(spec) in PLANNERS:
+        if spec.removeprefix(PREFIX) in PLANNERS:
             raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
-        return Shielded(config, make_policy(unshielded(spec), config, vibration, classes))
+        return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
     spec = policy_file(spec)
     suffix = Path(spec).suffix
     if spec in BUILT_IN:
@@ -162,10 +164,9 @@ def _custom(config: TaskConfig, module: str, name: str) -> Policy:
     if missing:
         raise ValueError(f"policy = {spec!r}: the class has no method {' and no method '.join(missing)}")
     try:
-        policy: Policy = kind(config)
+        return kind(config)  # type: ignore[no-any-return]
     except Exception as error:
         raise ValueError(f"policy = {spec!r} cannot be made for the task ({_reason(error)})") from error
-    return policy
 
 
 def _reason(error: Exception) -> str:
@@ -178,9 +179,8 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, cl
     if spec in PLANNERS:
         names = ", ".join(INSPECTION_PLANNERS)
         raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
-    file = Path(policy_file(unshielded(spec)))
-    trained = _agent(file).config if file.suffix == ".safetensors" else None
-    if trained is not None and trained.returns:
+    file = Path(policy_file(spec.removeprefix(PREFIX)))
+    if file.suffix == ".safetensors" and _agent(file).config.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
         return _agent(file, config)
@@ -201,7 +201,7 @@ def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str
     domains: dict[str, Domain | None] = {}
     for name, spec in map(name_and_spec, specs):
         policy = policies[name]
-        shipped = policy_file(unshielded(spec)) in (*STORED, BY_DIAMETER)
+        shipped = policy_file(spec.removeprefix(PREFIX)) in (*STORED, BY_DIAMETER)
         domains[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
     return domains
 

@@ -125,11 +125,6 @@ class Shielded(_Wrapper):
         return np.column_stack([np.where(short, np.minimum(feed, slower), feed), np.where(short, more, air)])
 
 
-def unshielded(spec: str) -> str:
-    """The spec of the policy behind the shield, if there is one."""
-    return spec.removeprefix(PREFIX)
-
-
 def fastest_back(config: TaskConfig) -> Schedule:
     """The fastest withdrawal of the feed device, with the study's air or the nearest possible."""
     feed, air = config.given(config.feed_speeds[1], STUDY_AIR)[0]

@@ -261,12 +261,16 @@ def axes_of(training: Training) -> dict[str, Axis]:
         return USUAL[training.algorithm] | ({ROLLOUT: rollouts} if len(rollouts) > 1 else {})
     tables = [name for name in ("learning", "network", "imitation") if getattr(training, name) is not None]
     axes: dict[str, Axis] = {}
-    plain = training.model_copy(update={"search": None})
     for table, fields in training.search.items():
         if table not in tables:
             accepted = ", ".join(tables)
             raise _search_error(f".{table}", f"is nothing of this file that can be searched; accepted: {accepted}")
-        axes |= {f"{table}.{field}": _axis(plain, f"{table}.{field}", value) for field, value in fields.items()}
+        for field, value in fields.items():
+            try:
+                axes[f"{table}.{field}"] = _axis(training.model_copy(update={"search": None}), table, field, value)
+            except ValueError as error:
+                problem = explain(error) if isinstance(error, ValidationError) else str(error)
+                raise _search_error(f".{table}.{field}", problem) from error
     if not axes:
         raise _search_error("", "names nothing to search")
     return axes
@@ -294,32 +298,27 @@ def value_in(training: Training, name: str) -> Any:
     return training.learning.get(field, arguments[field].default)
 
 
-def _axis(training: Training, name: str, value: Any) -> Axis:
+def _axis(training: Training, table: str, field: str, value: Any) -> Axis:
     """Choices, each of which the training accepts, or a range whose ends it accepts."""
-    table, _, field = name.partition(".")
+    axis: Axis = Range.model_validate(value) if isinstance(value, dict) else value
+    ends = (axis.low, axis.high) if isinstance(axis, Range) else axis
+    if not (isinstance(ends, tuple) and len(ends) > 1 and all(ends.count(choice) == 1 for choice in ends)):
+        raise ValueError(f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}")
     sizes = training.network.arguments(training.algorithm)
-    try:
-        axis: Axis = Range.model_validate(value) if isinstance(value, dict) else value
+    if table == "network" and field not in sizes:
+        raise ValueError(f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
+    for choice in ends:
+        with_values(training, {f"{table}.{field}": choice})
+    if f"{table}.{field}" == ROLLOUT and training.algorithm != "sac":
         if isinstance(axis, Range):
-            values: tuple[Any, ...] = (axis.low, axis.high)
-        elif isinstance(axis, tuple) and len(axis) > 1 and all(axis.count(choice) == 1 for choice in axis):
-            values = axis
-        else:
-            problem = f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}"
-            raise _search_error(f".{name}", problem)
-        if table == "network" and field not in sizes:
-            raise _search_error(f".{name}", f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
-        for one in values:
-            with_values(training, {name: one})
-    except ValidationError as error:
-        raise _search_error(f".{name}", explain(error)) from error
-    if name == ROLLOUT and training.algorithm != "sac":
-        if isinstance(axis, Range):
-            raise _search_error(f".{name}", "must be a list of choices, as rollouts have to fill phases")
+            raise ValueError("must be a list of choices, as rollouts have to fill phases")
         for steps in axis:
             if not _fills_phases(training, steps):
-                filled = f"{training.phase_steps} steps of a phase in {training.environment.num_envs} environments"
-                raise _search_error(f".{name}", f"{steps}: the {filled} are no whole number of such rollouts")
+                environments = training.environment.num_envs
+                raise ValueError(
+                    f"{steps}: the {training.phase_steps} steps of a phase in {environments} environments are no whole"
+                    " number of such rollouts"
+                )
     return axis
 
 
