@@ -178,7 +178,7 @@ class Plc:
     csv: Path | None = None
     """File of the law as a table over helix diameter, friction and length."""
     trimmed: bool = False
-    """Add integral action on the noise, as in the policy trimmed-law; needs --st."""
+    """Add integral action on the noise, as in the policy plc-integral; needs --st."""
     tube: Path | None = None
     """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
 

@@ -115,7 +115,7 @@ def write_law(
         warnings.warn(
             f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, was"
             f" chosen for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube's file, or"
-            " evaluate shielded:plc-law",
+            " evaluate shielded:plc-proportional",
             stacklevel=2,
         )
     check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/policies/data/``."""
-LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-law": PlcLaw, "trimmed-law": TrimmedLaw}
+LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-proportional": PlcLaw, "plc-integral": TrimmedLaw}
+OLD_NAMES: Final = {"plc-law": "plc-proportional", "trimmed-law": "plc-integral"}
+"""Names before version 0.1.0, which stored results have, and are still accepted."""
 BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
 CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
@@ -73,7 +75,7 @@ def name_and_spec(argument: str) -> tuple[str, str]:
 
 def _is_known(spec: str) -> bool:
     bare = spec.removeprefix(PREFIX)
-    named = bare in (*NAMES, *shipped_names("schedules")) or agent_file(bare) is not None
+    named = bare in (*NAMES, *OLD_NAMES, *shipped_names("schedules")) or agent_file(bare) is not None
     return named or bool(CLASS.fullmatch(bare)) or _is_file(spec)
 
 
@@ -115,7 +117,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         if spec.removeprefix(PREFIX) in PLANNERS:
             raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
         return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
-    spec = policy_file(spec)
+    spec = policy_file(OLD_NAMES.get(spec, spec))
     suffix = Path(spec).suffix
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]

@@ -24,7 +24,7 @@ CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
 
 def guide_of(guide: Any) -> Any:
     """The constants of a law that is named: kept with the agent, whatever becomes of the shipped ones."""
-    return read_constants() if guide == "plc-law" else guide
+    return read_constants() if guide in ("plc-proportional", "plc-law") else guide
 
 
 class View(Model):

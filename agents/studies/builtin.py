@@ -92,6 +92,6 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "best-schedules": BuiltIn(f"{HERE}.shipped.best_schedules:run", "Searches best-constant and best-schedule."),
     "best-round-trip": BuiltIn(f"{HERE}.shipped.best_round_trip:run", "Searches feed and air in and back."),
     "response": BuiltIn(f"{HERE}.shipped.response:run", "Makes the response that calibrations go by."),
-    "plc-constants": BuiltIn(f"{HERE}.shipped.plc_constants:run", "Searches the constants of plc-law, trimmed-law."),
+    "plc-constants": BuiltIn(f"{HERE}.shipped.plc_constants:run", "Searches the constants of the PLC laws."),
 }
 """Name -> study."""

@@ -97,7 +97,7 @@ class Training(Model):
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
     """The agent never blows less; 0: the task's own least."""
     guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
-    """A law that the agent corrects, "plc-law" or its ten constants; see ``View``."""
+    """A law that the agent corrects, "plc-proportional" or its ten constants; see ``View``."""
     learning: dict[str, int | float | bool] = Field(default_factory=dict)
     imitation: Imitation | None = None
     validation: Validation = Validation()

@@ -70,7 +70,7 @@ def test_a_bundle_keeps_the_law_that_it_was_trained_on(tmp_path: Path) -> None:
 
 
 def test_a_guide_is_named_and_needs_its_feeds_and_its_observations() -> None:
-    training = Training.model_validate({"guide": "plc-law"})
+    training = Training.model_validate({"guide": "plc-proportional"})
     assert training.view.guide == read_constants()
     assert training.view.size == View(friction_estimate=False).size + 2
     with pytest.raises(ValueError, match="guide"):

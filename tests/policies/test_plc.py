@@ -9,7 +9,7 @@ import pytest
 from agents.cli import main
 from agents.plant.plc_export import structured_text, table, write_law
 from agents.policies.cases import load_case
-from agents.policies.catalogue import make_policy
+from agents.policies.catalogue import OLD_NAMES, make_policy, name_and_spec
 from agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
@@ -176,8 +176,11 @@ def test_text_has_no_exponents_and_a_table_says_what_the_law_does():
 
 
 def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):
-    assert make_policy("plc-law", CONFIG).describe() == {"policy": "PlcLaw"} | read_constants().model_dump()
-    assert make_policy("trimmed-law", CONFIG).describe()["aim"] == read_trim().aim
+    assert make_policy("plc-proportional", CONFIG).describe() == {"policy": "PlcLaw"} | read_constants().model_dump()
+    assert make_policy("plc-integral", CONFIG).describe()["aim"] == read_trim().aim
+    for old, new in OLD_NAMES.items():
+        assert make_policy(old, CONFIG).describe() == make_policy(new, CONFIG).describe()
+        assert name_and_spec(f"a=b={old}") == ("a=b", old)
     path = tmp_path / "law.json"
     for read, key in ((read_constants, "constants"), (read_trim, "trim")):
         for text, message in (

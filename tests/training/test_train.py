@@ -43,8 +43,8 @@ TINY = {
 PPO = {**TINY, "learning": {"n_steps": 16, "batch_size": 32, "n_epochs": 2}}
 IMITATING = {**PPO, "imitation": {"teacher": "slow-down", "rounds": 2, "steps": 32, "epochs": 2}}
 GUIDED = {
-    **PPO, "guide": "plc-law", "network": {"net_arch": (8,), "noise_interval": 4},
-    "imitation": {"teacher": "plc-law", "rounds": 1, "steps": 32, "epochs": 2},
+    **PPO, "guide": "plc-proportional", "network": {"net_arch": (8,), "noise_interval": 4},
+    "imitation": {"teacher": "plc-proportional", "rounds": 1, "steps": 32, "epochs": 2},
 }  # fmt: skip
 RECURRENT = {**PPO, "algorithm": "recurrent-ppo"}
 SAC = {**TINY, "algorithm": "sac", "learning": {"learning_starts": 16, "buffer_size": 256, "batch_size": 8}}

@@ -75,7 +75,7 @@ def point_of(constants: Constants) -> FloatArray:
 
 
 def run(request: Request) -> None:
-    """Search the ten constants of plc-law, then the two of trimmed-law; store and print.
+    """Search the ten constants of plc-proportional, then the two of plc-integral; store and print.
 
     Writes plc-law.json, trimmed-law.json and every trial; what was simulated is kept and not played again. ``trials``
     are laws tried on the map, ``limit`` training tubes that are simulated, the first, which are balanced.
@@ -92,7 +92,7 @@ def run(request: Request) -> None:
 
 
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
-    """The constants of plc-law: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
+    """The constants of plc-proportional: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
     whole, place = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
     config = whole.config.full_observation
@@ -146,7 +146,7 @@ def _searched(
 
 
 def search_trim(limit: int, request: Request) -> Trim:
-    """The constants of trimmed-law: a grid of aims and times, compared with the law without a trim."""
+    """The constants of plc-integral: a grid of aims and times, compared with the law without a trim."""
     place = case_of(None, "train", limit)
     config = place.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
