@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, get_args, get_origin
 import tomli_w
 from pydantic import ValidationError
 
-from agents.policies.places import plant_at
+from agents.policies.cases import plant_at
 from agents.records.atomic import write_atomically
 from agents.records.shipped import file_or_shipped, ships
 from agents.terminal.refusals import refusal

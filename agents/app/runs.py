@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from agents.evaluation.plan import Plan, Unit
 from agents.evaluation.run import plan_of
+from agents.policies.cases import load_case
 from agents.policies.catalogue import name_and_spec, own_policies
 from agents.policies.fixed import STUDY_AIR, STUDY_FEED
-from agents.policies.places import place_at
 from agents.records.models import Stored
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.pictures.strip import Motion
@@ -105,7 +105,7 @@ class RunRequest(Stored):
 
     def plan(self) -> Plan:
         """The evaluation plan."""
-        place = place_at(self.tube, "test", self.limit)
+        place = load_case(self.tube, "test", self.limit)
         plan = plan_of(self.policies or ("constant",), place, 1, self.fidelity)
         if not self.manual:
             return plan

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from agents.plant.logs import read_log
+from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
-from agents.policies.lookup import FIRST
-from agents.policies.places import Place
+from agents.policies.on_map import FIRST
 from agents.records.shipped import file_or_shipped
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, metre_reward
@@ -107,7 +107,7 @@ class Prediction:
     reward: float  # mean of an insertion, without jerk and lost drive, which are not in the map
 
 
-def predict(schedule: Schedule, place: Place) -> Prediction:
+def predict(schedule: Schedule, place: EvaluationCase) -> Prediction:
     """Prediction for a schedule in the tubes of a place; the simulation can differ."""
     if schedule.over != "inserted_length":
         raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
@@ -142,11 +142,11 @@ class Line(NamedTuple):
     air: FloatArray
 
 
-def policy_line(spec: str, place: Place) -> Line:
+def policy_line(spec: str, place: EvaluationCase) -> Line:
     """Feed and air of a policy or a schedule file in the first tube of a place."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the line shows what the device can feed
-        policy = make_policy(spec, place.config.all_shown, place.vibration)
+        policy = make_policy(spec, place.config.full_observation, place.vibration)
     if isinstance(policy, Replayed):  # over time
         schedule = policy.schedule
         length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)

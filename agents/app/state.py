@@ -10,7 +10,7 @@ from agents.app.forms import TubeForm
 from agents.app.run_store import new_folder
 from agents.app.runs import Command, Run, RunQueue, RunRequest
 from agents.app.schedules import Points, csv_text, points_of, schedule_of
-from agents.policies.places import Place, map_of, place_of
+from agents.policies.cases import EvaluationCase, case_of, map_of
 from agents.records.atomic import write_atomically
 from agents.records.shipped import policy_file
 from agents.terminal.names import checked_name, name_of
@@ -38,12 +38,12 @@ class Session:
     interpolation: Interpolation = "linear"  # schedule
     run: Run | None = None  # run to show; None: none yet
 
-    def place(self, limit: int = 6) -> Place:
+    def place(self, limit: int = 6) -> EvaluationCase:
         """Task, tubes and vibration map of the present tube."""
         if self.tube.is_study:
-            return place_of(None, "test", limit)
+            return case_of(None, "test", limit)
         vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
-        return place_of(self.tube.plant, "test", limit, vibration)
+        return case_of(self.tube.plant, "test", limit, vibration)
 
     def open_schedule(self, path: Path) -> None:
         """Take the points of a schedule file."""

@@ -123,7 +123,7 @@ class Render:
     def run(self) -> None:
         """Simulate, draw, write."""
         from agents.evaluation.film import render_episode, render_strip
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
 
         if self.at is not None and self.view != "strip":
             raise ValueError(f"at = {self.at!r} m is of the strip: add --view strip")
@@ -171,14 +171,14 @@ class Signal:
     def run(self) -> None:
         """Simulate, draw, write, print."""
         from agents.evaluation.signal import draw_curves, run_signal
-        from agents.policies.places import place_at, plant_at
+        from agents.policies.cases import load_case, plant_at
 
         plant = plant_at(self.tube)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
         run_signal(
             self.policy,
-            place_at(self.tube, self.contexts),
+            load_case(self.tube, self.contexts),
             self.fidelity,
             self.output,
             context=self.context,

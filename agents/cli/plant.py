@@ -101,7 +101,7 @@ class Calibrate:
 
         from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
         from agents.plant.response import stored_response
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
         from agents.records.manifest import origin, write_json
         from probe_env import Plant
 
@@ -152,7 +152,7 @@ class Recommend:
         """Search, store, simulate, print."""
         from agents.plant.recommendation import Confirmation, recommend
         from agents.plant.response import stored_response
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
 
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
@@ -177,22 +177,22 @@ class Plc:
     csv: Path | None = None
     """File of the law as a table over helix diameter, friction and length."""
     trimmed: bool = False
-    """Add integral action on the noise, as in the policy trimmed-law; needs --st."""
+    """Add integral action on the noise, as in the policy plc-integral; needs --st."""
     tube: Path | None = None
     """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
 
     def run(self) -> None:
         """Write, print."""
         from agents.plant.plc_export import print_law, write_law
-        from agents.policies.places import place_at
+        from agents.policies.cases import load_case
         from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory to trim with")
         constants = read_constants()
-        place = place_at(self.tube, "test")
+        case = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
-        write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
+        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim)
         print_law(constants, trim)
 
 

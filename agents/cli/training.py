@@ -32,7 +32,7 @@ class Train:
 
     def run(self) -> None:
         """Train, print the learning curves."""
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
         from agents.records.shipped import file_or_shipped
         from agents.training.config import Training
         from agents.training.train import print_curves, train_all

@@ -14,8 +14,8 @@ from tqdm import tqdm
 from agents.design.trials import DesignTrials, claim, tube_column
 from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
 from agents.evaluation.statistics import Interval, failures, in_words, mean_interval, short
+from agents.policies.cases import TABLE_2
 from agents.policies.catalogue import domains_of, name_and_spec
-from agents.policies.places import TABLE_2
 from agents.policies.policy import check_domains
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, write_manifest

@@ -12,8 +12,8 @@ import numpy as np
 
 from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.lookup import least_air
-from agents.policies.places import TABLE_2, Place
+from agents.policies.cases import TABLE_2, EvaluationCase
+from agents.policies.on_map import least_air
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.trials import check_candidate, check_measure, stretch_of
@@ -140,7 +140,7 @@ class DesignProblem(DesignTrials):
         return False
 
 
-def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> DesignProblem:
+def design_problem(feed: str, full: bool, place: EvaluationCase, fidelity: str) -> DesignProblem:
     """The problem that a command names.
 
     Args:
@@ -154,7 +154,7 @@ def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> Design
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    config = place.config.all_shown
+    config = place.config.full_observation
     chosen = resolve_fidelity(fidelity, config.scene)
     problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
     check_measure(config)

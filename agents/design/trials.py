@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from agents.policies.cases import TABLE_2, Named
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Scheduled
-from agents.policies.places import TABLE_2, Named
 from agents.policies.policy import Policy
 from agents.records.manifest import commit, write_json
 from agents.records.models import Stored, read_json
@@ -54,7 +54,7 @@ class DesignTrials:
     feed: str = "constant"
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
-    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
+    config: TaskConfig = field(default_factory=lambda: TaskConfig().full_observation)
     vibration: VibrationMap | None = None
     tube: Named = TABLE_2
 

@@ -34,7 +34,7 @@ from agents.evaluation.statistics import (
 )
 from agents.policies.fixed import Replayed, Scheduled
 from agents.policies.on_map import Privileged
-from agents.policies.planner import InspectionPlanner, Planner
+from agents.policies.planner import InsertionPlanner, InspectionPlanner
 from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
@@ -54,8 +54,8 @@ TUBE: Final = {
     "drag factor": ("drag_factor", 1.0, 2, ""),
 }
 """Header -> column of a tube, factor, digits and unit."""
-ORACLES: Final = frozenset(kind.__name__ for kind in (Privileged, Planner, InspectionPlanner))
-"""Policies that are given the true tube, which a rig cannot measure."""
+ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, InsertionPlanner, InspectionPlanner))])
+"""Policies that are given the true tube, which a rig cannot measure; "Planner" in results before version 0.1.0."""
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""

@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from agents.evaluation import figures, statistics
 from agents.evaluation.folder import read_episodes
+from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import make_policy
-from agents.policies.places import Place
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GREY, GRID, MM, RED, plain, save
@@ -96,7 +96,7 @@ class Chart:
 
 def run_signal(
     spec: str,
-    place: Place,
+    case: EvaluationCase,
     fidelity: str,
     output: Path,
     *,
@@ -110,7 +110,7 @@ def run_signal(
 
     Args:
         spec: of the policy, see ``catalogue.make_policy``.
-        place: task, tubes and map.
+        case: task, tubes and map.
         fidelity: preset without time-lapse.
         output: folder of the files.
         context: index of the tube in the list.
@@ -126,12 +126,12 @@ def run_signal(
         ValueError: an argument is not valid; nothing was written.
         RuntimeError: the simulation diverged; nothing was written.
     """
-    config, spacing = place.config.all_shown, SPACING if support_spacing is None else support_spacing
-    within("context", context, 0, len(place.contexts) - 1, "")
+    config, spacing = case.config.full_observation, SPACING if support_spacing is None else support_spacing
+    within("context", context, 0, len(case.contexts) - 1, "")
     within("support_spacing", spacing, 0.05, 100.0, "m")
     put = flaws_of(flaws, config.scene.tube.helix_length)
-    policy = make_policy(spec, config, place.vibration, classes=True)
-    run = insert(policy, config, place.contexts[context], resolve_fidelity(fidelity, config.scene), seed, until)
+    policy = make_policy(spec, config, case.vibration, classes=True)
+    run = insert(policy, config, case.contexts[context], resolve_fidelity(fidelity, config.scene), seed, until)
     chart = chart_of(run, config, put, spacing, np.random.default_rng([seed, context]))
     _write(run, chart, config.sensor, f"{spec}, tube {context}, {fidelity}", output, seed)
     first, last = run.passage.place[[0, -1]]

@@ -66,7 +66,7 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "best-schedules": BuiltIn("shipped.best_schedules", "Searches best-constant and best-schedule."),
     "best-round-trip": BuiltIn("shipped.best_round_trip", "Searches feed and air in and back."),
     "response": BuiltIn("shipped.response", "Makes the response that calibrations go by."),
-    "plc-constants": BuiltIn("shipped.plc_constants", "Searches the constants of plc-law, trimmed-law."),
+    "plc-constants": BuiltIn("shipped.plc_constants", "Searches the constants of the PLC laws."),
 }
 """Name -> study."""
 

@@ -19,8 +19,8 @@ from agents.app.state import AppState
 from agents.app.worker import row_of, shape_of
 from agents.design.compare import cells, read_comparison, summarise
 from agents.evaluation.plan import Plan, RolloutRunner
+from agents.policies.cases import case_of
 from agents.policies.catalogue import named_policies
-from agents.policies.places import place_of
 from probe_env.fidelity import resolve_fidelity
 
 
@@ -121,8 +121,8 @@ def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
-    place = place_of(None, "test", 1)
-    config = place.config.all_shown
+    place = case_of(None, "test", 1)
+    config = place.config.full_observation
     plan = Plan(named_policies(["constant"], config), place.contexts, config=config, fidelity=resolve_fidelity("fast"))
     playing, page = RolloutRunner(plan, deque(plan.units()), 1, 1), open_page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)

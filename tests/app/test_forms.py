@@ -10,8 +10,8 @@ from agents.app import schedules
 from agents.app.forms import TubeForm, text_of, tube_fields, value_of
 from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
+from agents.policies.cases import load_case
 from agents.policies.catalogue import DATA
-from agents.policies.places import place_at
 from agents.records.shipped import shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
@@ -149,7 +149,7 @@ def test_invalid_points_are_refused_as_their_file_is():
 
 
 def test_the_prediction_is_the_objective_of_the_search_for_schedules():
-    place, schedule = place_at(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
+    place, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
     prediction = schedules.predict(schedule, place)
     cost = MapCost(place.contexts, place.config, place.vibration)
     assert prediction.reward == pytest.approx(cost.reward(schedule), rel=1e-9)  # sums in another order
@@ -161,7 +161,7 @@ def test_the_prediction_is_the_objective_of_the_search_for_schedules():
 
 
 def test_every_offered_overlay_is_a_line():
-    place = place_at(EXAMPLE, "test", 1)
+    place = load_case(EXAMPLE, "test", 1)
     for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
         line = schedules.policy_line(name, place)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name

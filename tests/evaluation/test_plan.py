@@ -17,9 +17,9 @@ from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import CARRIED
 from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
+from agents.policies.cases import case_of
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
-from agents.policies.places import place_of
 from probe_env import Context, Scene
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -149,8 +149,8 @@ def test_what_is_observed_and_fields_newer_than_the_results_make_no_other_settin
     setting = json.loads((stored / "setting.json").read_text())
     del setting["probes"], setting["task"]["observe_probe"]
     (stored / "setting.json").write_text(json.dumps(setting))
-    same(run_plan(make_plan(config=CONFIG.all_shown), stored, progress=False), table)
-    again = run_plan(make_plan(config=CONFIG.all_shown), None, progress=False)
+    same(run_plan(make_plan(config=CONFIG.full_observation), stored, progress=False), table)
+    again = run_plan(make_plan(config=CONFIG.full_observation), None, progress=False)
     same(again.drop(columns="commit"), table.drop(columns="commit"))
 
 
@@ -189,7 +189,7 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
 
 def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
     def run(specs, contexts, limit, seeds, against=None):
-        evaluate_plan(plan_of(specs, place_of(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
+        evaluate_plan(plan_of(specs, case_of(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
 
     for arguments, message in (
         ((["constant"], "validation", 99, 1), "limit = 99"),

@@ -23,7 +23,7 @@ SECOND_ORDER = (2.0 * PITCH / WIDE.tube.helix_diameter) ** 2
 NODES = 4
 LIVE = 16
 STORED = {0.0: 1.25975e-4, 0.25: 2.07538e-4, 0.5: 1.90821e-4, 1.0: 1.29347e-4}
-"""Place of the root in a pitch: mean radial rms [m] of 16 runs, from 2 to 8 s (results/study/root.csv)."""
+"""EvaluationCase of the root in a pitch: mean radial rms [m] of 16 runs, from 2 to 8 s (results/study/root.csv)."""
 DEVIATION = 0.16
 """Relative, of the radial rms of one run of 6 s at 30 m by superelement32 at 2e-4 s: pooled over the 5 places of 16
 members each in results/study/root.csv, rounded up."""

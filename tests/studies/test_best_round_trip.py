@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from agents.plant.recommendation import safe_air
+from agents.policies.cases import both_ways, case_of
 from agents.policies.catalogue import make_policy
-from agents.policies.places import both_ways, place_of
 from agents.studies.builtin import Request
 from agents.studies.shipped import best_round_trip as searched
 from agents.studies.shipped.best_round_trip import COLUMNS, NAME, as_given, ranges, run, starts
@@ -21,8 +21,8 @@ from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES
 from probe_env.schedule import BACK, FORTH, Schedule
 
-CONFIG = both_ways(place_of(None, "train", 1), "best").config
-TUBES = place_of(None, "train").contexts
+CONFIG = both_ways(case_of(None, "train", 1), "best").config
+TUBES = case_of(None, "train").contexts
 SPACE = ranges(CONFIG, TUBES)
 PLANT = Plant(
     tube=Tubes(inner_diameter=23e-3, helix_length=45.0),
@@ -118,7 +118,7 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
 
     Steps [m3/h] of a coarse supply do not round air out of what is safe.
     """
-    place = both_ways(place_of(PLANT, "train", 6), "best")
+    place = both_ways(case_of(PLANT, "train", 6), "best")
     config, space = place.config, ranges(place.config, place.contexts)
     given = as_given(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
     assert [given[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.policies.places import map_beside, place_at
+from agents.policies.cases import load_case, map_beside
 from agents.studies.builtin import Request
 from agents.studies.shipped import vibration_map as maker
 from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
@@ -57,7 +57,7 @@ def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatc
     file = tmp_path / "small.toml"
     file.write_text("[tube]\nhelix_diameter = 0.8\nhelix_length = 7.0\ninner_diameter = 23e-3\n")
     assert maker.run(Request(tmp_path / "map", trials=1, tube=file)) == map_beside(file)
-    place, loaded = place_at(file, "test", 6), VibrationMap.load(map_beside(file))
+    place, loaded = load_case(file, "test", 6), VibrationMap.load(map_beside(file))
     assert place.vibration == loaded
     assert loaded.scene == Plant.from_toml(file).scene
     assert loaded.digest != stored_map().digest

@@ -14,8 +14,8 @@ import pandas as pd
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
+from agents.policies.cases import case_of
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
@@ -73,7 +73,7 @@ def point_of(constants: Constants) -> FloatArray:
 
 
 def run(request: Request) -> None:
-    """Search the ten constants of plc-law, then the two of trimmed-law; store and print.
+    """Search the ten constants of plc-proportional, then the two of plc-integral; store and print.
 
     Writes plc-law.json, trimmed-law.json and every trial; what was simulated is kept and not played again. ``trials``
     are laws tried on the map, ``limit`` training tubes that are simulated, the first, which are balanced.
@@ -90,10 +90,10 @@ def run(request: Request) -> None:
 
 
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
-    """The constants of plc-law: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
+    """The constants of plc-proportional: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
-    whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
-    config = whole.config.all_shown
+    whole, place = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
+    config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
@@ -129,9 +129,9 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
 
 
 def search_trim(limit: int, request: Request) -> Trim:
-    """The constants of trimmed-law: a grid of aims and times, compared with the law without a trim."""
-    place = place_of(None, "train", limit)
-    config = place.config.all_shown
+    """The constants of plc-integral: a grid of aims and times, compared with the law without a trim."""
+    place = case_of(None, "train", limit)
+    config = place.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
     policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
     policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}

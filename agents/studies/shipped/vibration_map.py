@@ -13,8 +13,8 @@ import pandas as pd
 
 from agents.evaluation.folder import PROFILE, PROFILE_HEARD
 from agents.evaluation.plan import Plan, run_plan
+from agents.policies.cases import plant_at
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import plant_at
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.records.shipped import file_or_shipped, ships

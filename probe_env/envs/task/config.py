@@ -161,7 +161,7 @@ class TaskConfig(Model):
         return shown | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
 
     @property
-    def all_shown(self) -> TaskConfig:
+    def full_observation(self) -> TaskConfig:
         """The same task with everything observed: every policy looks at what it is meant to."""
         return self.model_copy(update=dict.fromkeys(SHOWN, True))
 

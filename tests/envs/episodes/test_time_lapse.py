@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from agents.policies.planner import Estimate, looked_ahead
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import STEADY_CHANGE, Fidelity, resolve_fidelity
@@ -60,15 +59,6 @@ def test_a_change_that_counts_as_steady_mistakes_no_more_metres_than_is_said():
     steps = STEADY.time_lapse * STEADY_CHANGE * STEADY.time_step  # a step of the ramp, at either end
     assert lapsed - true == pytest.approx(said, abs=2.0 * steps)
     assert said == pytest.approx(7.5e-3)
-
-
-def test_a_look_ahead_is_in_time_lapse_throughout():
-    episodes = Episodes(1, CONFIG, threads=1, fidelity=STEADY, feed_speed=0.2)
-    episodes.reset([0], {0: np.random.default_rng(0)})
-    episodes.step(CONFIG.actions(np.array([0.4]), np.array([AIR])).astype(np.float32))
-    begun = episodes.gauges.inserted()[0]
-    outlook = looked_ahead(episodes, [0], np.array([[[0.4, AIR]]]), 3, Estimate(), [0])
-    assert outlook.inserted[0, 0] - begun == pytest.approx(3.0 * CONFIG.period * 0.4, rel=1e-6)
 
 
 def test_what_is_not_valid_is_refused_by_name():
