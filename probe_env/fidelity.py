@@ -27,7 +27,8 @@ from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.methods import METHODS, ON_NODES, check_step
+from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
 from probe_env.settings import Model, in_one_line, quantity
 
@@ -77,7 +78,7 @@ class Fidelity(Model):
             raise PydanticCustomError("time_lapse", "steady_feed needs a time_lapse above 1 (here it is 1)")
         if self.simulates:
             try:
-                METHODS[self.method].check_step(self.time_step)
+                check_step(METHODS[self.method], self.time_step)
             except ValueError as error:
                 raise PydanticCustomError("rounding", "{text}", {"text": str(error)}) from error
             return self
@@ -95,6 +96,11 @@ class Fidelity(Model):
     def simulates(self) -> bool:
         """Whether motion is simulated, rather than predicted from a vibration map."""
         return self.method != SURROGATE
+
+    @property
+    def numerics(self) -> tuple[Method, float, int]:
+        """Method, time step [s] and nodes a pitch, as ``Simulator`` takes them."""
+        return METHODS[self.method], self.time_step, self.nodes_per_pitch
 
     def time_lapse_of(self, feed_speed: npt.ArrayLike, target: npt.ArrayLike) -> FloatArray:
         """(N,) how many times faster than the motion's clock the length changes in a period on the way in.

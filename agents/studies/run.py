@@ -76,7 +76,7 @@ def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) ->
     for number, setting in enumerate(settings, start=1):
         print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
         # methods without lanes run episode by episode, so that each is stored as it ends
-        batch = BATCH if METHODS[setting.plan.fidelity.method].lanes else available_cores()
+        batch = BATCH if METHODS[setting.plan.fidelity.method].width > 1 else available_cores()
         table = run_plan(setting.plan, output / "episodes" / setting.folder, batch=batch, workers=workers)
         columns = pd.DataFrame([setting.members[name] for name in table["policy"]], index=table.index)
         tables.append(pd.concat([columns.assign(**setting.values), table.drop(columns="policy")], axis=1))

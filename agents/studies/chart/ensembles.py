@@ -222,6 +222,6 @@ def run_insertions(output: Path) -> pd.DataFrame:
 def _work(setting: Setting) -> float:
     """Node-steps of all members, weighted by what a method's cost: four lanes as one, without lanes some thirty."""
     method = METHODS[setting.method]
-    weight = 4.0 / method.width if method.lanes else 30.0
+    weight = 4.0 / method.width if method.width > 1 else 30.0
     nodes = (setting.length + 2.5) / 0.1 * setting.nodes_per_pitch
     return weight * nodes * (SETTLE + DURATION) / setting.time_step * setting.members

@@ -70,7 +70,7 @@ class Case:
                 target[:-1] = values
         if method == "explicit":
             state.v[:] -= 0.5 * time_step * state.memory
-        if method != LAPACK and methods.METHODS[method].solved_by is None:
+        if method != LAPACK and not isinstance(methods.METHODS[method], methods.Newmark):
             state.memory[:] = 0.0  # not an acceleration there
         return state
 

@@ -10,7 +10,8 @@ from typing import Final, Literal, TypedDict
 import numpy as np
 
 from probe_env.errors import StabilityWarning
-from probe_env.physics.methods import METHODS, method_named
+from probe_env.physics.methods import check_step, names_of
+from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
 from probe_env.settings import within
 
@@ -33,10 +34,10 @@ DEFAULTS: Final[Options] = {
 }  # fmt: skip
 
 
-def check_options(method: str, time_step: float, nodes_per_pitch: int, options: Options) -> None:
+def check_options(method: Method, time_step: float, nodes_per_pitch: int, options: Options) -> None:
     """Raise ValueError where a step, a mesh or an option is out of range."""
     within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
-    method_named(method).check_step(time_step)
+    check_step(method, time_step)
     within("time_lapse", options["time_lapse"], 1.0, 1000.0, "")
     within("ramp", options["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
     within("air_lag", options["air_lag"], 0.0, 1e3, "s")
@@ -47,7 +48,7 @@ def check_options(method: str, time_step: float, nodes_per_pitch: int, options: 
         raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
 
 
-def check_targets(scene: Scene, method: str, feed_speed: float | None, air_supply_rate: float | None) -> None:
+def check_targets(scene: Scene, method: Method, feed_speed: float | None, air_supply_rate: float | None) -> None:
     """Raise ValueError if a target, [m/s] or [m3/s], is out of range or not for this method; None is none.
 
     Warns where a probe is pressed or drawn back and the couple of (9) is not fit for it.
@@ -74,13 +75,13 @@ def check_active(active: object, count: int) -> None:
         raise ValueError(f"active of shape {given}: one truth value for each of {count} probes")
 
 
-def _check_return(scene: Scene, method: str, name: str, value: float, unit: str) -> None:
+def _check_return(scene: Scene, method: Method, name: str, value: float, unit: str) -> None:
     """Raise ValueError if a method cannot press or draw back a probe; warn where the couple of (9) is not fit."""
     if value >= 0.0:
         return
-    if not method_named(method).draws_back:
-        able = ", ".join(other for other, known in METHODS.items() if known.draws_back)
-        raise ValueError(f"{name} = {value!r} {unit}: {method} does not simulate the return; {able} do")
+    if not method.draws_back:
+        able = names_of(lambda known: known.draws_back)
+        raise ValueError(f"{name} = {value!r} {unit}: {method.name} does not simulate the return; {able} do")
     if scene.couple == "frame":
         warnings.warn(
             f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
