@@ -29,7 +29,7 @@ from agents.evaluation.workers import HERE, Workers
 from agents.policies.catalogue import domains_of, named_policies, own_policies
 from agents.policies.places import Place, load_case
 from agents.policies.policy import check_domains
-from agents.policies.wrappers import BothWays, fidelity_of
+from agents.policies.wrappers import BothWays
 from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
@@ -77,8 +77,6 @@ def evaluate(
         FileNotFoundError: no such file.
     """
     case = load_case(tube, contexts, limit, passes, inspects)
-    if case.config.returns and isinstance(fidelity, str):
-        fidelity = fidelity_of(fidelity)
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)

@@ -14,7 +14,6 @@ from agents.policies.policy import Domain, Policy
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.fidelity import BOTH_WAYS, PRESETS, Fidelity, draws_back, resolve_fidelity
 from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
 from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
@@ -206,16 +205,3 @@ class InSteps(_Wrapper):
 def way_in(config: TaskConfig) -> TaskConfig:
     """The task of the insertion alone."""
     return config.model_copy(update={"passes": "in"})
-
-
-def fidelity_of(name: str) -> Fidelity:
-    """A fidelity that simulates the withdrawal by its name.
-
-    Raises:
-        ValueError: no such fidelity, or one that does not simulate the withdrawal.
-    """
-    presets = [preset for preset, settings in PRESETS.items() if draws_back(settings)]
-    known = (*BOTH_WAYS, *presets)
-    if name not in known:
-        raise ValueError(f"fidelity = {name!r} does not simulate the way back; give one of {', '.join(known)}")
-    return resolve_fidelity(name, both_ways=True)

@@ -93,7 +93,8 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         unvaried = _changed(place.config.all_shown, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
-        accuracy = accuracy.model_copy(update=_under("fidelity", study.set | changes))
+        if update := _under("fidelity", study.set | changes):
+            accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
         known = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, known, place, plant)
     except (ValueError, TypeError) as error:

@@ -144,7 +144,7 @@ def test_a_root_between_floats_rings_more(seeds):
             perturbation=1e-7,
         )  # fmt: skip
         for simulator in batch.simulators:
-            simulator.move_root(round(place * NODES))
+            simulator.root += round(place * NODES)
             simulator.hold_length()
         batch.advance(duration=2.0)
         rms[place] = batch.advance(duration=6.0).statistics["radial_rms_m"]

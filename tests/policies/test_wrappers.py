@@ -8,7 +8,7 @@ import pytest
 from agents.evaluation.plan import Plan, Playing
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
 from agents.policies.fixed import Constant
-from agents.policies.wrappers import Shielded, fidelity_of
+from agents.policies.wrappers import Shielded
 from probe_env import Context, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
@@ -157,6 +157,6 @@ def test_what_it_cannot_do_is_refused():
         with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).all_shown)
 
-    with pytest.raises(ValueError, match="'reference' does not simulate the way back; give one of standard, "):
-        fidelity_of("reference")
-    assert fidelity_of("fast") == BOTH_WAYS["fast"]
+    with pytest.raises(ValueError, match="'reference': superelement does not simulate the way back; give one of stan"):
+        resolve_fidelity("reference", both_ways=True)
+    assert resolve_fidelity("fast", both_ways=True) == BOTH_WAYS["fast"]

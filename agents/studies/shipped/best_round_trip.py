@@ -25,7 +25,7 @@ from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.lookup import FIRST
 from agents.policies.places import Place, load_case
 from agents.policies.policy import Policy
-from agents.policies.wrappers import BothWays, fidelity_of, way_in
+from agents.policies.wrappers import BothWays, way_in
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request
@@ -33,6 +33,7 @@ from agents.studies.tables import print_frame
 from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
 
 FIDELITY: Final = "fast"
@@ -160,4 +161,5 @@ def _tried(trials: int, space: Space, place: Place, played: Path, workers: Worke
 
 
 def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
-    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
+    fidelity = resolve_fidelity(FIDELITY, both_ways=True)
+    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity)
