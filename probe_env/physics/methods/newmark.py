@@ -82,7 +82,7 @@ class Newmark(Method):
     name = "newmark"
     order = 2
     usual_step = 1e-4
-    scheme = staticmethod(newmark)
+    scheme: Callable[[float], Scheme] = staticmethod(newmark)
 
     def __init__(self, solver: Solver | None = None) -> None:
         self.solver = solver

@@ -15,11 +15,10 @@ from probe_env.machine import available_cores
 from probe_env.physics.methods import method_named
 from probe_env.physics.methods.method import Method
 from probe_env.physics.model.state import check_array
-from probe_env.physics.simulation.options import Options, check_active, check_which
 from probe_env.physics.simulation.run import CHANNELS, Samples, check_size
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.simulation.signals import window_statistics
-from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator, advance_together
+from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Options, Simulator, advance_together
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
@@ -60,10 +59,11 @@ def advance_group(members: Sequence[Simulator], steps: int, every: int) -> tuple
     ]
     seconds = 0.0
     for done in range(0, steps, STEPS_PER_CALL):
-        running = [pair for pair in zip(members, samples, strict=True) if not pair[0].diverged]
+        running = [k for k, simulator in enumerate(members) if not simulator.diverged]
         if not running:
             break
-        seconds += advance_together(*zip(*running, strict=True), done, min(steps - done, STEPS_PER_CALL))
+        going, written = [members[k] for k in running], [samples[k] for k in running]
+        seconds += advance_together(going, written, done, min(steps - done, STEPS_PER_CALL))
     return [own.rows for own in samples], seconds
 
 
@@ -167,7 +167,9 @@ class SimulatorBatch:
         """
         if not len(which):
             raise ValueError("which is empty: name at least one probe")
-        check_which(which, len(self))
+        for place, k in enumerate(which):
+            if not isinstance(k, int | np.integer) or not -len(self) <= k < len(self):
+                raise ValueError(f"which[{place}] = {k!r} is none of {len(self)} probes, counted from 0")
         new = copy.copy(self)
         first = {k: self.simulators[k].branch((scenes or {}).get(k)) for k in set(which)}
         new.simulators = [first[k].branch() for k in which]
@@ -213,8 +215,9 @@ class SimulatorBatch:
         speeds, airs = _targets(feed_speed, count), _targets(air_supply_rate, count)
         for simulator, speed, air in zip(self.simulators, speeds, airs, strict=True):
             simulator.check_targets(speed, air)
-        check_active(active, count)
         chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        if chosen.shape != (count,):
+            raise ValueError(f"active of shape {chosen.shape}: one truth value for each of {count} probes")
         running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
         for k in running:  # all before any: the kernels check no bounds
             self._check_fits(k)

@@ -6,18 +6,17 @@ import copy
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Unpack
+from typing import Any, Final, Literal, TypedDict, Unpack
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.methods import method_named
+from probe_env.physics.methods import check_step, method_named, names_of
 from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import State, at_rest, check_points, check_state
-from probe_env.physics.simulation.options import DEFAULTS, Options, check_options, check_targets
 from probe_env.physics.simulation.run import Recording, Run, Samples, node_of, shown, snapshot_steps
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
@@ -25,6 +24,24 @@ from probe_env.settings import check_known, whole_steps, within
 
 STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
+
+
+class Options(TypedDict, total=False):
+    """How a probe starts and is fed; see ``Simulator`` for what they mean."""
+
+    solver: str
+    growing: bool
+    time_lapse: float
+    ramp: float
+    air_lag: float
+    perturbation: float
+    start: Literal["inner", "outer"]
+
+
+DEFAULTS: Final[Options] = {
+    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0,
+    "start": "inner",
+}  # fmt: skip
 
 
 def advance_together(simulators: Sequence[Simulator], samples: Sequence[Samples], done: int, steps: int) -> float:
@@ -106,7 +123,17 @@ class Simulator:
         check_known(type(self).__name__, options, DEFAULTS)
         given = DEFAULTS | options
         self.method: Final = method_named(method, given["solver"])
-        check_options(self.method, time_step, nodes_per_pitch, given)
+        within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+        check_step(self.method, time_step)
+        within("time_lapse", given["time_lapse"], 1.0, 1000.0, "")
+        within("ramp", given["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
+        within("air_lag", given["air_lag"], 0.0, 1e3, "s")
+        within("perturbation", given["perturbation"], 0.0, 1e-3, "m")
+        if given["start"] not in ("inner", "outer"):
+            raise ValueError(f"start = {given['start']!r} is not one of inner, outer")
+        whole = not isinstance(nodes_per_pitch, bool) and nodes_per_pitch == int(nodes_per_pitch)
+        if not (whole and 1 <= nodes_per_pitch <= 64):
+            raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
         self.scene, self.solver = scene, given["solver"]
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
         self.growing, self.time_lapse = given["growing"], given["time_lapse"]
@@ -390,8 +417,27 @@ class Simulator:
         return self._error
 
     def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
-        """Raise ValueError if a target is out of range."""
-        check_targets(self.scene, self.method, feed_speed, air_supply_rate)
+        """Raise ValueError if a target, [m/s] or [m3/s], is out of range or not for this method; None is none.
+
+        Warns where a probe is pressed or drawn back and the couple of (9) is not fit for it.
+        """
+        targets = (("feed_speed", feed_speed, 2.0, "m/s"), ("air_supply_rate", air_supply_rate, 0.2, "m3/s"))
+        for name, value, most, unit in targets:
+            if value is None:
+                continue
+            within(name, value, -most, most, unit)
+            if value < 0.0 and not self.method.draws_back:
+                able = names_of(lambda known: known.draws_back)
+                raise ValueError(
+                    f"{name} = {value!r} {unit}: {self.method.name} does not simulate the return; {able} do"
+                )
+            if value < 0.0 and self.scene.couple == "frame":
+                warnings.warn(
+                    f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
+                    ' pressed probe, whose root force is some three times too large; couple = "tangent" does not',
+                    StabilityWarning,
+                    stacklevel=3,
+                )
 
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """New targets [m/s], [m3/s]; None leaves one as it is."""
