@@ -17,6 +17,7 @@ import pandas as pd
 from probe_env.arrays import FloatArray
 from probe_env.physics import methods
 from probe_env.physics.closed_forms.bare_chains import AXIAL, RADIAL, Driven, plain_chain, run_chain
+from probe_env.physics.methods.newmark import Newmark
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.state import at_rest
 
@@ -56,7 +57,7 @@ def amplification(method: str, spring: str, omega_dt: float) -> tuple[float, flo
     omega = math.sqrt(STIFFNESS / chain.mass)
     time_step = omega_dt / omega
     # acceleration is part of the state of those that solve for it
-    size = 3 if isinstance(methods.METHODS[method], methods.Newmark) else 2
+    size = 3 if isinstance(methods.METHODS[method], Newmark) else 2
     scale = np.array([1.0, omega, omega**2])
     base = np.array([-DEEP, 0.0, 0.0])  # so deep in the contact spring that a step does not leave it
     rest = _step(method, chain, time_step, base * scale, component)

@@ -381,10 +381,11 @@ class Implicit(Method):
         nodes, counts = len(lane.state.d), np.zeros(2, dtype=np.int64)
         tension_sum = lane.tension_sum if len(lane.tension_sum) else np.zeros(nodes)
         begin = time.perf_counter()
-        sampling = (first_sample, sample_every, lane.points, lane.samples, tension_sum, counts)
-        status, done, _, lane.root = advance(
-            *lane.constants, lane.inputs, lane.root, lane.state, workspace(nodes), *sampling
-        )
+        arguments = (
+            *lane.constants, lane.inputs, lane.root, lane.state, workspace(nodes),
+            first_sample, sample_every, lane.points, lane.samples, tension_sum, counts,
+        )  # fmt: skip
+        status, done, _, lane.root = advance(*arguments)
         seconds = time.perf_counter() - begin
         lane.failed = done if status == DIVERGED else 0
         lane.iterations, lane.unconverged = counts.tolist()

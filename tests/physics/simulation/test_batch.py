@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import re
 import threading
 
 import numpy as np
@@ -175,13 +174,8 @@ def test_bad_arguments():
         SimulatorBatch(SCENES[:1], "imex32").replace(0, Simulator(SCENES[0], "imex", 2e-4))
 
 
-def test_a_window_is_short_in_words_and_no_longer_than_memory():
+def test_a_window_that_would_not_fit_in_memory_is_refused():
     batch = SimulatorBatch([Scene(carrier_length=5.0)] * 9, "imex32", 2e-4)
-    window = batch.advance(0.2, None, 0.01, keep_samples=True)
-    assert re.fullmatch(
-        r"<Window of 9 probes, 0 diverged, 10 samples; radial rms \[mm\]: ([\d.e-]+, ){8}\.\.\.>", repr(window)
-    )
-    before = batch.simulators[0].time
     with pytest.raises(ValueError, match=r"20000002 samples of 9 points take .* GiB, more than 2"):
         batch.advance(0.3, None, 20_000.0)
-    assert batch.simulators[0].time == before
+    assert batch.simulators[0].time == 0.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probe_env import Scene, Simulator, SimulatorBatch
+from probe_env import Scene, Simulator
 
 SCENE = Scene(carrier_length=1.0)
 RUN = Simulator(SCENE, "imex", 2e-4).run(0.05, points=("sensor", 0.2))
@@ -20,15 +20,6 @@ def test_tables_hold_the_signals_with_their_units():
     assert list(summary.index) == ["sensor", "0.2 m"]
     assert summary.loc["0.2 m", "axial_m_rms"] == pytest.approx(RUN.axial[:, 1].std(), rel=1e-12)
     assert summary.loc["sensor", "tension_n_max"] == np.abs(RUN.tension[:, 0]).max()
-
-
-def test_short_texts_and_a_table_for_notebooks():
-    simulator = Simulator(SCENE)
-    assert repr(simulator) == "<Simulator by newmark, step 0.0001 s, 3.5 m in 140 elements, t = 0 s>"
-    assert repr(SimulatorBatch([SCENE] * 3, threads=1)) == "<SimulatorBatch of 3 by imex, step 0.0002 s, 1 threads>"
-    assert repr(RUN).startswith("<Run of 0 to 0.05 s, 51 samples; radial rms [mm]: sensor ")
-    assert len(repr(RUN)) < 200
-    assert "<table" in RUN._repr_html_()
 
 
 def test_a_plot_has_a_line_a_point_and_units():
