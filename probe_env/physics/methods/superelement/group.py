@@ -154,32 +154,6 @@ def in_blocks(rows: FloatArray, width: int, precision: npt.DTypeLike) -> FloatAr
     return np.ascontiguousarray(blocks.reshape(-1, width), dtype=precision)
 
 
-def released(chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
-    """At rest with displacements d (n + 1, 3) [m, rad]; q is what fits best between the floats, p is zero.
-
-    The kernel's momentum still lacks tau K d, the last share of the elastic force.
-    """
-    own = tables(chain, nodes_per_pitch, time_step)
-    tau = linear_weights(chain.damping_time, time_step)[1]
-    state = at_rest(len(d), MEMORY)
-    floats = range(0, root, nodes_per_pitch)
-    state.d[:root] = d[:root]
-    for first in floats:
-        count = min(nodes_per_pitch, root - first)
-        behind = d[first + count] if first + count < root else np.zeros(3)
-        ends = np.concatenate([d[first], behind])
-        shape = own.shape[count - 1, 1:count].reshape(-1, ENDS + own.even + own.odd)
-        rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
-        q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
-        state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
-        constants = own.pieces[-1] if first + count < root else own.pieces[count - 1]
-        left, right = _elastic(constants, ends)
-        state.memory[first, :MOMENTUM] += tau * left
-        if first + count < root:
-            state.memory[first + count, :MOMENTUM] += tau * right
-    return state
-
-
 def _elastic(constants: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Elastic force of a piece at its L and its R end."""
     flip = -MIRROR  # R's share of an even unknown, and of an odd one but for the sign
@@ -225,8 +199,29 @@ class Superelement(LaneMethod):
         return longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE)
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
-        """See ``released``."""
-        return released(chain, nodes_per_pitch, time_step, root, d)
+        """At rest with displacements d (n + 1, 3) [m, rad]; q is what fits best between the floats, p is zero.
+
+        The kernel's momentum still lacks tau K d, the last share of the elastic force.
+        """
+        own = tables(chain, nodes_per_pitch, time_step)
+        tau = linear_weights(chain.damping_time, time_step)[1]
+        state = at_rest(len(d), MEMORY)
+        floats = range(0, root, nodes_per_pitch)
+        state.d[:root] = d[:root]
+        for first in floats:
+            count = min(nodes_per_pitch, root - first)
+            behind = d[first + count] if first + count < root else np.zeros(3)
+            ends = np.concatenate([d[first], behind])
+            shape = own.shape[count - 1, 1:count].reshape(-1, ENDS + own.even + own.odd)
+            rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
+            q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
+            state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
+            constants = own.pieces[-1] if first + count < root else own.pieces[count - 1]
+            left, right = _elastic(constants, ends)
+            state.memory[first, :MOMENTUM] += tau * left
+            if first + count < root:
+                state.memory[first + count, :MOMENTUM] += tau * right
+        return state
 
     def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Tables]:
         """Parameters and tables of a probe.
