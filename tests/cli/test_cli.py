@@ -75,7 +75,7 @@ REFUSED = [
     (["evaluate", "constant", "--inspects", "back"], "inspects = 'back' needs --passes both"),
     (
         ["evaluate", "constant", "--passes", "both", "--fidelity", "reference"],
-        "fidelity = 'reference' does not simulate the way back; give one of standard, fast, study",
+        "fidelity = 'reference': superelement does not simulate the way back; give one of standard, fast, study",
     ),
     (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
     (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
