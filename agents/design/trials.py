@@ -23,7 +23,6 @@ from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Candidate, judge, try_insertions, try_sections
 from probe_env.envs.vibration_map import VibrationMap
-from probe_env.fidelity import with_nodes
 from probe_env.schedule import Schedule
 
 TUBE_FILE: Final = "tube.json"
@@ -44,7 +43,7 @@ class DesignTrials:
         contexts: tubes.
         feed: a policy by its spec; for sections it must be a schedule over inserted length.
         full: whole insertions instead of sections of constant length.
-        fidelity: of the simulation.
+        fidelity: of the simulation, resolved for the scene.
         config: the task, with the scene that designs and contexts change.
         vibration: the map that some policies look things up in; default: the shipped one.
         tube: what the plant is called.
@@ -57,9 +56,6 @@ class DesignTrials:
     config: TaskConfig = field(default_factory=lambda: TaskConfig().full_observation)
     vibration: VibrationMap | None = None
     tube: Named = TABLE_2
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     def policy(self) -> Policy:
         """The feed as a policy.

@@ -36,7 +36,6 @@ from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Players
 from probe_env.envs.vibration_map import VibrationMap
-from probe_env.fidelity import with_nodes
 from probe_env.files import FileError
 
 BATCH: Final = 16
@@ -54,7 +53,7 @@ class Plan:
         contexts: the tubes.
         seeds: of sensor noise and start.
         config: the task.
-        fidelity: of the simulation; nodes are added where the scene needs them (``fidelity.with_nodes``).
+        fidelity: of the simulation, resolved for the scene (``fidelity.resolve_fidelity``).
         probes: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
         vibration: map of fidelity "surrogate"; default: the shipped one.
     """
@@ -66,9 +65,6 @@ class Plan:
     fidelity: Fidelity = field(default_factory=Fidelity)
     probes: Probes = "scene"
     vibration: VibrationMap | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     def setting(self) -> dict[str, Any]:
         """What all episodes of a folder share, JSON-ready."""

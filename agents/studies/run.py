@@ -76,7 +76,7 @@ def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) ->
     for number, setting in enumerate(settings, start=1):
         print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
         # methods without lanes run episode by episode, so that each is stored as it ends
-        batch = BATCH if METHODS[setting.plan.fidelity.method].lanes else available_cores()
+        batch = BATCH if METHODS[setting.plan.fidelity.method].width > 1 else available_cores()
         table = run_plan(setting.plan, output / "episodes" / setting.folder, batch=batch, workers=workers)
         columns = pd.DataFrame([setting.members[name] for name in table["policy"]], index=table.index)
         tables.append(pd.concat([columns.assign(**setting.values), table.drop(columns="policy")], axis=1))
@@ -93,7 +93,8 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         unvaried = _changed(place.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
-        accuracy = accuracy.model_copy(update=_under("fidelity", study.set | changes))
+        if update := _under("fidelity", study.set | changes):
+            accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
         known = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, known, place, plant)
     except (ValueError, TypeError) as error:

@@ -47,6 +47,7 @@ from probe_env.physics.closed_forms.bare_chains import (
     run_chain,
 )
 from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.methods.newmark import Newmark
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.state import State, at_rest
 
@@ -203,7 +204,7 @@ def amplification(method: str, spring: str, omega_dt: float) -> tuple[float, flo
     omega = math.sqrt(STIFFNESS / chain.mass)
     time_step = omega_dt / omega
     # acceleration is part of the state of those that solve for it
-    size = 3 if METHODS[method].solved_by else 2
+    size = 3 if isinstance(METHODS[method], Newmark) else 2
     scale = np.array([1.0, omega, omega**2])
     base = np.array([-DEEP, 0.0, 0.0])  # so deep in the contact spring that a step does not leave it
     rest = _step(method, chain, time_step, base * scale, component)

@@ -78,7 +78,7 @@ def test_a_folder_that_cannot_be_written_is_named(installation):
 
 KERNEL = """
 from numba import njit
-from probe_env.physics.other import value
+from probe_env.physics.model.other import value
 @njit(cache=True)
 def kernel():
     return value()
@@ -109,7 +109,7 @@ def test_kernels_are_forgotten_when_what_is_compiled_into_them_changes(tmp_path,
     environment |= {"HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path), "PYTHONPATH": str(tmp_path / "site")}
     outcomes = []
     for value in (1, 1, 2):
-        (package / "physics" / "other.py").write_text(OTHER.format(value=value))
+        (package / "physics" / "model" / "other.py").write_text(OTHER.format(value=value))
         done = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, cwd="/")
         outcomes.append(done.stdout.split() or done.stderr)
     assert outcomes == [["1", "0"], ["1", "1"], ["2", "0"]]

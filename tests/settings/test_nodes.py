@@ -10,7 +10,7 @@ from agents.evaluation.run import plan_of
 from agents.policies.cases import case_of
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.fidelity import PRESETS, _log_nodes, resolve_fidelity, with_nodes
+from probe_env.fidelity import PRESETS, _log_nodes, resolve_fidelity
 from probe_env.physics.methods import METHODS, ON_NODES
 
 CABLE = {"contact": {"cable": True}}
@@ -28,12 +28,12 @@ def test_presets_have_nodes_where_the_scene_needs_some(name, needing):
         assert taken == preset
         return
     assert taken.method in ON_NODES
-    assert method.lanes.precision == METHODS[taken.method].lanes.precision
+    assert method.precision == METHODS[taken.method].precision
     assert taken.time_lapse == preset.time_lapse
     assert taken.nodes_per_pitch == 8  # the converged mesh
     limit = METHODS[taken.method].stable_step(scene, taken.nodes_per_pitch)
     assert METHODS[taken.method].least_step <= taken.time_step <= min(preset.time_step, limit)
-    assert with_nodes(taken, scene) == taken
+    assert resolve_fidelity(taken, scene) == taken
 
 
 def test_auto_and_settings_of_ones_own_give_way_as_well():

@@ -53,7 +53,7 @@ def run_costs(output: Path) -> None:
     for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
         kind = METHODS[method]
         setting = Setting(method, min(kind.usual_step, LONGEST_TIMED), nodes, length)
-        batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.lanes else 500, []
+        batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.width > 1 else 500, []
         for _ in range(1 + REPEATS):  # the first warms it up, and brings it in contact
             begin = time.process_time()
             batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)

@@ -23,7 +23,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig, metre_reward, value_at
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
-from probe_env.fidelity import PRESETS
+from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import Schedule
 
 KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
@@ -125,7 +125,8 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
     check_measure(vibration, config)
 
     def plan_of(schedule: Schedule) -> Plan:
-        return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=PRESETS["fast"])
+        fast = resolve_fidelity("fast", config.scene)
+        return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=fast)
 
     stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
     training = family.tubes(train.contexts)

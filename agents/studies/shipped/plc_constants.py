@@ -104,7 +104,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     def simulated(points: FloatArray) -> list[float]:
         nonlocal done
         policies = {f"law-{done + k}": PlcLaw(config, constants_at(point)) for k, point in enumerate(points)}
-        plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+        plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
         done += len(points)
         commits.extend(table["commit"])
@@ -135,7 +135,7 @@ def search_trim(limit: int, request: Request) -> Trim:
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
     policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
     policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}
-    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
     table = run_plan(plan, request.output / "trim-episodes", workers=request.workers)
     rows: list[dict[str, Any]] = []
     for name, trim in trims.items():

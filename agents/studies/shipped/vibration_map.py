@@ -27,7 +27,7 @@ from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.plants import map_beside
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
-from probe_env.fidelity import PRESETS
+from probe_env.fidelity import resolve_fidelity
 
 SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
 """[m] of constant feed and air, by the vibration measure: the noise in a flaw's band is a running mean of 1.2 s of
@@ -107,7 +107,8 @@ def run(request: Request) -> Path:
     config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)
     rms_limit(config)  # refuses a measure that no map tells of, before hours of work
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
-    plan = Plan({"wandering": Wandering(config)}, contexts, seeds, config, PRESETS["fast"])
+    fast = resolve_fidelity("fast", config.scene)
+    plan = Plan({"wandering": Wandering(config)}, contexts, seeds, config, fast)
     episodes = run_plan(plan, request.output, workers=request.workers)
     profile = read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_HEARD)
     tubes = pd.DataFrame([tube.model_dump() for tube in contexts])[list(CONTEXT)]

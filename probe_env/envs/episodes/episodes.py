@@ -89,10 +89,7 @@ class Episodes:
         if config.returns or self.fidelity.steady_feed is not None:
             whole_steps("config.period", config.period, self.fidelity.time_step)
         scenes = [self.starts.build(Context(), {})] * count
-        self.batch = SimulatorBatch(
-            scenes, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
-            threads=threads, **self._options(),
-        )  # fmt: skip
+        self.batch = SimulatorBatch(scenes, *self.fidelity.numerics, threads=threads, **self._options())
         self.context = [Context()] * count
         self.gauges = Gauges(config, self.batch)
         self.judge = Judge(count, config)
@@ -165,10 +162,7 @@ class Episodes:
             self.starts.draw(rng, {})
             seed = int(rng.integers(2**31))
             self.rng[k], self.context[k] = rng, context
-            simulator = Simulator(
-                scene, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
-                seed=seed, **self._options(),
-            )  # fmt: skip
+            simulator = Simulator(scene, *self.fidelity.numerics, seed=seed, **self._options())
             self.batch.replace(k, simulator)
             self.judge.begin(k, simulator.inserted_length, scene.tube.helix_length)
             self.gauges.meter.reset(k)

@@ -60,7 +60,7 @@ def try_sections(
         for name in ("inserted_length", "feed_speed")
     )
     batch = SimulatorBatch(
-        scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
+        scenes, *fidelity.numerics, threads=threads,
         seeds=[seed for seed in seeds_of(candidates) for _ in stretch.positions], perturbation=PERTURBATION,
         air_lag=AIR_LAG,
     )  # fmt: skip
