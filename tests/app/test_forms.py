@@ -135,9 +135,6 @@ def test_points_are_tidied_after_a_drag():
     assert (
         np.diff(schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
     )
-    more = schedules.with_point(tidy, config)
-    assert more[LENGTH] == [5.0, 12.5, 20.0, 40.0]
-    schedules.schedule_of(more)
 
 
 def test_invalid_points_are_refused_as_their_file_is():

@@ -37,6 +37,14 @@ def tube(tmp_path):
     return path
 
 
+class SlowRequest(RunRequest):
+    """A request that takes 0.2 s to send."""
+
+    def __reduce__(self):
+        time.sleep(0.2)
+        return RunRequest.model_validate_json, (self.model_dump_json(),)
+
+
 def request(folder, short, **changes):
     return RunRequest(**({"policies": ("constant", "pi"), "output": folder, "tube": short, "limit": 2} | changes))
 
@@ -63,6 +71,8 @@ def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp
     pd.testing.assert_frame_equal(stored, table, check_exact=True)
     assert episodes_of(tmp_path / "app").read() == episodes_of(tmp_path / "command").read()
     assert (tmp_path / "app" / "report.html").exists()
+    shape, last = run.frame.shape, run.trace(run.frame.unit)  # heading and picture are of the same insertion
+    assert shape.observation["inserted_length"] == pytest.approx(last["inserted_length"][-1], rel=1e-6)
     for unit in plan.units():
         trace = run.trace(unit)
         episode = table[(table["policy"] == unit[0]) & (table["context"] == unit[1])].iloc[0]
@@ -92,6 +102,15 @@ def test_pause_step_look_and_go_change_nothing(queue, tube, tmp_path):
     assert queue.wait(other, LONG)
     tables = [pd.read_parquet(folder / "episodes.parquet") for folder in (plain.output, watched.output)]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
+
+
+def test_a_command_given_as_a_run_begins_is_not_lost(queue, tube, tmp_path):
+    run = queue.add(SlowRequest(**dict(request(tmp_path / "run", tube))))
+    wait_for(lambda: run.state == "running", run)
+    queue.send(run, Command("pause"))
+    wait_paused(run)
+    queue.send(run, Command("stop"))
+    assert queue.wait(run, LONG)
 
 
 def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):

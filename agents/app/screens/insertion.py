@@ -115,12 +115,12 @@ class InsertionScreen(RunScreen):
         if now - self._drawn_at < CHART_PERIOD and run.state == "running" and not frame.paused:
             return
         self._drawn_at = now
-        unit = _watched(run)
-        if shape is not None:
+        unit = frame.unit
+        if shape is not None and unit is not None:
             self.probe.show_forces(shape)
             self.signal.data = {"x": shape.signal_time, "y": shape.signal_radial * MM}
             self.flaw.show(run.info.sensor, shape)
-            self.observation.text = _observation(shape.observation, run, unit)
+            self.observation.text = _observation(shape.observation, unit, _last(run, unit))
         same_tube = {other[0]: run.trace(other) for other in run.traces if unit is not None and other[1:] == unit[1:]}
         self.charts.show(same_tube, run.info.limit, unit[0] if unit else "")
 
@@ -142,18 +142,16 @@ class InsertionScreen(RunScreen):
         return [self.pause, step, look, stop, self.pace, self.watch]
 
     def _run_list(self) -> list[Any]:
-        self.table, self.notice = ui.Text(), ui.Text()
+        self.table = ui.Text()
         self._listed: Any = None
         self.chosen = ui.control(models.Select, "run", None, 300, options=[])
-        watch = ui.button("watch", self._watch_chosen, 80)
-        resume = ui.button("resume", self.guarded(self._resume), 90)
-        return [ui.Text("<h2>Runs</h2>"), self.table, ui.row(self.chosen, watch, resume), self.notice]
+        resume = ui.button("watch or resume", self.guarded(self._resume), 150)
+        return [ui.Text("<h2>Runs</h2>"), self.table, ui.row(self.chosen, resume)]
 
     def _start(self) -> None:
-        policies, limit = list(self.policies.value), int(self.limit.value or 1)
-        run = self.session.start(policies, limit, self.fidelity.value, bool(self.with_schedule.active))
-        self.session.app.queue.send(run, self.pace_command())
-        self._show_run(run)
+        options = {"limit": int(self.limit.value or 1), "fidelity": self.fidelity.value}
+        policies, with_schedule = list(self.policies.value), bool(self.with_schedule.active)
+        self._show_run(self.session.start(policies, [self.pace_command()], with_schedule, **options))
 
     def _show_run(self, run: Run) -> None:
         self.session.run = run
@@ -182,8 +180,8 @@ class InsertionScreen(RunScreen):
         if states == self._listed:
             return
         self._listed = states
-        stored = stored_runs(self.session.app.output)
-        lines = {run.folder.name: ("stored" if run.complete else "interrupted", run.outcome) for run in stored}
+        entries = stored_runs(self.session.app.output)
+        lines = {run.folder.name: ("stored" if run.complete else "interrupted", run.outcome) for run in entries}
         for run in runs:
             name = run.request.output.name
             done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else ""
@@ -191,47 +189,30 @@ class InsertionScreen(RunScreen):
             lines[name] = (run.state, outcome)
         names = sorted(lines, reverse=True)
         rows = ((escape(name), *map(escape, lines[name])) for name in names)
-        table = ui.table_html(("run", "state", "result"), rows, "wide")
-        self.table.text = table if lines else "<p class='quiet'>None yet.</p>"
+        self.table.text = ui.table_html(("run", "state", "result"), rows, "wide")
         if self.chosen.options != names:
             self.chosen.options = names
             self.chosen.value = names[0] if names else ""
 
-    def _chosen_run(self) -> Run | None:
-        runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
-        return runs[-1] if runs else None
-
-    def _watch_chosen(self) -> None:
-        run = self._chosen_run()
-        self.notice.text = "" if run else "<p>This run is from an earlier start of the app: see <b>Compare</b>.</p>"
-        if run:
-            self._show_run(run)
-
     def _resume(self) -> None:
-        run = self._chosen_run()
-        if run is not None and run.state in ACTIVE:
-            raise ValueError(f"{self.chosen.value} is already {run.state}")
-        if self.chosen.value:
-            request = read_request(self.session.app.output / str(self.chosen.value))
+        """Watch a run of this process that goes on or is finished, resume another one."""
+        runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
+        if runs and runs[-1].state in (*ACTIVE, "finished"):
+            self._show_run(runs[-1])
+        elif self.chosen.value:
+            request = read_request(self.session.app.output / self.chosen.value)
             self._show_run(self.session.app.queue.add(request))
 
 
-def _watched(run: Run) -> Unit | None:
-    """The watched episode, or the first one."""
-    frame = run.frame
-    unit = frame.units[frame.watched] if frame and frame.watched < len(frame.units) else None
-    return unit or next(iter(run.traces), None)
-
-
-def _last(run: Run, unit: Unit | None) -> dict[str, float]:
+def _last(run: Run, unit: Unit) -> dict[str, float]:
     """The last period of an episode; empty before the first."""
-    return {} if unit is None else {key: float(values[-1]) for key, values in run.trace(unit).items() if len(values)}
+    return {key: float(values[-1]) for key, values in run.trace(unit).items() if len(values)}
 
 
 def _status(run: Run) -> str:
-    unit, now = _watched(run), ""
-    last = _last(run, unit)
-    if unit and last:
+    """What is watched and how far the run is, as HTML."""
+    unit, now = run.frame.unit if run.frame else None, ""
+    if unit and (last := _last(run, unit)):
         now = (
             f" <b>{escape(unit[0])}, tube {unit[1]}</b>: {last['inserted_length']:.1f} m after {last['time']:.0f} s,"
             f" radial rms {MM * last[RMS]:.3f} mm, reward {last['reward']:.2f}"
@@ -239,13 +220,12 @@ def _status(run: Run) -> str:
     done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else "starting"
     state = f"{escape(', '.join(run.request.names))}: {run.state}{', paused' if run.paused else ''}, {done}.{now}"
     notes = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in run.info.notes)
-    return f"<p class='big' data-state='{run.state}'>{state}</p>{notes}{ui.alert(run.problem)}"
+    return f"<p class='big' data-run='{run.request.output.name}' data-state='{run.state}'>{state}</p>{notes}{ui.alert(run.problem)}"
 
 
-def _observation(observation: dict[str, float], run: Run, unit: Unit | None) -> str:
-    """What the policy observes and requests, as HTML."""
-    last = _last(run, unit)
-    if unit is None or not last:
+def _observation(observation: dict[str, float], unit: Unit, last: dict[str, float]) -> str:
+    """What a policy observes, and what it requested in the last period, as HTML."""
+    if not last:
         return ""
     rows = (
         (label, f"{observation[key] * factor:.4g}", symbol)

@@ -38,20 +38,14 @@ class ManualScreen(RunScreen):
     def __init__(self, session: Session) -> None:
         super().__init__(session, pace=2)
         self._refreshes = 0
-        rivals = [*NAMES, *shipped_agents()]
-        self.rival = ui.control(Select, "against", options=rivals, value="tension-scheduled")
+        self.rival = ui.control(Select, "compare with", options=[*NAMES, *shipped_agents()], value="tension-scheduled")
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
         stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
-
-        def send() -> None:
-            self.send(self._setting())
-
         feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
         air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
-        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", send, 340, **feed)
-        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", send, 340, **air)
-        counter = {"start": 0, "end": 1_000_000, "step": 1, "value": 0, "visible": False}
-        self.space_bar = ui.control(Slider, "", self.toggle, **counter)
+        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._send_setting, 340, **feed)
+        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", self._send_setting, 340, **air)
+        self.space_bar = ui.counter(self.toggle)
         self.score = ui.Text()
         self.probe, self.charts = UnrolledProbe(with_forces=False), LengthCharts((RMS, "reward"), 230)
         self.pictures = ui.columns((self.probe.layout, 380, 1), (self.charts.layout, 380, 1))
@@ -65,13 +59,9 @@ class ManualScreen(RunScreen):
             self.pictures,
         )
         self.tube_changed()
-        self.refresh()
 
-    def tube_changed(self) -> None:
+    def show_tube(self) -> None:
         """Set the sliders to the ranges of another tube."""
-        self.guarded(self._set_ranges)()
-
-    def _set_ranges(self) -> None:
         config = self.session.place(1).config
         air = [HOUR * value for value in config.air_supply_rates]
         for slider, (low, high) in ((self.feed, config.feed_speeds), (self.air, air)):
@@ -99,8 +89,11 @@ class ManualScreen(RunScreen):
         run = self.session.run
         if run is not None and run.request.manual and run.state in ACTIVE:
             self.send(Command("stop"))
-        self.session.drive(self.rival.value, [self.pace_command(), self._setting()])
+        self.session.start([self.rival.value], [self.pace_command(), self._setting()], manual=True)
         self.refresh()
+
+    def _send_setting(self) -> None:
+        self.send(self._setting())
 
     def _setting(self) -> Command:
         return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))

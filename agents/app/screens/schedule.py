@@ -28,8 +28,9 @@ if (!window.points_timer) copy();
 """
 """Sends points while they are dragged, at most every 20 ms; Bokeh sends them only when they are dropped."""
 INTRO: Final = (
-    "<h2>Schedule</h2><p class='quiet'>Drag the points, tap to add one, or type into the table. The lowest chart is the"
-    " prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
+    "<h2>Schedule</h2><p class='quiet'>A cable with floats is blown into a helical tube. Beyond some length it"
+    " vibrates. Choose the feed speed and the air supply: drag the points, tap to add one, or type into the table. The"
+    " lowest chart is the prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
 )
 
 
@@ -53,11 +54,8 @@ class ScheduleScreen(ui.Screen):
         vibration.varea("length", "low", "high", source=self.band, color=ui.ORANGE, alpha=0.25)
         vibration.line("length", "middle", source=self.band, color=ui.VERMILLION, line_width=2.5)
         self.show_limit = ui.limit_line(vibration)
-        add = ui.button(
-            "add a point", lambda: self._put(schedules.with_point(self.session.points, self.place.config)), 110
-        )
         remove = ui.button("remove selected", self._remove, 150)
-        charts, table = ui.column(*self.charts, vibration), ui.column(self._table(), ui.row(add, remove))
+        charts, table = ui.column(*self.charts, vibration), ui.column(remove, self._table())
         self.layout = ui.column(
             ui.Text(INTRO),
             ui.row(*self._controls()),
@@ -71,18 +69,15 @@ class ScheduleScreen(ui.Screen):
         self.points.on_change("data", lambda attr, old, new: self._moved())
         self.tube_changed()
 
-    def tube_changed(self) -> None:
+    def show_tube(self) -> None:
         """Show ranges, limit and prediction of another tube."""
-        self.guarded(self._show_tube)()
-
-    def _show_tube(self) -> None:
         self.place = self.session.place()
         config = self.place.config
         ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
         for plot, key, (low, high) in zip(self.charts, (FEED, AIR), ranges, strict=True):
             plot.y_range.update(start=0.0, end=1.12 * max(high, *self.session.points[key]))
             plot.center[-1].update(bottom=low, top=high)
-        self.length_range.end = config.scene.tube.helix_length * 1.01
+        self.length_range.end = config.scene.tube.helix_length * 1.03
         self.show_limit(config.limit if config.vibration_measure == "displacement" else None)
         self._predict()
         self._show_overlays()
@@ -193,17 +188,17 @@ class ScheduleScreen(ui.Screen):
         }
 
     def _open(self) -> None:
-        given = self.open.value.strip()
-        if not given:
+        name = self.open.value.strip()
+        if not name:
             return
-        if given in schedules.BY_LENGTH:
-            line = schedules.policy_line(given, self.place)
+        if name in schedules.BY_LENGTH:
+            line = schedules.policy_line(name, self.place)
             every = max(len(line.length) // 12, 1)
             length, feed, air = (tuple(map(float, values[::every])) for values in line)
             self.session.points = schedules.points_of(Schedule("inserted_length", "linear", length, feed, air))
-            self.session.name = f"my-{given}"
+            self.session.name = f"my-{name}"
         else:
-            self.session.open_schedule(Path(policy_file(given)))
+            self.session.open_schedule(Path(policy_file(name)))
         self.kind.value, self.save.value = self.session.interpolation, self.session.name
         self._put(self.session.points)
 
