@@ -92,8 +92,11 @@ def opened(browser, app, width=1280):
     page.on("websocket", lambda socket: asked.append(socket.url.replace("ws:", "http:", 1)))
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    if throttle := os.environ.get("PROBE_ENV_THROTTLE"):
+        context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": float(throttle)})
     page.goto(app.address)
     page.get_by_text("Expected:").wait_for()
+    page.wait_for_function("window.probe_env_is_ready")
     page.asked = asked
     yield page
     assert [url for url in asked if not url.startswith((app.address, "data:", "blob:"))] == []

@@ -27,7 +27,7 @@ FEED = "feed_speed_m_per_s"
 
 
 def screen(page, number):
-    page.get_by_role("button", name=re.compile(f"^{number} ")).click()
+    page.get_by_role("button", name=re.compile(f"^{number} [A-Z]")).click()
 
 
 def expected(page):
@@ -52,11 +52,28 @@ def fill(page, label, text):
     box.press("Enter")
 
 
-def run(page):
+def start(page):
+    """Start a run; returns where its state is shown."""
     screen(page, 3)
+    status = page.locator("[data-run]")
+    status.or_(page.get_by_text("Nothing has been run yet")).wait_for()
+    earlier = status.get_attribute("data-run") if status.count() else ""
     page.get_by_role("button", name="Run", exact=True).click()
-    page.locator("[data-state=waiting], [data-state=running]").wait_for()  # not the end of the previous one
-    page.locator("[data-state=finished]").wait_for()
+    status = page.locator(f"[data-run]:not([data-run='{earlier}'])")
+    status.wait_for()
+    return status
+
+
+def finish(page, status):
+    status.and_(page.locator("[data-state=finished]")).wait_for()
+
+
+def drag(page, x, y, dx, dy):
+    """Begin a drag; the mouse stays down. The pause before it is longer than what Bokeh takes for a long press."""
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.wait_for_timeout(400)
+    page.mouse.move(x + dx, y + dy, steps=4)
 
 
 def position(page, code, argument=None):
@@ -71,9 +88,7 @@ def position(page, code, argument=None):
 def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
     before, at = expected(page), points(page)
     x, y = position(page, PLACE, [FEED, 0])
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x, y + 30, steps=3)
+    drag(page, x, y, 0, 30)
     page.get_by_text("Expected:").filter(has_not_text=f"{before} s").wait_for()
     during = expected(page)
     assert during > before  # slower takes longer, and the button is still down
@@ -103,11 +118,9 @@ def test_a_tap_adds_a_point_to_both_charts(page):
 def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path):
     """Bit for bit in the folder; the comparison shows its report."""
     screen(page, 3)
-    page.get_by_text("5 ×", exact=True).click()
-    page.get_by_role("button", name="Run", exact=True).click()
-    page.locator("[data-state=running]").wait_for()
+    page.get_by_text("1 ×", exact=True).first.click()
+    status = start(page)
     page.get_by_role("button", name="pause", exact=True).click()
-    status = page.locator("[data-state=running]")
     status.filter(has_text="paused").wait_for()
     before = seconds(status)
     page.get_by_role("button", name="step", exact=True).click()
@@ -116,7 +129,7 @@ def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path
     page.get_by_text("Radial rms of the sensor in this time").wait_for()
     page.get_by_text("no limit").click()
     page.get_by_role("button", name="continue", exact=True).first.click()
-    page.locator("[data-state=finished]").wait_for()
+    finish(page, status)
     folder = max(path for path in app.output.glob("*-my-schedule"))
     command = json.loads((folder / "manifest.json").read_text())["command"].split()[1:]
     command[command.index("--output") + 1] = str(tmp_path / "again")
@@ -147,21 +160,15 @@ FLAW = """() => {
 
 
 def test_a_dragged_flaw_moves_in_x_and_y(page):
-    run(page)
+    finish(page, start(page))
     page.get_by_text("A flaw of 20 %").wait_for()
     page.get_by_text("A flaw of 20 %").evaluate("(words) => words.scrollIntoView(false)")  # the chart stands above it
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
     x_y, before = position(page, FLAW), page.evaluate(signals)
     moved = "() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49"
-    for _ in range(5):  # on a busy machine the browser can take a drag for a long press
-        page.mouse.move(*x_y)
-        page.mouse.down()
-        page.mouse.move(x_y[0] + 40, x_y[1] + 10, steps=4)
-        page.mouse.up()
-        page.wait_for_timeout(1000)
-        if page.evaluate(moved):
-            break
+    drag(page, *x_y, 40, 10)
+    page.mouse.up()
     page.wait_for_function(moved)
     changed = "(old) => Bokeh.documents[0].get_model_by_name('signals').data.x.some((value, k) => value != old[k])"
     page.wait_for_function(changed, arg=before)
@@ -211,10 +218,9 @@ def test_an_invalid_schedule_file_is_refused(page, tmp_path):
 def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browser, tube, tmp_path):
     with served(tmp_path / "runs", tube) as app:
         with opened(browser, app) as page:
-            run(page)
+            finish(page, start(page))
             page.get_by_text("1 ×", exact=True).first.click()
-            page.get_by_role("button", name="Run", exact=True).click()
-            page.locator("[data-state=running]").filter(has_text="m after").wait_for()
+            start(page).filter(has_text="m after").wait_for()
         app.kill()
         app.start()
         with opened(browser, app) as page:
@@ -223,7 +229,7 @@ def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browse
             runs.filter(has_text="001-my-schedule").filter(has_text="1 of 1 complete").wait_for()
             runs.filter(has_text="002-my-schedule").filter(has_text="interrupted: 0 of 2").wait_for()
             page.get_by_label("run", exact=True).locator("visible=true").select_option("002-my-schedule")
-            page.get_by_role("button", name="resume").click()
+            page.get_by_role("button", name="watch or resume").click()
             page.locator("[data-state=finished]").wait_for()
             runs.filter(has_text="002-my-schedule").filter(has_text="1 of 1 complete").wait_for()
 
@@ -234,7 +240,7 @@ def test_two_browsers_share_runs_but_not_schedules(browser, app):
         fill(one, "open a schedule", "best-schedule")
         one.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
         assert points(other) == before
-        run(one)
+        finish(one, start(one))
         newest = max(path.name for path in app.output.glob("*-my-*"))
         screen(other, 3)
         other.get_by_role("row").filter(has_text=newest).filter(has_text="complete").wait_for()
@@ -269,12 +275,11 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
     folder = Path(PICTURES or tmp_path)
     folder.mkdir(parents=True, exist_ok=True)
     with served(tmp_path / "output") as app, opened(browser, app, width) as page:
-        page.get_by_role("button", name="close").click()
         for number, title in enumerate(TITLES, start=1):
             screen(page, number)
             if title == "insertion":
                 page.get_by_text("20 ×", exact=True).first.click()  # so that the pause comes before the end
-                page.get_by_role("button", name="Run", exact=True).click()
+                status = start(page)
                 page.get_by_text(re.compile(r"[34]\d\.\d m after")).first.wait_for()
                 page.get_by_role("button", name="pause", exact=True).click()
                 page.get_by_role("button", name="slow motion").click()
@@ -287,14 +292,14 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
                 page.get_by_role("button", name="Start", exact=True).click()
                 page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m")).wait_for()
             page.wait_for_timeout(500)  # layout
-            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
             taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))
             few = taken.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
             few.save(folder / f"{title}-{width}.png", optimize=True)  # a third of the bytes; rare colours stay
             if title == "insertion":
                 page.get_by_text("no limit").click()
                 page.get_by_role("button", name="continue", exact=True).first.click()
-                page.locator("[data-state=finished]").wait_for()
+                finish(page, status)
 
 
 def test_only_reports_are_served_and_only_to_this_host(page, app):
