@@ -22,7 +22,7 @@ from probe_env.envs.pictures.strip import Motion
 from probe_env.fidelity import PRESETS
 
 CHART_PERIOD: Final = 0.4
-"""Least time between two drawings of the charts around the tube [s]: drawing slows the simulation down."""
+"""Least time between two drawings of the charts of a run [s]."""
 OBSERVATIONS: Final = {
     "inserted_length": ("inserted length", 1.0, "m"),
     "remaining_length": ("remaining length", 1.0, "m"),
@@ -50,11 +50,19 @@ class RunScreen(ui.Screen):
         super().__init__(session)
         self.pace = ui.choice(self.paces, pace, lambda: self.send(self.pace_command()))
         self.pause = ui.button("pause", self.toggle, 90)
+        self.drawn_at = -math.inf  # when the charts were drawn last
 
     def send(self, command: Command) -> None:
         """Send a command to the run."""
         if self.session.run is not None:
             self.session.app.queue.send(self.session.run, command)
+
+    def charts_due(self, run: Run) -> bool:
+        """Whether to draw the charts again, which slows the simulation down."""
+        now = time.monotonic()
+        due = now - self.drawn_at >= CHART_PERIOD or run.state != "running" or run.paused
+        self.drawn_at = now if due else self.drawn_at
+        return due
 
     def pace_command(self) -> Command:
         """The chosen pace."""
@@ -63,6 +71,10 @@ class RunScreen(ui.Screen):
     def toggle(self) -> None:
         """Pause or continue."""
         self.send(Command("go" if self.session.run is not None and self.session.run.paused else "pause"))
+
+    def refresh(self) -> None:
+        """Label the button by what it does."""
+        self.pause.label = "continue" if self.session.run is not None and self.session.run.paused else "pause"
 
 
 class InsertionScreen(RunScreen):
@@ -78,7 +90,6 @@ class InsertionScreen(RunScreen):
         self.signal = signal.line([], [], line_width=1.2, color=ui.GREEN).data_source
         self.status, self.observation = ui.Text(name="run-status"), ui.Text()
         self._motion: Motion | None = None
-        self._drawn_at = -math.inf
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
         self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
         self.pictures.visible = False
@@ -94,6 +105,7 @@ class InsertionScreen(RunScreen):
 
     def refresh(self) -> None:
         """Show the state of the run and the list of runs."""
+        super().refresh()
         run = self.session.run
         nothing = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
         self.status.text = nothing if run is None else _status(run)
@@ -109,20 +121,18 @@ class InsertionScreen(RunScreen):
             self.slow_motion.show(run.motion)
 
     def _show(self, run: Run, frame: Frame) -> None:
-        shape, now = frame.shape, time.monotonic()
-        if shape is not None:
-            self.probe.show(shape)
-        if now - self._drawn_at < CHART_PERIOD and run.state == "running" and not frame.paused:
+        unit, shape = frame.unit, frame.shape
+        if unit is None or shape is None:
             return
-        self._drawn_at = now
-        unit = frame.unit
-        if shape is not None and unit is not None:
-            self.probe.show_forces(shape)
-            self.signal.data = {"x": shape.signal_time, "y": shape.signal_radial * MM}
-            self.flaw.show(run.info.sensor, shape)
-            self.observation.text = _observation(shape.observation, unit, _last(run, unit))
-        same_tube = {other[0]: run.trace(other) for other in run.traces if unit is not None and other[1:] == unit[1:]}
-        self.charts.show(same_tube, run.info.limit, unit[0] if unit else "")
+        self.probe.show(shape)
+        if not self.charts_due(run):
+            return
+        self.probe.show_forces(shape)
+        self.signal.data = {"x": shape.signal_time, "y": shape.signal_radial * MM}
+        self.flaw.show(run.info.sensor, shape)
+        self.observation.text = _observation(shape.observation, unit, _last(run, unit))
+        same_tube = {other[0]: run.trace(other) for other in run.traces if other[1:] == unit[1:]}
+        self.charts.show(same_tube, run.info.limit, unit[0])
 
     def _request_controls(self) -> list[Any]:
         names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
@@ -156,18 +166,15 @@ class InsertionScreen(RunScreen):
     def _show_run(self, run: Run) -> None:
         self.session.run = run
         self._motion, self.slow_motion.layout.visible = run.motion, False
-        self._drawn_at = -math.inf
+        self.drawn_at = -math.inf
         self.refresh()
 
     def _list_episodes(self, run: Run) -> None:
         """List the episodes in progress."""
         units = run.frame.units if run.frame and run.state == "running" else ()
         options = [(str(k), f"{unit[0]}, tube {unit[1]}") for k, unit in enumerate(units) if unit is not None]
-        if self.watch.options != options:
-            self.watch.options = options
         if run.frame and options:
-            self.watch.value = str(run.frame.watched)
-        self.pause.label = "continue" if run.paused else "pause"
+            self.watch.update(options=options, value=str(run.frame.watched))
 
     def _watch(self) -> None:
         run = self.session.run
@@ -190,9 +197,8 @@ class InsertionScreen(RunScreen):
         names = sorted(lines, reverse=True)
         rows = ((escape(name), *map(escape, lines[name])) for name in names)
         self.table.text = ui.table_html(("run", "state", "result"), rows, "wide")
-        if self.chosen.options != names:
-            self.chosen.options = names
-            self.chosen.value = names[0] if names else ""
+        if names and self.chosen.options != names:
+            self.chosen.update(options=names, value=names[0])
 
     def _resume(self) -> None:
         """Watch a run of this process that goes on or is finished, resume another one."""
@@ -220,7 +226,8 @@ def _status(run: Run) -> str:
     done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else "starting"
     state = f"{escape(', '.join(run.request.names))}: {run.state}{', paused' if run.paused else ''}, {done}.{now}"
     notes = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in run.info.notes)
-    return f"<p class='big' data-run='{run.request.output.name}' data-state='{run.state}'>{state}</p>{notes}{ui.alert(run.problem)}"
+    attributes = f"class='big' data-run='{run.request.output.name}' data-state='{run.state}'"
+    return f"<p {attributes}>{state}</p>{notes}{ui.alert(run.problem)}"
 
 
 def _observation(observation: dict[str, float], unit: Unit, last: dict[str, float]) -> str:

@@ -26,8 +26,6 @@ STATES: Final = {
     "stopped": "<p>Stopped.</p>",
     "waiting": "<p>Waiting for the run before it.</p>",
 }
-CHART_EVERY: Final = 3
-"""Refreshes of a running drive for one drawing of the charts."""
 
 
 class ManualScreen(RunScreen):
@@ -37,7 +35,6 @@ class ManualScreen(RunScreen):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session, pace=2)
-        self._refreshes = 0
         self.rival = ui.control(Select, "compare with", options=[*NAMES, *shipped_agents()], value="tension-scheduled")
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
         stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
@@ -70,6 +67,7 @@ class ManualScreen(RunScreen):
 
     def refresh(self) -> None:
         """Show both insertions."""
+        super().refresh()
         run = self.session.run
         if run is None or not run.request.manual:
             self.score.text = "<p class='quiet'>Press <b>Start</b>.</p>"
@@ -77,12 +75,10 @@ class ManualScreen(RunScreen):
         traces = {unit[0]: run.trace(unit) for unit in run.traces}
         lines = "".join(_score(name, traces.get(name)) for name in run.request.names)
         self.score.text = lines + STATES.get(run.state, "") + ui.alert(run.problem)
-        self.pause.label = "continue" if run.paused else "pause"
         if run.frame is not None and run.frame.shape is not None:
             self.pictures.visible = True
             self.probe.show(run.frame.shape)
-        self._refreshes += 1
-        if self._refreshes % CHART_EVERY == 0 or run.state != "running":
+        if self.charts_due(run):
             self.charts.show(traces, run.info.limit, MANUAL)
 
     def _start(self) -> None:
