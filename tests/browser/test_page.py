@@ -15,15 +15,15 @@ from agents.cli import main
 from agents.evaluation.kpis import kpis_of
 from agents.evaluation.statistics import short
 
-PLACE = """([chart, k]) => {
+PLACE = """([chart, source, x, y]) => {
     const document = Bokeh.documents[0];
-    const points = document.get_model_by_name("points").data;
+    const data = document.get_model_by_name(source).data;
     const view = Bokeh.index.find_one(document.get_model_by_name(chart));
     const box = view.canvas_view.el.getBoundingClientRect();
-    return [box.left + view.frame.x_scale.compute(points.inserted_length_m[k]),
-            box.top + view.frame.y_scale.compute(points[chart][k])];
+    return [box.left + view.frame.x_scale.compute(data[x][0]), box.top + view.frame.y_scale.compute(data[y][0])];
 }"""
 FEED = "feed_speed_m_per_s"
+FIRST_POINT = (FEED, "points", "inserted_length_m", FEED)
 
 
 def screen(page, number):
@@ -36,8 +36,8 @@ def expected(page):
 
 
 def points(page):
-    return page.evaluate('Object.fromEntries(Object.entries(Bokeh.documents[0].get_model_by_name("points").data)'
-                         ".map(([name, values]) => [name, Array.from(values)]))")  # fmt: skip
+    data = "Object.entries(Bokeh.documents[0].get_model_by_name('points').data)"
+    return page.evaluate(f"Object.fromEntries({data}.map(([name, values]) => [name, Array.from(values)]))")
 
 
 def seconds(status):
@@ -47,7 +47,7 @@ def seconds(status):
 
 
 def fill(page, label, text):
-    box = page.get_by_label(label, exact=True)
+    box = page.get_by_label(label, exact=True).locator("visible=true")
     box.fill(text)
     box.press("Enter")
 
@@ -76,10 +76,10 @@ def drag(page, x, y, dx, dy):
     page.mouse.move(x + dx, y + dy, steps=4)
 
 
-def position(page, code, argument=None):
-    """Position of something in the window, once the layout has settled."""
+def position(page, *names):
+    """Position of the first point of a chart in the window, once the layout has settled."""
     last = None
-    while (now := page.evaluate(code, argument)) != last:
+    while (now := page.evaluate(PLACE, names)) != last:
         last = now
         page.wait_for_timeout(300)
     return now
@@ -87,7 +87,7 @@ def position(page, code, argument=None):
 
 def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
     before, at = expected(page), points(page)
-    x, y = position(page, PLACE, [FEED, 0])
+    x, y = position(page, *FIRST_POINT)
     drag(page, x, y, 0, 30)
     page.get_by_text("Expected:").filter(has_not_text=f"{before} s").wait_for()
     during = expected(page)
@@ -104,13 +104,12 @@ def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
 
 def test_a_tap_adds_a_point_to_both_charts(page):
     before = points(page)
-    x, y = position(page, PLACE, [FEED, 0])
+    x, y = position(page, *FIRST_POINT)
     page.mouse.click(x + 60, y + 40)
     added = "(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n"
     page.wait_for_function(added, arg=len(before[FEED]) + 1)
-    page.wait_for_function(
-        "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
-    )
+    filled = "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
+    page.wait_for_function(filled)
     after = points(page)
     assert after["inserted_length_m"] == sorted(after["inserted_length_m"])
 
@@ -150,22 +149,13 @@ def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path
     assert opened_report.value.get_by_role("heading", name="Feed policies compared").is_visible()
 
 
-FLAW = """() => {
-    const document = Bokeh.documents[0];
-    const view = Bokeh.index.find_one(document.get_model_by_name("strip"));
-    const box = view.canvas_view.el.getBoundingClientRect();
-    const flaw = document.get_model_by_name("flaw").data;
-    return [box.left + view.frame.x_scale.compute(flaw.time[0]), box.top + view.frame.y_scale.compute(flaw.at[0])];
-}"""
-
-
 def test_a_dragged_flaw_moves_in_x_and_y(page):
     finish(page, start(page))
     page.get_by_text("A flaw of 20 %").wait_for()
     page.get_by_text("A flaw of 20 %").evaluate("(words) => words.scrollIntoView(false)")  # the chart stands above it
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
-    x_y, before = position(page, FLAW), page.evaluate(signals)
+    x_y, before = position(page, "strip", "flaw", "time", "at"), page.evaluate(signals)
     moved = "() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49"
     drag(page, *x_y, 40, 10)
     page.mouse.up()
@@ -190,22 +180,7 @@ INVALID = [
 ]
 
 
-def test_invalid_input_is_refused_at_its_field(page):
-    screen(page, 1)
-    page.get_by_text("Your own tube").wait_for()
-    for label, text, message in INVALID:
-        given = page.get_by_label(label, exact=True).first
-        before = given.input_value()
-        given.fill(text)
-        given.press("Enter")
-        page.get_by_role("alert").filter(has_text=message).wait_for()
-        given.fill(before)
-        given.press("Enter")
-        if label not in ("open a tube file", "save as"):
-            page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
-
-
-def test_an_invalid_schedule_file_is_refused(page, tmp_path):
+def test_invalid_input_is_refused_at_its_field(page, tmp_path):
     (tmp_path / "bad.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,9,60\n")
     for text, message in (
         (str(tmp_path / "bad.csv"), "line 2, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
@@ -213,6 +188,15 @@ def test_an_invalid_schedule_file_is_refused(page, tmp_path):
     ):
         fill(page, "open a schedule", text)
         page.get_by_role("alert").filter(has_text=message).wait_for()
+    screen(page, 1)
+    page.get_by_text("Your own tube").wait_for()
+    for label, text, message in INVALID:
+        before = page.get_by_label(label, exact=True).locator("visible=true").input_value()
+        fill(page, label, text)
+        page.get_by_role("alert").filter(has_text=message).wait_for()
+        fill(page, label, before)
+        if label not in ("open a tube file", "save as"):
+            page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
 
 
 def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browser, tube, tmp_path):

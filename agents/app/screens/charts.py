@@ -229,8 +229,8 @@ class FlawChart:
         x, y = signal.voltages.T
         self.signals.data = {"time": signal.time, "x": x, "y": y}
         self.loop.data = {"x": x[signal.near], "y": y[signal.near]}
-        called = "called" if signal.filtered > signal.threshold else "not called"
+        verdict = "detected" if signal.filtered > signal.threshold else "not detected"
         self.caption.text = (
-            f"<p>A flaw of {self.depth.value:.0f} % has a signal-to-noise ratio of {signal.snr:.1f}. Filtered signal"
-            f" {signal.filtered:.1f}, threshold {signal.threshold:.1f}: <b>{called}</b>.</p>"
+            f"<p>A flaw of {self.depth.value:.0f} %: S/N {signal.snr:.1f}; after the filter {signal.filtered:.1f}"
+            f" (threshold {signal.threshold:.1f}): <b>{verdict}</b>.</p>"
         )
