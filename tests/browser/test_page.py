@@ -233,7 +233,7 @@ def test_two_browsers_share_runs_but_not_schedules(browser, app):
 def test_manual_drive_with_the_keyboard(page, app):
     page.keyboard.press("5")
     page.get_by_role("button", name="Start", exact=True).click()
-    page.get_by_text("by hand: score").wait_for()
+    page.get_by_text("by hand: reward").wait_for()
     feed = 'Bokeh.documents[0].get_model_by_name("hand-feed").value'
     before = page.evaluate(feed)
     page.keyboard.press("ArrowRight")
@@ -274,7 +274,7 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
             if title == "manual":
                 page.get_by_text("8 ×", exact=True).click()
                 page.get_by_role("button", name="Start", exact=True).click()
-                page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m")).wait_for()
+                page.get_by_text(re.compile(r"by hand: reward .* 1\d\.\d m")).wait_for()
             page.wait_for_timeout(500)  # layout
             page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
             taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))

@@ -100,6 +100,6 @@ def _score(name: str, trace: dict[str, Any] | None) -> str:
         return f"<p class='big'>{escape(name)}: settling</p>"
     last = {key: values[-1] for key, values in trace.items()}
     return (
-        f"<p class='big'>{escape(name)}: score <b>{last['reward']:.1f}</b>, {last['inserted_length']:.1f} m,"
-        f" {last['time']:.0f} s, {1e3 * last[RMS]:.3f} mm, {last['tension_mean_n']:.1f} N</p>"
+        f"<p class='big'>{escape(name)}: reward <b>{last['reward']:.1f}</b>, {last['inserted_length']:.1f} m after"
+        f" {last['time']:.0f} s, radial rms {1e3 * last[RMS]:.3f} mm, tension {last['tension_mean_n']:.1f} N</p>"
     )

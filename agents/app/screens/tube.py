@@ -19,7 +19,7 @@ from agents.records.shipped import shipped_names
 from probe_env import Plant
 
 TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
-STUDY: Final = "the study's tubes"
+STUDY: Final = "study tubes"
 INTRO: Final = (
     "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs and predictions"
     " are of this tube.</p>"
@@ -37,7 +37,7 @@ class TubeScreen(ui.Screen):
         self.errors: dict[str, ui.Text] = {}
         self._draw_section, section = _section_drawing()
         choice = {"options": [STUDY, *shipped_names("tubes")], "value": STUDY}
-        self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 190, **choice)
+        self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
         self.open = ui.control(models.TextInput, "open a tube file", self.guarded(self._open), placeholder="mine.toml")
         self.save = ui.control(models.TextInput, "save as", self.guarded(self._save), placeholder="mine.toml")
         calibrated, example = self.guarded(self._calibrate), "calibration.json"
