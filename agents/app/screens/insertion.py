@@ -50,6 +50,7 @@ class RunScreen(ui.Screen):
         super().__init__(session)
         self.pace = ui.choice(self.paces, pace, lambda: self.send(self.pace_command()))
         self.pause = ui.button("pause", self.toggle, 90)
+        self.stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
         self.drawn_at = -math.inf  # when the charts were drawn last
 
     def send(self, command: Command) -> None:
@@ -93,14 +94,30 @@ class InsertionScreen(RunScreen):
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
         self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
         self.pictures.visible = False
+        names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
+        options = {"options": names, "value": ["best-schedule"], "name": "policies"}
+        self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
+        self.with_schedule = models.Switch(label="my schedule", active=True)
+        self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
+        self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
+        start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
+        step = ui.button("step", lambda: self.send(Command("step")), 70)
+        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
+        self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
+        self.table = ui.Text()
+        self._listed: Any = None
+        self.chosen = ui.control(models.Select, "run", None, 300, options=[])
+        resume = ui.button("watch or resume", self.guarded(self._resume), 150)
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(*self._request_controls()),
+            ui.row(self.with_schedule, self.policies, self.limit, self.fidelity, start),
             self.problem,
-            ui.row(*self._run_controls()),
+            ui.row(self.pause, step, look, self.stop, self.pace, self.watch),
             self.status,
             self.pictures,
-            *self._run_list(),
+            ui.Text("<h2>Runs</h2>"),
+            self.table,
+            ui.row(self.chosen, resume),
         )
 
     def refresh(self) -> None:
@@ -133,30 +150,6 @@ class InsertionScreen(RunScreen):
         self.observation.text = _observation(shape.observation, unit, _last(run, unit))
         same_tube = {other[0]: run.trace(other) for other in run.traces if other[1:] == unit[1:]}
         self.charts.show(same_tube, run.info.limit, unit[0])
-
-    def _request_controls(self) -> list[Any]:
-        names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
-        options = {"options": names, "value": ["best-schedule"], "name": "policies"}
-        self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
-        self.with_schedule = models.Switch(label="my schedule", active=True)
-        self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
-        self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
-        start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
-        return [self.with_schedule, self.policies, self.limit, self.fidelity, start]
-
-    def _run_controls(self) -> list[Any]:
-        step = ui.button("step", lambda: self.send(Command("step")), 70)
-        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
-        stop = ui.button("stop", lambda: self.send(Command("stop")), 70)
-        self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
-        return [self.pause, step, look, stop, self.pace, self.watch]
-
-    def _run_list(self) -> list[Any]:
-        self.table = ui.Text()
-        self._listed: Any = None
-        self.chosen = ui.control(models.Select, "run", None, 300, options=[])
-        resume = ui.button("watch or resume", self.guarded(self._resume), 150)
-        return [ui.Text("<h2>Runs</h2>"), self.table, ui.row(self.chosen, resume)]
 
     def _start(self) -> None:
         options = {"limit": int(self.limit.value or 1), "fidelity": self.fidelity.value}

@@ -37,7 +37,6 @@ class ManualScreen(RunScreen):
         super().__init__(session, pace=2)
         self.rival = ui.control(Select, "compare with", options=[*NAMES, *shipped_agents()], value="tension-scheduled")
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
-        stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
         feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
         air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
         self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._send_setting, 340, **feed)
@@ -49,7 +48,7 @@ class ManualScreen(RunScreen):
         self.pictures.visible = False
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(self.rival, self.pace, start, self.pause, stop),
+            ui.row(self.rival, self.pace, start, self.pause, self.stop),
             ui.row(self.feed, self.air, self.space_bar),
             self.problem,
             self.score,

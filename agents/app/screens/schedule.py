@@ -56,9 +56,19 @@ class ScheduleScreen(ui.Screen):
         self.show_limit = ui.limit_line(vibration)
         remove = ui.button("remove selected", self._remove, 150)
         charts, table = ui.column(*self.charts, vibration), ui.column(remove, self._table())
+        opened, save, overlays = (self.guarded(work) for work in (self._open, self._save, self._show_overlays))
+        example = "my.csv, or a name"
+        self.open = ui.control(models.TextInput, "open a schedule", opened, placeholder=example)
+        text = {"value": session.name, "name": "save-schedule"}
+        self.save = ui.control(models.TextInput, "save as", save, 150, **text)
+        choice = {"options": ["linear", "steps"], "value": session.interpolation}
+        self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
+        choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
+        self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
+        self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(*self._controls()),
+            ui.row(self.open, self.save, self.kind, self.overlay, self.log),
             self.problem,
             self.summary,
             ui.columns((charts, 420, 3), (table, 280, 1)),
@@ -106,28 +116,15 @@ class ScheduleScreen(ui.Screen):
         options = {"editable": True, "sortable": False, "reorderable": False, "index_position": None}
         return models.DataTable(source=self.points, columns=cells, height=300, sizing_mode="stretch_width", **options)
 
-    def _controls(self) -> list[Any]:
-        opened, save, overlays = (self.guarded(work) for work in (self._open, self._save, self._show_overlays))
-        example = "my.csv, or a name"
-        self.open = ui.control(models.TextInput, "open a schedule", opened, placeholder=example)
-        text = {"value": self.session.name, "name": "save-schedule"}
-        self.save = ui.control(models.TextInput, "save as", save, 150, **text)
-        choice = {"options": ["linear", "steps"], "value": self.session.interpolation}
-        self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
-        choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
-        self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
-        self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
-        return [self.open, self.save, self.kind, self.overlay, self.log]
-
     def _moving(self) -> None:
         if not self._busy:
-            self._predict(schedules.tidied(self._columns(self.moving), self.place.config))
+            self._predict(schedules.tidied(self.moving.data, self.place.config))
 
     def _moved(self) -> None:
         """Points have been moved, added or typed."""
         if self._busy:
             return
-        points = self._columns(self.points)
+        points = {name: list(self.points.data[name]) for name in NAMES}
         try:
             if not any(MISSING in values for values in points.values()):
                 order = sorted(range(len(points[LENGTH])), key=lambda k: points[LENGTH][k])
@@ -206,6 +203,3 @@ class ScheduleScreen(ui.Screen):
         if self.save.value.strip():
             path = self.session.save_schedule(self.save.value.strip())
             self.summary.text += f"<p>written: <code>{escape(str(path))}</code></p>"
-
-    def _columns(self, source: models.ColumnDataSource) -> Points:
-        return {name: list(source.data[name]) for name in NAMES}
