@@ -122,7 +122,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     monkeypatch.setattr("agents.app.screens.insertion.time", clock)
     run = page.session.run = Run(RunRequest(policies=(), output=app.output), "running")
 
-    def drawn(paused=False):
+    def positions(paused=False):
         """Tips in the tube and in the charts around it after another period."""
         list(playing.step())
         rows = ((playing.unit(0), np.array([row_of(playing, 0)])),)
@@ -130,7 +130,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
         screen.refresh()
         return max(screen.probe.tube.floats.data["position"]), max(screen.probe.forces.data["position"])
 
-    first, second, third, fourth = drawn(), drawn(), drawn(), drawn(paused=True)
+    first, second, third, fourth = positions(), positions(), positions(), positions(paused=True)
     assert first[0] == first[1] == second[1] < second[0]
     assert third[0] == third[1] < fourth[0] == fourth[1]
     assert len(screen.charts.source.data["inserted_length"][0]) == 4

@@ -104,18 +104,11 @@ def test_pause_step_look_and_go_change_nothing(queue, tube, tmp_path):
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
-def test_a_command_given_as_a_run_begins_is_not_lost(queue, tube, tmp_path):
-    run = queue.add(SlowRequest(**dict(request(tmp_path / "run", tube))))
-    wait_for(lambda: run.state == "running", run)
-    queue.send(run, Command("pause"))
-    wait_paused(run)
-    queue.send(run, Command("stop"))
-    assert queue.wait(run, LONG)
-
-
 def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):
     whole = request(tmp_path / "whole", tube)
-    run = queue.add(whole, [Command("pause")])
+    run = queue.add(SlowRequest(**dict(whole)))
+    wait_for(lambda: run.state == "running", run)
+    queue.send(run, Command("pause"))  # not lost, though the run has only begun
     wait_paused(run)
     queue.send(run, Command("stop"))
     assert queue.wait(run, LONG)
@@ -131,20 +124,20 @@ def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):
 @pytest.mark.slow
 def test_a_killed_worker_loses_no_finished_insertion(queue, tube, tmp_path):
     """It is killed when the first insertion is stored, while ``slow`` is still under way at ten periods a second."""
-    kept = request(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
-    run = queue.add(kept, [Command("pace", (10.0,))])
-    wait_for(lambda: episodes_of(kept.output).read(), run)
+    killed = request(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
+    run = queue.add(killed, [Command("pace", (10.0,))])
+    wait_for(lambda: episodes_of(killed.output).read(), run)
     os.kill(queue._process.pid, signal.SIGKILL)
     assert queue.wait(run, LONG)
     assert run.state == "failed"
     assert "the worker process died (exit status -9): finished insertions are stored" in run.problem
-    run = queue.add(read_request(kept.output))
+    run = queue.add(read_request(killed.output))
     assert queue.wait(run, LONG)
     assert run.state == "finished"
-    lines = (kept.output / "episodes.jsonl").read_text().splitlines()
+    lines = (killed.output / "episodes.jsonl").read_text().splitlines()
     assert len(lines) == 2  # nothing lost, nothing repeated
-    plan = plan_of(kept.policies, place_at(tube, "test", 1), 1, "fast")
-    assert {key for key, *_ in plan.planned()} == episodes_of(kept.output).read().keys()
+    plan = plan_of(killed.policies, place_at(tube, "test", 1), 1, "fast")
+    assert {key for key, *_ in plan.planned()} == episodes_of(killed.output).read().keys()
 
 
 def test_a_manual_drive_is_a_policy_of_the_evaluation(queue, tube, tmp_path):

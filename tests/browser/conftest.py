@@ -83,18 +83,17 @@ def opened(browser, app, width=1280):
     context = browser.new_context(viewport={"width": width, "height": 900}, locale="en-GB")
     page = context.new_page()
     page.set_default_timeout(LONG)
-    asked, wrong = [], []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("websocket", lambda socket: asked.append(socket.url.replace("ws:", "http:", 1)))
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    urls, errors = [], []
+    page.on("request", lambda request: urls.append(request.url))
+    page.on("websocket", lambda socket: urls.append(socket.url.replace("ws:", "http:", 1)))
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     if throttle := os.environ.get("PROBE_ENV_THROTTLE"):
         context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": float(throttle)})
     page.goto(app.address)
     page.get_by_text("Expected:").wait_for()
     page.wait_for_function("window.probe_env_is_ready")
-    page.asked = asked
     yield page
-    assert [url for url in asked if not url.startswith((app.address, "data:", "blob:"))] == []
-    assert wrong == []
+    assert [url for url in urls if not url.startswith((app.address, "data:", "blob:"))] == []
+    assert errors == []
     context.close()

@@ -161,9 +161,9 @@ class SlowMotion:
 
     def show(self, motion: Motion) -> None:
         """Play a motion."""
-        kept = motion.floats
-        floats = (-motion.distance[kept], motion.lever[kept], motion.outer_gap[kept])
-        frames = [float_columns(floats[0], radial[kept], *floats[1:]) for radial in motion.radial]
+        nodes = motion.floats
+        position, walls = -motion.distance[nodes], (motion.lever[nodes], motion.outer_gap[nodes])
+        frames = [float_columns(position, radial[nodes], *walls) for radial in motion.radial]
         self.film.data = {name: [frame[name] for frame in frames] for name in FLOAT_COLUMNS}
         rms = float(motion.signal_radial[motion.signal_time >= 0.0].std()) * MM
         self.caption.text = (
