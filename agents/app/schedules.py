@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtr
 
 from agents.plant.logs import read_log
@@ -48,7 +49,8 @@ def points_of(schedule: Schedule) -> Points:
 
 def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
     """Points in order, within the ranges of feed and air; ``MISSING`` values are interpolated."""
-    columns = np.array([[_finite(value) for value in points[name]] for name in NAMES], dtype=float)
+    columns = np.array([pd.to_numeric(pd.Series(points[name]), errors="coerce") for name in NAMES], dtype=float)
+    columns[~np.isfinite(columns)] = MISSING
     columns = columns[:, np.argsort(columns[0], kind="stable")]
     length = np.maximum(columns[0], 0.0)
     for k in range(1, len(length)):
@@ -56,9 +58,10 @@ def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
     ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
     tidy = [[round(float(value), 3) for value in length]]
     for values, (low, high), digits in zip(columns[1:], ranges, (4, 2), strict=True):
-        known = values != MISSING
-        filled = np.interp(length, length[known], values[known]) if known.any() else np.full(len(length), low)
-        tidy.append([round(float(value), digits) for value in np.clip(np.where(known, values, filled), low, high)])
+        valid = values != MISSING
+        if valid.any():
+            values = np.where(valid, values, np.interp(length, length[valid], values[valid]))
+        tidy.append([round(float(value), digits) for value in np.clip(values, low, high)])
     return dict(zip(NAMES, tidy, strict=True))
 
 
@@ -78,19 +81,6 @@ def csv_text(points: Mapping[str, Sequence[object]], interpolation: Interpolatio
     rows = zip(*(points[name] for name in NAMES), strict=True)
     lines = [f"{CSV_COMMENT} {interpolation}", ",".join(NAMES), *(",".join(map(str, row)) for row in rows)]
     return "\n".join(lines) + "\n"
-
-
-def with_point(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
-    """Points with another one in the middle of the widest gap."""
-    ends = [0.0, *points[LENGTH], config.scene.tube.helix_length]
-    widest = int(np.diff(ends).argmax())
-    middle = 0.5 * (ends[widest] + ends[widest + 1])
-    return tidied({LENGTH: [*points[LENGTH], middle], **{n: [*points[n], MISSING] for n in NAMES[1:]}}, config)
-
-
-def _finite(value: object) -> float:
-    number = float(value) if isinstance(value, int | float) else MISSING
-    return number if np.isfinite(number) else MISSING
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ from typing import Final
 
 import numpy as np
 
-from agents.app.run_store import write_request
+from agents.app.run_store import REQUEST
 from agents.app.runs import (
     INFO_COLUMNS,
+    MANUAL,
     Command,
     Frame,
     ManualPolicy,
@@ -31,6 +32,8 @@ from agents.app.runs import (
 )
 from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
 from agents.evaluation.run import claim_folder, write_report
+from agents.policies.catalogue import own_policies
+from agents.records.manifest import write_json
 from agents.terminal.refusals import refusal
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes
@@ -53,19 +56,15 @@ def serve(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(descriptor)
     with suppress(EOFError, OSError):
-        _load_kernels()
+        # simulated once, so that the first run begins without loading kernels
+        episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
+        episodes.reset([0], {0: np.random.default_rng(0)})
         gc.freeze()  # a collection of all loaded modules takes 0.2 s
         while True:
             message = pipe.recv()
             if isinstance(message, RunRequest):  # commands after the end of a run are ignored
                 _Player(pipe, message).play()
     os._exit(0)
-
-
-def _load_kernels() -> None:
-    """Simulate once, so that the first run starts at once."""
-    episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
-    episodes.reset([0], {0: np.random.default_rng(0)})
 
 
 def row_of(playing: RolloutRunner, k: int) -> tuple[float, ...]:
@@ -117,9 +116,10 @@ class _Player:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 plan = self.request.plan()
-            names, output = list(plan.policies), self.request.output
-            claim_folder(plan, output, names[1] if self.request.manual and len(names) > 1 else None, self.request.own)
-            write_request(self.request)
+            request, names, output = self.request, list(plan.policies), self.request.output
+            own = [MANUAL] * request.manual + own_policies(request.policies)
+            claim_folder(plan, output, names[1] if request.manual and len(names) > 1 else None, own)
+            write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
             stored = stored_episodes(plan, output)
             self.done = sum(key in stored for key, *_ in plan.planned())
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
@@ -196,8 +196,9 @@ class _Player:
             self.watched = int(running.argmax()) if running.any() else min(self.watched, len(running) - 1)
         units = tuple(unit if running[k] else None for k, unit in enumerate(playing.units))
         rows = tuple((unit, np.array(rows)) for unit, rows in self.rows.items())
-        shape = None if playing.units[self.watched] is None else shape_of(playing, self.watched)
-        self.pipe.send(Frame(units, self.watched, rows, shape, self.done, self.paused))
+        unit = playing.units[self.watched]
+        shape = None if unit is None else shape_of(playing, self.watched)
+        self.pipe.send(Frame(units, self.watched, unit, rows, shape, self.done, self.paused))
         self.rows, self.shown_at = {}, time.monotonic()
 
     def _look(self, playing: RolloutRunner) -> None:

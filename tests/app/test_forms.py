@@ -113,7 +113,7 @@ def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp
     assert capsys.readouterr().err == f"probe-env: error: {path}: {error.value}\n"
 
 
-def test_points_are_a_schedule_file():
+def test_points_are_a_schedule_file_and_refused_as_one():
     schedule = Schedule.read("configs/schedules/example.csv")
     points = schedules.points_of(schedule)
     restored = schedules.schedule_of(points)
@@ -122,6 +122,10 @@ def test_points_are_a_schedule_file():
     assert restored.feed_speed == schedule.feed_speed
     assert restored.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-6)  # six digits
     assert schedules.csv_text(points).startswith("# interpolation: linear\n")
+    points[FEED][0] = 9.0
+    message = "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"
+    with pytest.raises(ValueError, match=message):
+        schedules.schedule_of(points)
 
 
 def test_points_are_tidied_after_a_drag():
@@ -132,20 +136,8 @@ def test_points_are_tidied_after_a_drag():
     assert tidy[LENGTH] == [5.0, 12.5, 20.0]
     assert tidy[FEED][1] == config.feed_speeds[1]  # the middle of 9 and 0.1 is out of range
     assert tidy[AIR] == [90.0, 90.0, 100.0]
-    assert (
-        np.diff(schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
-    )
-    more = schedules.with_point(tidy, config)
-    assert more[LENGTH] == [5.0, 12.5, 20.0, 40.0]
-    schedules.schedule_of(more)
-
-
-def test_invalid_points_are_refused_as_their_file_is():
-    points = schedules.points_of(Schedule.read("configs/schedules/example.csv"))
-    points[FEED][0] = 9.0
-    message = "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"
-    with pytest.raises(ValueError, match=message):
-        schedules.schedule_of(points)
+    tidy = schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)
+    assert np.diff(tidy[LENGTH]).min() > 0.0
 
 
 def test_the_prediction_is_the_objective_of_the_search_for_schedules():
