@@ -59,7 +59,7 @@ class _Play:
         assert probe_env.__all__  # imported for its ids
         self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
         self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
-        self.episodes.may_stand = True  # as in an evaluation
+        self.episodes.allow_standstill = True  # as in an evaluation
         self._policy = make_policy(policy, self.episodes.config, classes=True)
         self.ended, self.info = False, dict[str, Any]()
 
@@ -163,7 +163,7 @@ def _motion(play: _Play, at: float, look: Look) -> Motion:
     watch = Watch(episodes.batch.simulators[0], look.length, *(before or (np.zeros(0), np.zeros(0))))
     while left > 0.5 * SAMPLE_PERIOD and not play.ended:
         action = play.decide()
-        targets = episodes.config.targets(action[None]) * episodes.passes.way[:, None]
+        targets = episodes.config.targets(action[None]) * episodes.direction[:, None]
         period = episodes.config.period / episodes.time_lapse(targets)[0]  # of the dynamics
         feed_speed, air_supply_rate = targets[0]
         watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(left, period))

@@ -273,7 +273,7 @@ class Playing:
             count,
             plan.config,
             threads=threads,
-            may_stand=True,
+            allow_standstill=True,
             fidelity=plan.fidelity,
             probes=plan.probes,
             surrogate_map=plan.vibration,
@@ -314,7 +314,7 @@ class Playing:
 
     def advance(self) -> Iterator[Ended]:
         """Play the period that was decided on; gives the episodes that end with it."""
-        direction = self.episodes.passes.way.copy()
+        direction = self.episodes.direction.copy()
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
         self._observation = step.observation

@@ -108,7 +108,7 @@ def insert(
     length = config.scene.tube.helix_length
     if until is not None:
         within("until", until, 5.0, length, "m")
-    episodes = Episodes(1, config, threads=1, may_stand=True, fidelity=fidelity)
+    episodes = Episodes(1, config, threads=1, allow_standstill=True, fidelity=fidelity)
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     places, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
@@ -126,8 +126,8 @@ def insert(
             periods.append(info)
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
-    tally = episodes.tally[0].detection
-    detection = tally.kpis(episodes.tally[0].inspected, length)
+    tally = episodes.scorer.metrics[0].detection
+    detection = tally.kpis(episodes.scorer.metrics[0].inspected, length)
     return Insertion(_passage(config.sensor, places, periods, radial), tuple(periods), detection, tally)
 
 

@@ -16,7 +16,7 @@ from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 from probe_env.physics.model.chain import air_speed

@@ -21,22 +21,23 @@ from agents.policies.on_map import FRICTION_STEP, FRICTIONS, MapPolicy
 from probe_env import Context, Scene
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.scoring import RoundTripScorer
 from probe_env.envs.task import (
     MEASURES,
-    Outcome,
     TaskConfig,
     air_used,
+    any_ending,
     capped_square,
+    consecutive_slack,
     costs,
     ending,
     metre_reward,
     reward_terms,
     slack,
-    slack_in_a_row,
     travel,
+    uninspected_weight,
 )
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.passes import BothWays
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 from probe_env.physics.simulation.batch import SimulatorBatch
@@ -169,7 +170,7 @@ class Planner(_RecedingHorizon, MapPolicy):
             for k, context in zip(which, contexts, strict=True):
                 truth = episodes.batch.simulators[k].scene
                 own = {"probe": truth.probe, "carrier_length": truth.carrier_length}
-                scenes[k] = episodes.starts.build(context, {}).model_copy(update=own)
+                scenes[k] = episodes.sampler.build(context, {}).model_copy(update=own)
         inserted = np.array([episodes.batch.simulators[k].inserted_length for k in which])
         mapped = np.column_stack(looked_up(contexts, inserted, self.config, self.vibration))
         kept = np.array([memory[1:3] for memory in memories])
@@ -333,8 +334,8 @@ def looked_ahead(
     blur_states(copies, estimate.blur, entropy)
     feed, air = tried[..., 0].ravel(), tried[..., 1].ravel()
     length = np.array([s.scene.tube.helix_length for s in copies.simulators])
-    hung = np.repeat([episodes.tally[k].slack_periods for k in which], count)
-    time = np.repeat([episodes.tally[k].time for k in which], count)
+    hung = np.repeat([episodes.scorer.metrics[k].consecutive_slack_steps for k in which], count)
+    time = np.repeat([episodes.scorer.metrics[k].time for k in which], count)
     change = config.actions(feed, air) - np.repeat(episodes.actions[list(which)].astype(float), count, axis=0)
     reward, left = np.zeros(len(feed)), np.ones(len(feed), dtype=bool)
     dynamic = config.period / episodes.fidelity.time_lapse
@@ -345,18 +346,20 @@ def looked_ahead(
         moved = np.where(good, travel(config, before, after, window.feed_speed), 0.0)
         squares = capped_square(config, window.statistics[name] / config.limit)
         time = time + config.period
-        hung = slack_in_a_row(hung, slack(config, window.statistics["tension_mean_n"], after) & good)
-        end = ending(config, after, length, hung, time, left, window.diverged)
-        over = end.over
+        hung = consecutive_slack(hung, slack(config, window.statistics["tension_mean_n"], after) & good)
+        ends = ending(config, after, length, hung, time, left, window.diverged)
+        over = any_ending(ends)
         used = np.where(good, air_used(config, air_before, window.air_supply_rate), 0.0)
         ahead = np.where(over & config.growing, length - np.where(good, after, before), 0.0)
-        outcome = Outcome(moved, moved * squares, np.full(len(feed), config.period), used, ahead, end.diverged)
-        reward += np.where(left, sum(reward_terms(config, outcome, change).values()), 0.0)
+        terms = reward_terms(
+            config, moved, moved * squares, config.period, used, ahead, ends["diverged"], action_change=change
+        )
+        reward += np.where(left, sum(terms.values()), 0.0)
         left, change = left & ~over, np.zeros_like(change)
     inserted = inserted_of(copies)
     hanging = left & (hung > 0)  # drive that is about to be lost is lost: the map does not know of it
-    lost = Outcome(*(np.zeros(len(feed)),) * 4, np.where(hanging, length - inserted, 0.0), np.zeros(len(feed), bool))
-    reward += sum(reward_terms(config, lost).values())
+    lost = reward_terms(config, 0.0, 0.0, 0.0, 0.0, np.where(hanging, length - inserted, 0.0))
+    reward += sum(lost.values())
     shape = tried.shape[:2]
     return Outlook(reward.reshape(shape), inserted.reshape(shape), (~left | hanging).reshape(shape))
 
@@ -411,19 +414,19 @@ def worth_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
     On the way that each is on (N, 2) feed [m/s] and air [m3/s] are held, from the turn on the feed is the fastest and
     the air the least. Of those that hang slack it is what losing the drive costs, for that is what follows.
     """
-    config, passes = episodes.config, episodes.passes
-    assert isinstance(passes, BothWays)
-    inserted, length = episodes.gauges.inserted(), episodes.gauges.helix_length()
+    config, passes = episodes.config, episodes.scorer
+    assert isinstance(passes, RoundTripScorer)
+    inserted, length = episodes.inserted_length, episodes.helix_length
     to_pass, shaken = passes.still_to_pass()
-    forth, unseen = passes.way > 0.0, length - passes.reached
+    forth, unseen = passes.direction > 0.0, length - passes.reached
     here = np.where(forth, length - inserted, to_pass) / held[:, 0]
-    back = np.where(forth, length - passes.begun, 0.0) / config.feed_speeds[1]
+    back = np.where(forth, length - passes.start, 0.0) / config.feed_speeds[1]
     spent = costs(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
     # what the way in shook was charged already, and a silent way back gives it again
     refund = spent["vibration"] if config.inspects == "best" else 0.0
-    left = np.where(forth, length - passes.begun, to_pass)
+    left = np.where(forth, length - passes.start, to_pass)
     metres = unseen if config.inspects == "best" else left
     worth = config.progress_weight * metres + refund - spent["time"] - spent["air"]
-    hanging = np.array([tally.slack_periods > 0 for tally in episodes.tally])
-    lost = -config.uninspected_weight * (unseen + left)
+    hanging = np.array([metrics.consecutive_slack_steps > 0 for metrics in episodes.scorer.metrics])
+    lost = -uninspected_weight(config) * (unseen + left)
     return np.where(episodes.running, np.where(hanging, lost, worth), 0.0)

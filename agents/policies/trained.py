@@ -9,7 +9,7 @@ from agents.records.arrays import read_weights
 from agents.records.shipped import DEFAULT_SEED, agent_file, file_or_shipped, shipped_agents
 from agents.terminal.tables import print_terms
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import PROBE
+from probe_env.envs.task.scales import PROBE
 from probe_env.files import FileError, read_toml
 from probe_env.settings import tuples
 

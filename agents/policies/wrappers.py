@@ -97,7 +97,7 @@ class Shielded(_Wrapper):
         actions, seen = np.array(requested, dtype=np.float32), in_si_units(self.config, rows)
         gain = -np.expm1(-self.config.period / self.average)
         friction = friction + gain * (np.clip(friction_from_tension(seen, self.config.scene), *FRICTIONS) - friction)
-        wanted = self.config.targets(actions, may_stand=True)
+        wanted = self.config.targets(actions, allow_standstill=True)
         kept = self._kept(wanted, seen, friction)
         changed = kept != wanted
         actions[changed] = self.config.actions(*kept.T).astype(np.float32)[changed]

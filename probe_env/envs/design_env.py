@@ -14,15 +14,15 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.env import Observation
 from probe_env.envs.episodes.starts import (
     DEFAULTS,
+    EpisodeSampler,
     EpisodeSettings,
     PlaceSettings,
-    Starts,
     drawn_context,
     placed,
     settling,
 )
 from probe_env.envs.task import TaskConfig, action_of, share_of
-from probe_env.envs.task.observations import OBSERVATIONS, PRIVILEGED, UNITS
+from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
 from probe_env.envs.trials import (
     Candidate,
     Controller,
@@ -112,7 +112,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         self.contexts = left.get("contexts", DEFAULTS["contexts"])
         stretch_of(self.config)  # refuses a helix that is too short
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build
-        self.starts = Starts(self.config, self.contexts, "random", *settling(self.config, {}))
+        self.starts = EpisodeSampler(self.config, self.contexts, "random", *settling(self.config, {}))
         self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.starts.stiffest, full)
         if not self.fidelity.simulates:
             raise ValueError("fidelity = 'surrogate' is for Insertion-v1 alone: designs are simulated, give standard")

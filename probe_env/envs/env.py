@@ -121,7 +121,7 @@ class InsertionEnv(ProbeEnv):
     | 1 | target air supply; follows with a lag of 1 s | 30 | 130 | m3/h |
 
     ## Observation Space
-    A `Box` of float32; names, bounds and meaning in `probe_env.envs.task.observations.OBSERVATIONS`:
+    A `Box` of float32; names, bounds and meaning in `probe_env.envs.task.scales.OBSERVATIONS`:
 
     | Num | Observation | Scale |
     |---|---|---|
@@ -135,7 +135,7 @@ class InsertionEnv(ProbeEnv):
 
     Friction and contact stiffness are not observed. `config={"observe_root_tension": False}` leaves out 7,
     `{"privileged": True}` adds friction, contact stiffness and drag; `{"observe_probe": True}` the seven figures of the
-    probe that was built (`probe_env.envs.task.observations.PROBE`), for one controller of many probes.
+    probe that was built (`probe_env.envs.task.scales.PROBE`), for one controller of many probes.
 
     ## Rewards
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up

@@ -44,8 +44,8 @@ def test_a_spec_goes_through_json(env_id):
     env = gym.make(env_id, scene=scene, config={"feed_speeds": (0.05, 0.3)}, fidelity=fidelity)
     restored = gym.make(EnvSpec.from_json(env.spec.to_json()))
     assert restored.unwrapped.config == env.unwrapped.config
-    assert restored.unwrapped.episodes.starts.scene == env.unwrapped.episodes.starts.scene
-    assert restored.unwrapped.episodes.starts.scene.tube.helix_diameter == 2.0
+    assert restored.unwrapped.episodes.sampler.scene == env.unwrapped.episodes.sampler.scene
+    assert restored.unwrapped.episodes.sampler.scene.tube.helix_diameter == 2.0
 
 
 @IDS

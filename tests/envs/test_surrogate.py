@@ -99,14 +99,14 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
     episodes = begun(1, config, noise=QUIET)
-    air, length = episodes.air[0], episodes.length[0]
+    air, length = episodes.air[0], episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
     assert episodes.feed[0] == pytest.approx(0.3)
-    assert episodes.length[0] - length == pytest.approx(0.25, abs=5e-4)
+    assert episodes.inserted_length[0] - length == pytest.approx(0.25, abs=5e-4)
     assert episodes.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
-    length = episodes.length[0]
+    length = episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
-    assert episodes.length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
+    assert episodes.inserted_length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
 
 
 def test_scatter_is_stationary_and_correlated_as_it_says():

@@ -16,7 +16,7 @@ from agents.policies.view import View
 from agents.records.arrays import read_weights
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import OBSERVATIONS
+from probe_env.envs.task.scales import OBSERVATIONS
 
 TASK = TaskConfig()
 

@@ -25,7 +25,7 @@ from agents.policies.planner import (
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import Inspects, TaskConfig
+from probe_env.envs.task import Inspects, TaskConfig, uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
 
@@ -117,7 +117,7 @@ def test_the_end_of_the_tube_and_lost_drive_end_what_is_foreseen() -> None:
     slack = TaskConfig(required_tension=50.0, lost_drive_from=0.0)  # no air of the range keeps that
     hanging = looked_ahead(running(slack, periods=1), [0], tried, 1, EXACT, [0])
     assert hanging.over.all()
-    assert hanging.reward[0, 0] < -0.5 * slack.uninspected_weight * length
+    assert hanging.reward[0, 0] < -0.5 * uninspected_weight(slack) * length
 
 
 def test_blur_is_of_the_copies_alone_and_alike_for_all_of_a_probe() -> None:
@@ -236,7 +236,7 @@ def test_copies_of_an_episode_do_as_it_does(inspects: Inspects, measure: str) ->
         one, other = forked.step(np.vstack([actions, actions[:1]]), running), aside.step(actions, aside.running.copy())
         for name in ("observation", "reward", "terminated", "truncated"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name)[[1, 0, 1]])
-    assert (forked.passes.way < 0.0).all()
+    assert (forked.direction < 0.0).all()
     assert not aside.running.any()
     alone = begun(config)
     for _ in range(3):
@@ -272,17 +272,16 @@ def test_the_rest_is_what_is_left_of_both_ways() -> None:
     np.testing.assert_allclose(rest(episodes), 3.0 * config.progress_weight - 6.0 * per_metre)
     slower = (config.time_weight + config.air_weight * 0.02) / 0.1  # a metre of the way in
     np.testing.assert_allclose(rest(episodes, 0.1, 0.02), 3.0 * (config.progress_weight - per_metre - slower))
-    while episodes.gauges.inserted().min() < 6.9:
+    while episodes.inserted_length.min() < 6.9:
         episodes.step(held(config, 0.4, 0.02))
-    passes = episodes.passes
-    known = [passes._shown[k][:, 1].sum() for k in range(2)]
-    left = LENGTH - episodes.gauges.inserted()
+    known = [episodes.scorer._shown[k][:, 1].sum() for k in range(2)]
+    left = LENGTH - episodes.inserted_length
     expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * np.array(known)
     np.testing.assert_allclose(rest(episodes), expected)
     assert min(known) > 0.0
     hanging = episodes.fork([0])
-    hanging.tally[0].slack_periods = 1
-    assert rest(hanging)[0] == pytest.approx(-config.uninspected_weight * (left[0] + 3.0))
+    hanging.scorer.metrics[0].consecutive_slack_steps = 1
+    assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))
 
 
 def test_what_is_earned_ends_with_the_episode() -> None:

@@ -29,7 +29,9 @@ def measured(friction, inserted=40.0, air=63.0 / 3600.0, feed=0.2, config=CONFIG
     seen["helix_diameter"] = 1.2 * one
     tension = sliding_tension(np.asarray(friction), seen, config.scene)
     rest = dict.fromkeys(("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2"), one)
-    rest |= dict.fromkeys(("feed_action", "air_action", "drag_factor", "contact_stiffness"), 0.0 * one)
+    rest |= dict.fromkeys(
+        ("previous_feed_action", "previous_air_action", "drag_factor", "contact_stiffness"), 0.0 * one
+    )
     probe = {name: getattr(config.scene.probe, name) * one for name in PROBE}
     seen |= rest | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one, "friction": one}
     return observe(config, seen | {"remaining_length": one}, np.zeros((len(friction), 2)))
@@ -98,10 +100,10 @@ def test_where_there_is_no_more_air_the_feed_slows():
 
 def test_the_air_comes_in_whole_steps_and_a_feed_that_stands_goes_on_standing():
     config = CONFIG.model_copy(update={"air_supply_step": 10.0 / 3600.0})
-    given = np.array([[config.standing, -1.0]], dtype=np.float32)
+    given = np.array([[config.standstill, -1.0]], dtype=np.float32)
     shielded = acted(given, np.array([0.6]), config)
-    assert shielded[0, 0] == config.standing
-    air = config.targets(shielded, may_stand=True)[0, 1] * 360.0
+    assert shielded[0, 0] == config.standstill
+    air = config.targets(shielded, allow_standstill=True)[0, 1] * 360.0
     assert air == pytest.approx(round(air), abs=1e-5)
     assert tensions(np.array([[-1.0, shielded[0, 1]]]), 0.6)[0] >= 1.2
 

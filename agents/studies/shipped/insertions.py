@@ -22,7 +22,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.plants.tables import Tubes
 from probe_env.envs.task import TaskConfig, value_at
-from probe_env.envs.task.observations import ACCELEROMETER_FLOOR, RF_FLOOR
+from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
 from probe_env.files import read_arrays

@@ -27,8 +27,8 @@ from agents.studies.tables import print_frame
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.task import metre_reward
-from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.task import metre_reward, uninspected_weight
+from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
@@ -195,4 +195,4 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
         length = length + travel
         if (left <= 0.0).all():
             break
-    return reward - config.uninspected_weight * np.maximum(end - length, 0.0)
+    return reward - uninspected_weight(config) * np.maximum(end - length, 0.0)

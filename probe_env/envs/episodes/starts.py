@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypedDict, get_args
@@ -66,9 +67,21 @@ def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, floa
     return settings.get("feed_speed", feed), settings.get("air_supply_rate", air)
 
 
+@contextmanager
+def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
+    """Generators go back to where they were if an error leaves the block."""
+    before = [(rng, rng.bit_generator.state) for rng in rngs]
+    try:
+        yield
+    except BaseException:
+        for rng, state in before:
+            rng.bit_generator.state = state
+        raise
+
+
 @dataclass(frozen=True)
-class Starts:
-    """What episodes begin from, see ``EpisodeSettings``; ValueError for contexts or probes that there are not."""
+class EpisodeSampler:
+    """Draws tube and probe of an episode, see ``EpisodeSettings``; ValueError for contexts or probes not known."""
 
     config: TaskConfig
     contexts: Contexts

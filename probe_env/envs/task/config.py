@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task.observations import (
+from probe_env.envs.task.scales import (
     BOTH_WAYS,
     OBSERVATIONS,
     PRIVILEGED,
@@ -21,7 +21,6 @@ from probe_env.envs.task.observations import (
     share_of,
     value_at,
 )
-from probe_env.envs.task.rules import metre_cost
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, Range, quantity, range_of
@@ -144,16 +143,6 @@ class TaskConfig(Model):
         return self.vibration_limit or MEASURES[self.vibration_measure][1]
 
     @property
-    def uninspected_weight(self) -> float:
-        """Cost of a metre that was not inspected: the greatest that inspecting one can cost.
-
-        So neither ending early nor crawling to the time limit pays.
-        """
-        slowest, most_air = self.feed_speeds[0], self.air_supply_rates[1]
-        jerk = self.jerk_weight * 8.0 / slowest / self.period
-        return self.progress_weight + float(metre_cost(self, self.ratio_cap**2, slowest, most_air)) + jerk
-
-    @property
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
         shown = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
@@ -166,17 +155,17 @@ class TaskConfig(Model):
         return self.model_copy(update=dict.fromkeys(SHOWN, True))
 
     @property
-    def standing(self) -> np.float32:
+    def standstill(self) -> np.float32:
         """The feed action that stands still: as far below -1 as no feed at all is below the slowest.
 
         No action space has it, and agents do not choose it: ``Episodes`` takes it from who replays what a rig did.
         """
         return np.float32(action_of(share_between(0.0, self.feed_speeds)))
 
-    def targets(self, actions: npt.ArrayLike, may_stand: bool = False) -> FloatArray:
+    def targets(self, actions: npt.ArrayLike, allow_standstill: bool = False) -> FloatArray:
         """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2) in [-1, 1].
 
-        ``may_stand``: the feed action may also be ``standing``, and the feed speed is 0 then.
+        ``allow_standstill``: the feed action may also be ``standstill``, and the feed speed is 0 then.
 
         Raises:
             ValueError: an action of the wrong shape, not finite or out of range.
@@ -185,7 +174,7 @@ class TaskConfig(Model):
         if values.ndim != 2 or values.shape[1] != 2:
             raise ValueError(f"action has shape {values.shape[1:]}; the accepted shape is (2,): feed speed, air supply")
         bad = ~(np.abs(values) <= 1.0 + 1e-6)
-        stands = bad[:, 0] & (values[:, 0] == self.standing) & may_stand
+        stands = bad[:, 0] & (values[:, 0] == self.standstill) & allow_standstill
         bad[stands, 0] = False
         if bad.any():
             row, column = np.argwhere(bad)[0]

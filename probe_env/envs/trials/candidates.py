@@ -17,7 +17,7 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import FAILURES, Outcome, TaskConfig, capped_square, reward_terms
+from probe_env.envs.task import FAILURES, TaskConfig, capped_square, reward_terms
 from probe_env.envs.trials.players import Controller
 from probe_env.schedule import Schedule
 
@@ -144,7 +144,7 @@ def judge(
     inspected = trial.inspected
     if inspected is None:
         inspected = np.maximum(config.scene.tube.helix_length - guides - SENSOR_START - missed, 0.0)
-    terms = reward_terms(config, Outcome(inspected, squares, time, air, missed, trial.failed["diverged"]))
+    terms = reward_terms(config, inspected, squares, time, air, missed, trial.failed["diverged"])
     length = np.maximum(covered, 1e-9)
     margin = np.where(trial.deep, trial.root_tension, np.inf).min(axis=1) - config.required_tension
     kpis = {

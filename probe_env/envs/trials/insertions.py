@@ -31,7 +31,7 @@ def try_insertions(
             raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
         policies.append(candidate.feed)
     count, stretch = len(candidates), stretch_of(config)
-    episodes = Episodes(count, config, threads=threads, may_stand=True, fidelity=fidelity)
+    episodes = Episodes(count, config, threads=threads, allow_standstill=True, fidelity=fidelity)
     designs = [candidate.design.built for candidate in candidates]
     options = {k: {"context": c.context, "probe": designs[k].model_dump()} for k, c in enumerate(candidates)}
     rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds_of(candidates))}
@@ -43,8 +43,8 @@ def try_insertions(
     guides = np.array([design.guide_length for design in designs])
     inspected, blown = np.zeros(count), np.zeros(count)
     for step, active in periods_of(episodes, policies, observation):
-        before, inspected = inspected, np.array([tally.inspected for tally in episodes.tally])
-        blown_before, blown = blown, np.array([tally.air for tally in episodes.tally])
+        before, inspected = inspected, np.array([metrics.inspected for metrics in episodes.scorer.metrics])
+        blown_before, blown = blown, np.array([metrics.air for metrics in episodes.scorer.metrics])
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
             for name, flags in failed.items():
@@ -69,7 +69,8 @@ def try_insertions(
     # what a probe misses by its guide is not charged to what it finds
     tube = config.scene.tube.helix_length
     reach = (tube - guides - SENSOR_START).tolist()
-    found = [t.detection.kpis(max(t.inspected, own), tube) for t, own in zip(episodes.tally, reach, strict=True)]
+    pairs = zip(episodes.scorer.metrics, reach, strict=True)
+    found = [metrics.detection.kpis(max(metrics.inspected, own), tube) for metrics, own in pairs]
     return Trial(
         widths=widths,
         feed_speed=np.where(seen, travel / seconds, 0.0),

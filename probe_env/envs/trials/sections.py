@@ -10,7 +10,7 @@ import numpy as np
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.limits import check_simulable
-from probe_env.envs.episodes.starts import Starts, settling
+from probe_env.envs.episodes.starts import EpisodeSampler, settling
 from probe_env.envs.task import FAILURES, TaskConfig, drive_counts, slack
 from probe_env.envs.trials.candidates import LEAST_SNR, Candidate, Trial, seeds_of, stretch_of
 from probe_env.fidelity import Fidelity
@@ -69,11 +69,11 @@ def try_sections(
     window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=heard)
     diverged = (settled.diverged | window.diverged).reshape(shape)
     rms, tension = (window.statistics[name].reshape(shape) for name in ("radial_rms_m", "tension_mean_n"))
-    hanging = slack(config, tension, inserted) & ~diverged
-    reached = np.cumsum(diverged | hanging, axis=1) == 0
+    is_slack = slack(config, tension, inserted) & ~diverged
+    reached = np.cumsum(diverged | is_slack, axis=1) == 0
     widths = np.where(reached, stretch.widths, 0.0)
     failed = dict.fromkeys(FAILURES, np.zeros(len(candidates), dtype=bool))  # at constant length in two ways alone
-    failed |= {"lost_drive": np.asarray(hanging.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
+    failed |= {"lost_drive": np.asarray(is_slack.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
     noise = None
     if heard:
         assert window.radial is not None
@@ -118,7 +118,7 @@ def check_candidate(
     ``feed`` is that of sections of constant length; None: whole insertions.
     """
     if feed is None:
-        starts = Starts(config, (context,), "scene", *settling(config, {}))
+        starts = EpisodeSampler(config, (context,), "scene", *settling(config, {}))
         scene = starts.build(context, {"probe": design.built.model_dump()})
         check_simulable(scene, fidelity, scene.tube.helix_length, config.air_supply_rates[1])
     else:

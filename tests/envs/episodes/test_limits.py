@@ -12,7 +12,7 @@ import pytest
 from probe_env import Context, Design, Fidelity, Probe, Scene, SimulatorBatch, load_contexts
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.episodes.limits import check_simulable, softest_wall, steady_sliding
-from probe_env.envs.episodes.starts import Starts
+from probe_env.envs.episodes.starts import EpisodeSampler
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import sections_of
 from probe_env.envs.trials.sections import HARDEST
@@ -109,7 +109,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
     """Twice over: the bounds are far from where the task is."""
     rng = np.random.default_rng(0)
     tubes = [context for split in ("train", "validation", "test") for context in load_contexts(split)]
-    starts = Starts(TaskConfig(), "random", "random", 0.2, MOST_AIR)
+    starts = EpisodeSampler(TaskConfig(), "random", "random", 0.2, MOST_AIR)
     hard = Schedule("inserted_length", "linear", (5.0,), (0.02,), (MOST_AIR,))
     for k, context in enumerate(tubes):
         # superelements look for modes and mass of every probe: every seventh tube, of all diameters
@@ -145,7 +145,7 @@ def test_auto_takes_a_step_that_holds_for_all_that_is_drawn():
     for env_id, probes in ((i, p) for i in IDS for p in ("scene", "random")):
         episodes = gym.make(env_id, fidelity="auto", probes=probes).unwrapped.episodes
         stiffest = Context(contact_stiffness=1.4e5)
-        scene = episodes.starts.build(stiffest, {"probe": HARDEST[0].built.model_dump()} if probes == "random" else {})
+        scene = episodes.sampler.build(stiffest, {"probe": HARDEST[0].built.model_dump()} if probes == "random" else {})
         assert episodes.fidelity.time_step <= METHODS[episodes.fidelity.method].contact_step(scene, 4)
     soft = gym.make("probe_env/Snapshot-v1", fidelity="auto", scene=Scene(contact={"stiffness": 1e4}))
     soft.reset(seed=0)  # contexts set the stiffness: the scene's own 1e4 N/m would have allowed 5e-4 s

@@ -18,10 +18,10 @@ def inserted(fidelity, feeds, config=CONFIG):
     count = len(feeds[0])
     episodes = Episodes(count, config, threads=1, fidelity=fidelity, feed_speed=0.2)
     episodes.reset(range(count), {k: np.random.default_rng(k) for k in range(count)})
-    lengths, seen = [episodes.gauges.inserted()], []
+    lengths, seen = [episodes.inserted_length], []
     for row in feeds:
         step = episodes.step(config.actions(np.array(row), np.full(count, AIR)).astype(np.float32))
-        lengths.append(episodes.gauges.inserted())
+        lengths.append(episodes.inserted_length)
         seen.append(step.observation)
     return np.array(lengths), np.array(seen)
 
@@ -51,7 +51,7 @@ def test_probes_side_by_side_have_each_their_own():
         episodes.reset([0], {0: np.random.default_rng(k)})
         for row in feeds[:, k]:
             episodes.step(CONFIG.actions(np.array([row]), np.array([AIR])).astype(np.float32))
-        assert episodes.gauges.inserted()[0] == together[-1, k]
+        assert episodes.inserted_length[0] == together[-1, k]
 
 
 def test_a_change_that_counts_as_steady_mistakes_no_more_metres_than_is_said():
@@ -66,7 +66,7 @@ def test_a_look_ahead_is_in_time_lapse_throughout():
     episodes = Episodes(1, CONFIG, threads=1, fidelity=STEADY, feed_speed=0.2)
     episodes.reset([0], {0: np.random.default_rng(0)})
     episodes.step(CONFIG.actions(np.array([0.4]), np.array([AIR])).astype(np.float32))
-    begun = episodes.gauges.inserted()[0]
+    begun = episodes.inserted_length[0]
     outlook = looked_ahead(episodes, [0], np.array([[[0.4, AIR]]]), 3, Estimate(), [0])
     assert outlook.inserted[0, 0] - begun == pytest.approx(3.0 * CONFIG.period * 0.4, rel=1e-6)
 

@@ -8,7 +8,8 @@ import probe_env
 from probe_env import Context, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
 from probe_env.envs.episodes.starts import checked_contexts, drawn_context
-from probe_env.envs.task.observations import LOAD_CELL, observe
+from probe_env.envs.task.observations import observe
+from probe_env.envs.task.scales import LOAD_CELL
 
 SHORT = {"growing": False, "period": 0.05, "time_limit": 1.0, "settle_time": 0.05}
 ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2)).astype(np.float32)
@@ -30,8 +31,15 @@ def test_noise_is_as_strong_as_the_task_says():
     """Of 4,000 draws the deviation is within 6 standard errors, 0.011 of it each (a chance of 2e-9)."""
     count = 4000
     names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "radial_rms_m", "tension_mean_n")
-    others = ("feed_action", "air_action", "inserted_length", "remaining_length", "feed_speed", "air_supply_rate")
-    measured = {name: np.full(count, 2.0) for name in (*names, *others, "helix_diameter")}
+    others = (
+        "previous_feed_action",
+        "previous_air_action",
+        "inserted_length",
+        "remaining_length",
+        "feed_speed",
+        "air_supply_rate",
+    )
+    measured = {name: np.full(count, 2.0) for name in (*names, *others)}
     noise = np.random.default_rng(1).normal(size=(count, 2))
     columns = list(TaskConfig().observations)
     for rf, tension in ((0.05, 0.02), (0.2, 0.1), (0.0, 0.0)):
@@ -68,7 +76,7 @@ def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
     assert Ranges(contact_stiffness=(1e5, 3e6)).stiffest == 3e6
     for contexts in ({"contact_stiffness": (1e5, 1.8e5)}, [{"contact_stiffness": 1.8e5}, {"friction": 0.2}]):
         env = gym.make("probe_env/Insertion-v1", contexts=contexts).unwrapped
-        assert env.episodes.starts.stiffest.contact.stiffness == 1.8e5
+        assert env.episodes.sampler.stiffest.contact.stiffness == 1.8e5
 
 
 def test_what_is_wrong_with_contexts_is_named():
