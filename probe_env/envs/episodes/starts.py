@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import GivenPlant, map_beside, plant_of
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, ungrouped
 from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
@@ -169,8 +169,9 @@ def placed(
         left.setdefault("surrogate_map", map_beside(Path(file)))
     plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
     if plant is None:
-        task = config if isinstance(config, TaskConfig) else None
-        task = task or TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
+        task = config
+        if not isinstance(task, TaskConfig):  # of JSON, which has no tuples
+            task = TaskConfig.model_validate(tuples(dict(defaults) | ungrouped(dict(config or {}))))
         return (task if scene is None else task.model_copy(update={"scene": scene_of(scene)})), left
     if scene is not None:
         raise ValueError("tube and scene: give one of them, a tube has a scene of its own")

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import qmc
@@ -32,7 +33,7 @@ from probe_env.envs.plants.tables import (
     middle,
     quantiles,
 )
-from probe_env.envs.task import SHOWN, TaskConfig
+from probe_env.envs.task import SHOWN, TaskConfig, ungrouped
 from probe_env.files import FileError, read_toml
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Probe, Scene
@@ -56,8 +57,8 @@ class Plant(Model):
     air: Supply = Supply()
     feed: FeedDevice = FeedDevice()
     sensor: Sensor = Sensor()
-    task: dict[str, Any] = Field(default_factory=dict)
-    """Fields of ``TaskConfig``: limits, weights, sensors."""
+    task: Annotated[dict[str, Any], BeforeValidator(ungrouped)] = Field(default_factory=dict)
+    """Fields of ``TaskConfig``, by themselves or in tables of its groups."""
     posterior: Posterior | None = None
     """What a calibration found; it goes before the figures of the same quantities. A file names it by its path."""
 
@@ -95,8 +96,8 @@ class Plant(Model):
             text = f"air.drag_coefficient: {least:g} to {most:g} times its median is beyond {low:g} to {high:g} times"
             raise PydanticCustomError("drag", "{text}", {"text": text})
         try:
-            self._scenes()
-            self.configured()
+            assert self.scenes
+            assert self.config
         except ValidationError as error:
             field = str((error.errors()[0]["loc"] or ("",))[0])
             table = "task" if field in TaskConfig.model_fields or field in self.task else ""
@@ -127,10 +128,11 @@ class Plant(Model):
     @property
     def scene(self) -> Scene:
         """A tube of the plant with the median of what is not known, the probe inserted as far as it goes up to 50 m."""
-        return self._scenes()[0]
+        return self.scenes[0]
 
-    def _scenes(self) -> list[Scene]:
-        """One for each helix diameter."""
+    @cached_property
+    def scenes(self) -> tuple[Scene, ...]:
+        """A scene for each helix diameter."""
         tube = self.tube.model_dump(include={"inner_diameter", "helix_length"})
         rest = {
             "probe": self.probe.model_copy(update={"damping_time": self._middle("damping_time")}),
@@ -142,7 +144,12 @@ class Plant(Model):
             },
             "air": {"density": self.air.density, "drag_coefficient": self._middle("drag_coefficient")},
         }
-        return [Scene.fitted({"tube": tube | {"helix_diameter": diameter}, **rest}) for diameter in self.diameters]
+        return tuple(Scene.fitted({"tube": tube | {"helix_diameter": diameter}, **rest}) for diameter in self.diameters)
+
+    @cached_property
+    def config(self) -> TaskConfig:
+        """The plant's task."""
+        return self._config({}, {})
 
     def configured(
         self, defaults: Mapping[str, Any] | None = None, changes: Mapping[str, Any] | None = None
@@ -154,14 +161,17 @@ class Plant(Model):
         Raises:
             ValueError: a field that is not known or not valid.
         """
+        return self._config(defaults or {}, changes or {}) if defaults or changes else self.config
+
+    def _config(self, defaults: Mapping[str, Any], changes: Mapping[str, Any]) -> TaskConfig:
         device = {
             name: getattr(part, name) for part, names in ((self.feed, OF_FEED), (self.air, OF_AIR)) for name in names
         }
-        values: dict[str, Any] = {"scene": self._scenes()[0], "sensor": self.sensor}
+        values: dict[str, Any] = {"scene": self.scene, "sensor": self.sensor}
         if self.tube.helix_length > LONGEST:
             values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / LONGEST
-        values |= dict(defaults or {}) | {name: value for name, value in device.items() if value is not None}
-        return TaskConfig.model_validate(tuples(values | self.task | dict(changes or {})))
+        values |= dict(defaults) | {name: value for name, value in device.items() if value is not None}
+        return TaskConfig.model_validate(tuples(values | self.task | ungrouped(dict(changes))))
 
     def _drag_factors(self, shares: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""
@@ -212,7 +222,7 @@ class Plant(Model):
 
 def implausible(plant: Plant) -> str:
     """What of a plant is within its range and cannot be meant; empty if nothing."""
-    config, scene = plant.configured(), plant.scene
+    config, scene = plant.config, plant.scene
     for table, name, of, unit in (
         ("feed", "feed_speed_step", "feed_speeds", "m/s"),
         ("air", "air_supply_step", "air_supply_rates", "m3/s"),

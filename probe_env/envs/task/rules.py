@@ -6,6 +6,8 @@ neither the reward nor the simulation.
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -37,7 +39,7 @@ class Score(NamedTuple):
     @property
     def terminated(self) -> BoolArray:
         """Ended by what happened."""
-        return np.asarray(np.logical_or.reduce([self.endings[name] for name in ENDINGS]))
+        return reduce(or_, (self.endings[name] for name in ENDINGS))
 
     @property
     def truncated(self) -> BoolArray:
@@ -96,7 +98,7 @@ def ending(
 
 def any_ending(endings: dict[str, BoolArray]) -> BoolArray:
     """(N,) which episodes end at all."""
-    return np.asarray(np.logical_or.reduce(list(endings.values())))
+    return reduce(or_, endings.values())
 
 
 def consecutive_slack(before: npt.NDArray[np.integer[Any]], is_slack: BoolArray) -> npt.NDArray[np.integer[Any]]:
