@@ -24,6 +24,7 @@ from probe_env.envs.episodes.starts import (
 from probe_env.envs.task import TaskConfig, action_of, share_of
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
 from probe_env.envs.trials import (
+    HARDEST,
     Candidate,
     Controller,
     check_candidate,
@@ -32,7 +33,6 @@ from probe_env.envs.trials import (
     try_insertions,
     try_sections,
 )
-from probe_env.envs.trials.sections import HARDEST
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule

@@ -15,7 +15,7 @@ from agents.plant.response import Metres, stored_response
 from agents.policies.catalogue import DATA
 from agents.records.reading import read_csv
 from probe_env import Context, Plant
-from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
+from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.scene import Probe
 from probe_env.schedule import Schedule
 

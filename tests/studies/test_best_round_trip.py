@@ -27,7 +27,7 @@ from agents.studies.shipped.best_round_trip import (
     starts,
 )
 from probe_env import Plant
-from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
+from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.tally import POD_NAMES
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.schedule import BACK, FORTH, Schedule

@@ -20,7 +20,7 @@ from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.plants.tables import Tubes
+from probe_env.envs.plants import Tubes
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR
 from probe_env.errors import StabilityWarning

@@ -14,8 +14,7 @@ from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.episodes.limits import check_simulable, softest_wall, steady_sliding
 from probe_env.envs.episodes.starts import EpisodeSampler
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import sections_of
-from probe_env.envs.trials.sections import HARDEST
+from probe_env.envs.trials import HARDEST, sections_of
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.methods.stability import FULL

@@ -9,7 +9,7 @@ from scipy.stats import ks_1samp, norm, uniform
 from agents.vec_env import ProbeVecEnv
 from probe_env import Plant, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
-from probe_env.envs.plants.tables import Normal, middle, quantiles
+from probe_env.envs.plants import Normal, middle, quantiles
 
 TEXT = """
 [tube]
