@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
@@ -23,7 +23,7 @@ from probe_env.envs.task.scales import (
 )
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
-from probe_env.settings import Model, Range, quantity, range_of
+from probe_env.settings import Model, Range, quantity, range_of, tuples
 
 Inspects = Literal["in", "back", "best"]
 """What a metre counts for in an inspection of both passes."""
@@ -193,8 +193,9 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip
 
     @model_validator(mode="before")
     @classmethod
-    def _takes_groups(cls, settings: Any) -> Any:
-        return ungrouped(settings)
+    def _takes_groups(cls, settings: Any, info: ValidationInfo) -> Any:
+        # what a validator returns is taken for Python's, and JSON has no tuples
+        return ungrouped(tuples(settings) if info.mode == "json" else settings)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> TaskConfig:
         """See ``Model.model_copy``; groups are accepted."""

@@ -6,7 +6,7 @@ import pytest
 from agents.policies.planner import Estimate, looked_ahead
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import STEADY_CHANGE, Fidelity, resolve_fidelity
+from probe_env.fidelity import STEADY_CHANGE, Fidelity
 
 CONFIG = TaskConfig()
 STEADY = Fidelity(time_lapse=4.0, steady_feed=0.2)
@@ -69,16 +69,6 @@ def test_a_look_ahead_is_in_time_lapse_throughout():
     begun = episodes.inserted_length[0]
     outlook = looked_ahead(episodes, [0], np.array([[[0.4, AIR]]]), 3, Estimate(), [0])
     assert outlook.inserted[0, 0] - begun == pytest.approx(3.0 * CONFIG.period * 0.4, rel=1e-6)
-
-
-def test_what_is_not_valid_is_refused_by_name():
-    for given, message in (
-        ({"steady_feed": 0.2}, "^steady_feed needs a time_lapse above 1"),
-        ({"time_lapse": 4.0, "steady_feed": 0.0}, "^steady_feed: 0.0 m/s is outside the accepted range 0.001 to 2 m/s"),
-        ({"time_lapse": 4.0, "steady_feed": float("nan")}, "^steady_feed: nan m/s is outside"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            resolve_fidelity(given)
 
 
 def test_a_period_without_time_lapse_is_a_whole_number_of_steps():

@@ -213,12 +213,6 @@ def test_contexts_of_ones_own_stay_beside_a_tube(file):
     assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
 
 
-def test_what_can_be_meant_is_taken():
-    Plant(feed={"feed_speed_step": 0.4}, air={"air_supply_step": 130.0 / 3600.0})  # one step, the range's end
-    Plant(task={"vibration_measure": "acceleration", "vibration_limit": 20.0})
-    Plant(contact={"friction": {"mean": 0.15, "std": 0.15}})
-
-
 def test_what_belongs_to_the_task_or_to_table_2_is_refused_beside_a_tube():
     for make in (lambda **given: gym.make("probe_env/Insertion-v1", **given), ProbeVecEnv):
         with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: beside a tube leave it out"):

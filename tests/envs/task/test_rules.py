@@ -10,15 +10,11 @@ from probe_env.envs.task import (
     COSTS,
     TaskConfig,
     action_in,
-    action_of,
     capped_square,
-    consecutive_slack,
     cost_terms,
     metre_cost,
     metre_reward,
     reward_terms,
-    share_between,
-    share_of,
     uninspected_weight,
     value_at,
 )
@@ -56,14 +52,6 @@ def test_leaving_a_metre_out_never_pays():
 RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)
 
 
-def test_shares_and_values_are_each_other_s_inverse():
-    values = np.linspace(*RANGE, 7)
-    shares = share_between(values, RANGE)
-    assert value_at(shares, RANGE) == pytest.approx(values, rel=1e-15)
-    assert share_of(action_of(shares)) == pytest.approx(shares, abs=1e-15)
-    assert (share_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
-
-
 def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
     actions = np.array([-1.0, -0.5, 0.0, 1.0])
     asked = TaskConfig(feed_speeds=RANGE).targets(np.column_stack([actions, actions]))[:, 0]
@@ -77,15 +65,6 @@ def test_what_stands_still_in_one_task_stands_still_in_the_other():
     here, there = TaskConfig(feed_speeds=RANGE), TaskConfig(feed_speeds=OTHER)
     standing = action_in(np.array([float(here.standstill)]), RANGE, OTHER)
     assert standing == pytest.approx(float(there.standstill), abs=2.0**-22)  # both are float32
-
-
-def test_periods_without_drive_are_counted_in_a_row():
-    hangs = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 1]], dtype=bool)
-    rows, counts = np.zeros(2, dtype=int), []
-    for hanging in hangs.T:
-        rows = consecutive_slack(rows, hanging)
-        counts.append(rows.tolist())
-    assert np.array(counts).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]
 
 
 FULL = (0.4, 30.0 / 3600.0)

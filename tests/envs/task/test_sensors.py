@@ -130,6 +130,7 @@ def test_settings_are_accepted_in_groups_and_by_themselves():
     flat = {"time_weight": 0.3, "tension_limit": 5.0, "period": 0.5}
     expected = TaskConfig(**flat)
     assert TaskConfig(**grouped) == TaskConfig().model_copy(update=grouped) == expected
+    assert TaskConfig.model_validate_json(expected.model_dump_json()) == expected
     assert Plant(task=grouped).configured().model_dump() == Plant(task=flat).configured().model_dump()
     env = gym.make("probe_env/Inspection-v0", config=grouped | {"round_trip": {"passes": "in"}}, fidelity="fast")
     assert env.unwrapped.config == expected.model_copy(update={"time_limit": 1800.0})  # its own defaults stand
