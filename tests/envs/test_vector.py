@@ -76,13 +76,8 @@ class Broken(ProbeVecEnv):
 
 def test_broken_batches_are_found():
     env_id = "probe_env/Snapshot-v1"
-    for fault in (
-        "written to later",
-        "terminated of step",
-        "last observation of",
-        "first observation",
-        "reward of step",
-    ):
+    faults = "written to later", "terminated of step", "last observation of", "first observation", "reward of step"
+    for fault in faults:
         with pytest.raises(AssertionError, match=fault):
             check_vector_env(lambda n, fault=fault: Broken(fault, env_id, n, **CASES[env_id]), single(env_id))
 

@@ -150,15 +150,6 @@ def test_what_diverges_while_settling_ends_in_its_first_step(monkeypatch):
     assert step.infos[0]["episode_kpis"]["diverged"] == 1.0
 
 
-def test_truncated_by_time_only():
-    config = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
-    episodes = Episodes(1, config)
-    episodes.reset([0], {0: np.random.default_rng(0)})
-    flags = [episodes.step(np.zeros((1, 2), dtype=np.float32)) for _ in range(3)]
-    assert [bool(step.truncated[0]) for step in flags] == [False, False, True]
-    assert not any(step.terminated[0] for step in flags)
-
-
 def test_time_lapse_has_two_clocks():
     """A period is one second of insertion, time and air, and a quarter of a second of dynamics."""
     config = TaskConfig()
