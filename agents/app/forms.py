@@ -18,9 +18,7 @@ from agents.records.atomic import write_atomically
 from agents.records.shipped import file_or_shipped, ships
 from agents.terminal.refusals import refusal
 from probe_env import Plant
-from probe_env.envs.plants import Between
-from probe_env.envs.plants.plant import OF_AIR, OF_FEED
-from probe_env.envs.plants.posterior import with_posterior
+from probe_env.envs.plants import OF_AIR, OF_FEED, Between, with_posterior
 from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.settings import Model, Range, explain, range_of

@@ -106,7 +106,7 @@ def predict(schedule: Schedule, place: EvaluationCase) -> Prediction:
     length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
     feed, air = config.given(*schedule.at(lengths)).T
-    mean, deviation = place.vibration.tells(lengths, feed, air, contexts, config.scene)
+    mean, deviation = place.vibration.predict(lengths, feed, air, contexts, config.scene)
     cost = expected_cost(mean, deviation, feed, air, config)
     by_tube = mean.reshape(len(tubes), -1)
     middle = by_tube.mean(axis=0)

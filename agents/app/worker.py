@@ -71,7 +71,7 @@ def row_of(playing: RolloutRunner, k: int) -> tuple[float, ...]:
     """The last period of probe ``k``, the columns ``runs.COLUMNS``."""
     assert playing.last is not None
     names = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate")
-    return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.tally[k].reward)
+    return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.scorer.metrics[k].reward)
 
 
 def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
@@ -80,7 +80,7 @@ def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
     simulator = episodes.batch.simulators[k]
     chain, root, scene = simulator.chain, simulator.root, simulator.scene
     nodes = np.flatnonzero(chain.contact_stiffness[: root + 1] > 0.0)[::-1]
-    radial = episodes.gauges.meter.last_second(k)
+    radial = episodes.meter.last_second(k)
     observation = in_si_units(episodes.config, playing.observed(k))
     return ProbeShape(
         position=(root - nodes) * chain.element_length,
@@ -94,7 +94,7 @@ def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
         helix_length=scene.tube.helix_length,
         signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
         signal_radial=radial,
-        spectrum=episodes.gauges.meter.filter_spectrum(k),
+        spectrum=episodes.meter.filter_spectrum(k),
         feed_speed=simulator.feed_speed,
         observation={name: float(values[0]) for name, values in observation.items()},
     )
@@ -212,7 +212,7 @@ class _Player:
         axial = window.axial[:, k] if window and window.axial is not None else np.zeros(0)
         radial = window.radial[:, k] if window and window.radial is not None else np.zeros(0)
         watch = Watch(simulator, length, axial, radial)
-        feed, air = episodes.config.targets(playing.actions, may_stand=True)[k] * episodes.passes.way[k]
+        feed, air = episodes.config.targets(playing.actions, allow_standstill=True)[k] * episodes.direction[k]
         with suppress(SimulationError):  # what was seen until it diverged is shown
             watch.follow(simulator, float(feed), float(air), duration)
         self.pipe.send(watch.motion())

@@ -35,7 +35,7 @@ from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
-from probe_env.envs.task import Outcome, TaskConfig, reward_terms
+from probe_env.envs.task import TaskConfig, reward_terms
 from probe_env.envs.trials import stretch_of
 from probe_env.settings import within
 
@@ -176,12 +176,8 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
     def reward(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
         seconds = row["inspection_time_s"]
-        parts = {
-            "inspected": span - row["guide_length"], "squares": span * row["mean_square_ratio"], "seconds": seconds,
-            "air": seconds * row.get("air_supply_rate", 0.0), "uninspected": 0.0, "diverged": 0.0,
-        }  # fmt: skip
-        outcome = Outcome(**{name: np.asarray(value) for name, value in parts.items()})
-        return float(sum(reward_terms(config, outcome).values()))
+        squares, air = span * row["mean_square_ratio"], seconds * row.get("air_supply_rate", 0.0)
+        return float(sum(reward_terms(config, span - row["guide_length"], squares, seconds, air).values()))
 
     rows: list[Any] = front.to_dict("records")
     best = max([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=reward)

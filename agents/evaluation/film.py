@@ -46,7 +46,7 @@ class _Episode:
         assert probe_env.__all__  # imported for its ids
         self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
         self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
-        self.episodes.may_stand = True  # as in an evaluation
+        self.episodes.allow_standstill = True  # as in an evaluation
         self._policy = make_policy(policy, self.episodes.config, classes=True)
         self._state: Any = None
         self._start = np.ones(1, dtype=bool)
@@ -178,7 +178,7 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
     watch, remaining = Watch(episodes.batch.simulators[0], length, axial, radial), duration
     while remaining > 0.5 * SAMPLE_PERIOD and not episode.ended:
         action = episode.decide()
-        targets = episodes.config.targets(action[None]) * episodes.passes.way[:, None]
+        targets = episodes.config.targets(action[None]) * episodes.direction[:, None]
         period = episodes.config.period / episodes.time_lapse(targets)[0]  # of the dynamics
         feed_speed, air_supply_rate = targets[0]
         watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(remaining, period))

@@ -237,7 +237,7 @@ class RolloutRunner:
             count,
             plan.config,
             threads=threads,
-            may_stand=True,
+            allow_standstill=True,
             fidelity=plan.fidelity,
             probes=plan.probes,
             surrogate_map=plan.vibration,
@@ -281,7 +281,7 @@ class RolloutRunner:
 
     def advance(self) -> Iterator[str]:
         """Play the period that was decided on; gives the lines of the journal of the episodes that end with it."""
-        direction = self.episodes.passes.way.copy()
+        direction = self.episodes.direction.copy()
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
         self._observation = step.observation

@@ -33,8 +33,8 @@ from agents.policies.wrappers import BothWays
 from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
-from probe_env.envs.episodes.starts import Probes, Starts, settling
-from probe_env.envs.surrogate import make_episodes
+from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
+from probe_env.envs.surrogate import check_tubes
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
 
@@ -102,15 +102,13 @@ def plan_of(
     policies = named_policies(specs, config, case.vibration, classes=True)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
     check_domains(domains_of(specs, forth), config, case.contexts, strict)
-    hardest = Starts(config, case.contexts, probes, *settling(config, {})).stiffest
+    hardest = EpisodeSampler(config, case.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
     plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
     if plan.probes == "random":  # which are drawn as episodes begin
         return plan
     try:
-        episodes = make_episodes(1, plan.config, threads=1, fidelity=plan.fidelity, surrogate_map=plan.vibration)
-        for context in plan.contexts:
-            episodes.check_tube(context)
+        check_tubes(plan.config, plan.contexts, plan.fidelity, plan.vibration)
     except ValueError as error:
         raise ValueError(
             f"{case.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"

@@ -197,7 +197,7 @@ def insert(
     length = config.scene.tube.helix_length
     if until is not None:
         within("until", until, 5.0, length, "m")
-    episodes = Episodes(1, config, threads=1, may_stand=True, fidelity=fidelity)
+    episodes = Episodes(1, config, threads=1, allow_standstill=True, fidelity=fidelity)
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     positions, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
@@ -214,7 +214,7 @@ def insert(
             periods.append(info)
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
-    tally = episodes.tally[0]
+    tally = episodes.scorer.metrics[0]
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)

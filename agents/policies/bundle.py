@@ -29,7 +29,7 @@ from agents.policies.trained import RESTORE, read_weights
 from agents.policies.view import View
 from agents.records.atomic import write_atomically
 from probe_env.envs.task import TaskConfig, action_in
-from probe_env.envs.task.observations import PROBE
+from probe_env.envs.task.scales import PROBE
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity

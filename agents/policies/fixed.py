@@ -88,7 +88,7 @@ class FixedPolicy(ABC):
         memory[:, 0] += self.config.period
         action = self.config.actions(feed, air).astype(np.float32)
         if self.stands:
-            action[np.asarray(feed) == 0.0, 0] = self.config.standing
+            action[np.asarray(feed) == 0.0, 0] = self.config.standstill
         return (action[0] if np.ndim(observation) == 1 else action), (memory,)
 
     def describe(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import (
     CONTEXT,
     VibrationMap,
@@ -90,7 +90,7 @@ def _grid_vibration(
     places = knots(config)
     lengths, count = np.repeat(places, len(feed)), len(places)
     tube = np.tile(context, (len(lengths), 1))
-    return vibration.tells(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
+    return vibration.predict(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
 
 
 @lru_cache(maxsize=4096)
@@ -245,7 +245,7 @@ class Adaptive(TensionScheduled):
         """Measured vibration (N,) over the map's, in decades."""
         values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
         length, feed, air = (measured[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
-        expected = 10.0 ** self.vibration.tells(length, feed, air, values, self.config.scene)[0] * 1e-4
+        expected = 10.0 ** self.vibration.predict(length, feed, air, values, self.config.scene)[0] * 1e-4
         return np.asarray(np.log10(measured["rf_noise"] / np.hypot(expected, RF_FLOOR)))
 
     def _taut(self, measured: dict[str, FloatArray]) -> FloatArray:

@@ -22,9 +22,9 @@ from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig, costs, metre_reward
+from probe_env.envs.episodes.scoring import RoundTripScorer
+from probe_env.envs.task import TaskConfig, costs, metre_reward, uninspected_weight
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.passes import BothWays
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 
@@ -123,7 +123,7 @@ class ModelPredictivePolicy(ABC):
         """(n, 2) feed [m/s] and air [m3/s] of the best candidates; the episodes themselves stay as they are."""
         entropy = [self.seed, memories[0].time]
         held = np.array([(memory.feed, memory.air) for memory in memories])
-        inserted = episodes.gauges.inserted()[list(which)]
+        inserted = episodes.inserted_length[list(which)]
         tubes = self._tubes([episodes.context[k] for k in which], memories)
         candidates = self._candidates(tubes, inserted, held, entropy)
         copies = episodes.fork(np.repeat(which, self.candidates).tolist())
@@ -204,13 +204,13 @@ class InsertionPlanner(ModelPredictivePolicy):
         return candidates_near(held, best, self.candidates, self.config, entropy)
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        inserted = copies.gauges.inserted()
+        inserted = copies.inserted_length
         rest = np.zeros(len(copies))
         if self.rest == "map":
             pairs = zip(copies.context, inserted, strict=True)
             rest = np.array([worth_of_rest(tube, at, self.config, self.vibration) for tube, at in pairs])
         # drive that is about to be lost is lost: the map does not know of it
-        lost = -self.config.uninspected_weight * (copies.gauges.helix_length() - inserted)
+        lost = -uninspected_weight(self.config) * (copies.helix_length - inserted)
         return np.where(copies.running, np.where(is_slack(copies), lost, rest), 0.0)
 
 
@@ -294,7 +294,7 @@ def move_to(tube: Context, copies: Episodes, which: range) -> None:
     """Let copies of one episode go on in another tube."""
     simulators = copies.batch.simulators
     begun = {name: getattr(simulators[which[0]].scene, name) for name in ("probe", "carrier_length")}
-    moved = simulators[which[0]].branch(copies.starts.build(tube, {}).model_copy(update=begun))
+    moved = simulators[which[0]].branch(copies.sampler.build(tube, {}).model_copy(update=begun))
     for k in which:
         simulators[k], copies.context[k] = moved.branch(), tube
 
@@ -340,7 +340,7 @@ def earned(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
 
 def is_slack(episodes: Episodes) -> BoolArray:
     """(N,) whether a cable hangs slack, so that its drive is about to be lost."""
-    return np.array([tally.slack_periods > 0 for tally in episodes.tally])
+    return np.array([metrics.consecutive_slack_steps > 0 for metrics in episodes.scorer.metrics])
 
 
 def worth_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
@@ -349,18 +349,18 @@ def worth_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
     On the way that each is on (N, 2) feed [m/s] and air [m3/s] are held, from the turn on the feed is the fastest and
     the air the least. Of those that hang slack it is what losing the drive costs, for that is what follows.
     """
-    config, passes = episodes.config, episodes.passes
-    assert isinstance(passes, BothWays)
-    inserted, length = episodes.gauges.inserted(), episodes.gauges.helix_length()
+    config, passes = episodes.config, episodes.scorer
+    assert isinstance(passes, RoundTripScorer)
+    inserted, length = episodes.inserted_length, episodes.helix_length
     to_pass, shaken = passes.still_to_pass()
-    forth, unseen = passes.way > 0.0, length - passes.reached
+    forth, unseen = passes.direction > 0.0, length - passes.reached
     here = np.where(forth, length - inserted, to_pass) / held[:, 0]
-    back = np.where(forth, length - passes.begun, 0.0) / config.feed_speeds[1]
+    back = np.where(forth, length - passes.start, 0.0) / config.feed_speeds[1]
     spent = costs(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
     # what the way in shook was charged already, and a silent way back gives it again
     refund = spent["vibration"] if config.inspects == "best" else 0.0
-    left = np.where(forth, length - passes.begun, to_pass)
+    left = np.where(forth, length - passes.start, to_pass)
     metres = unseen if config.inspects == "best" else left
     worth = config.progress_weight * metres + refund - spent["time"] - spent["air"]
-    lost = -config.uninspected_weight * (unseen + left)
+    lost = -uninspected_weight(config) * (unseen + left)
     return np.where(episodes.running, np.where(is_slack(episodes), lost, worth), 0.0)

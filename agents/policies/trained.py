@@ -14,7 +14,7 @@ from agents.policies.view import View
 from agents.records.shipped import DEFAULT_SEED, agent_file, file_or_shipped, shipped_agents
 from agents.terminal.tables import print_terms
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import PROBE
+from probe_env.envs.task.scales import PROBE
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.settings import tuples
 

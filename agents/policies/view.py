@@ -13,7 +13,8 @@ from pydantic_core import PydanticCustomError
 
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
-from probe_env.envs.task.observations import OBSERVATIONS, in_si_units
+from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.task.scales import OBSERVATIONS
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity
 

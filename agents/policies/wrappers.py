@@ -94,7 +94,7 @@ class Shielded(_Wrapper):
         gain = -np.expm1(-self.config.period / self.average)
         latest = np.clip(friction_from_tension(measured, self.config.scene), *FRICTIONS)
         friction = friction + gain * (latest - friction)
-        targets = self.config.targets(actions, may_stand=True)
+        targets = self.config.targets(actions, allow_standstill=True)
         safe = self._safe(targets, measured, friction)
         changed = safe != targets
         actions[changed] = self.config.actions(*safe.T).astype(np.float32)[changed]

@@ -12,6 +12,7 @@ from agents.policies.fixed import Constant
 from probe_env import Context, Design, Fidelity, Scene, TaskConfig
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
+from probe_env.envs.task import uninspected_weight
 from probe_env.envs.trials import Candidate, Trial, judge, try_insertions, try_sections
 from probe_env.schedule import Schedule
 
@@ -131,7 +132,7 @@ def test_what_is_not_reached_costs_the_most():
     terms, kpis = judge([IMPROVED], handmade((5e-5, 0.0), diverged=True, widths=(20.0, 0.0)), CONFIG)
     assert kpis["missed_m"][0] == pytest.approx(27.5)
     assert kpis["inspected_m"][0] == pytest.approx(20.0)
-    assert terms["uninspected"][0] == pytest.approx(-27.5 * CONFIG.uninspected_weight)
+    assert terms["uninspected"][0] == pytest.approx(-27.5 * uninspected_weight(CONFIG))
     assert terms["diverged"][0] == -10.0
 
 

@@ -89,7 +89,7 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     assert info["feed_speed"] == pytest.approx(0.2)
     tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
     place = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
-    mean = stored_map().tells(*place, tubes, CONFIG.scene)[0][0]
+    mean = stored_map().predict(*place, tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
     seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), place, strict=True))
     pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
@@ -99,14 +99,14 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
     episodes = begun(1, config, noise=QUIET)
-    air, length = episodes.air[0], episodes.length[0]
+    air, length = episodes.air[0], episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
     assert episodes.feed[0] == pytest.approx(0.3)
-    assert episodes.length[0] - length == pytest.approx(0.25, abs=5e-4)
+    assert episodes.inserted_length[0] - length == pytest.approx(0.25, abs=5e-4)
     assert episodes.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
-    length = episodes.length[0]
+    length = episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
-    assert episodes.length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
+    assert episodes.inserted_length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
 
 
 def test_scatter_is_stationary_and_correlated_as_it_says():

@@ -26,7 +26,7 @@ from agents.policies.cases import case_of
 from agents.policies.catalogue import DATA
 from agents.records.tables import read_csv
 from probe_env import Context, Plant
-from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
+from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.envs.vibration_map import feeds
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.scene import Probe

@@ -17,7 +17,7 @@ from agents.policies.trained import read_weights
 from agents.policies.view import View
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import OBSERVATIONS
+from probe_env.envs.task.scales import OBSERVATIONS
 
 TASK = TaskConfig()
 

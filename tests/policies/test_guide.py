@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from probe_env.envs.vector import InsertionVectorEnv
 
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from agents.policies.view import View
 from agents.training.config import Training
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.vector import InsertionVectorEnv
 
 TASK = TaskConfig().full_observation
 OWN = Constants(onset_length=12.0, slow_feed=0.11)

@@ -25,7 +25,7 @@ from agents.policies.planner import (
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import Inspects, TaskConfig
+from probe_env.envs.task import Inspects, TaskConfig, uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
 
@@ -115,11 +115,11 @@ def test_the_best_candidate_earns_most_until_the_end() -> None:
     planner, episodes = InsertionPlanner(CONFIG, candidates=4, periods=3), running()
     actions, states = planner.decide(episodes, [0, 1], episodes.observation, [None, None])
     held = np.array([[s.feed_speed, s.air_supply_rate] for s in episodes.batch.simulators])
-    tried, worth = planner._candidates(TUBES, episodes.gauges.inserted(), held, [0, 0]), []
+    tried, worth = planner._candidates(TUBES, episodes.inserted_length, held, [0, 0]), []
     for candidate in range(4):
         played, action = copy.deepcopy(episodes), CONFIG.actions(*tried[:, candidate].T).astype(np.float32)
         reward = sum(played.step(action).reward for _ in range(3))
-        pairs = zip(TUBES, played.gauges.inserted(), strict=True)
+        pairs = zip(TUBES, played.inserted_length, strict=True)
         worth.append(reward + [worth_of_rest(tube, length, CONFIG, stored_map()) for tube, length in pairs])
     best = tried[[0, 1], np.argmax(worth, axis=0)]
     np.testing.assert_array_equal(actions, CONFIG.actions(*best.T).astype(np.float32))
@@ -134,8 +134,8 @@ def test_nothing_comes_after_the_end_and_lost_drive_costs_what_is_left() -> None
     assert not short.running.any()
     assert (planner._rest(short, held) == 0.0).all()
     slack = running(TaskConfig(required_tension=50.0, lost_drive_from=0.0), periods=1)  # no air of the range keeps that
-    left = CONFIG.scene.tube.helix_length - slack.gauges.inserted()
-    np.testing.assert_allclose(planner._rest(slack, held), -CONFIG.uninspected_weight * left)
+    left = CONFIG.scene.tube.helix_length - slack.inserted_length
+    np.testing.assert_allclose(planner._rest(slack, held), -uninspected_weight(CONFIG) * left)
     assert (InsertionPlanner(CONFIG, rest="nothing")._rest(running(), held) == 0.0).all()
 
 
@@ -163,7 +163,7 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
     schedule = best_schedule_for(tube, CONFIG, 0.0, vibration)
     feed, air = (np.array(values) for values in schedule.at(places))
     values = np.tile([getattr(tube, name) for name in CONTEXT], (len(places), 1))
-    mean, deviation = vibration.tells(places, feed, air, values, CONFIG.scene)
+    mean, deviation = vibration.predict(places, feed, air, values, CONFIG.scene)
     rate = CONFIG.progress_weight - expected_cost(mean, deviation, feed, air, CONFIG)
     for k in (0, 7, len(places) - 2):
         wanted = np.trapezoid(rate[k:], np.minimum(places[k:], CONFIG.scene.tube.helix_length))
@@ -248,7 +248,7 @@ def test_copies_of_an_episode_do_as_it_does(inspects: Inspects, measure: str) ->
         one, other = forked.step(np.vstack([actions, actions[:1]]), running), aside.step(actions, aside.running.copy())
         for name in ("observation", "reward", "terminated", "truncated"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name)[[1, 0, 1]])
-    assert (forked.passes.way < 0.0).all()
+    assert (forked.direction < 0.0).all()
     assert not aside.running.any()
     alone = begun(config)
     for _ in range(3):
@@ -284,17 +284,17 @@ def test_the_rest_is_what_is_left_of_both_ways() -> None:
     np.testing.assert_allclose(rest(episodes), 3.0 * config.progress_weight - 6.0 * per_metre)
     slower = (config.time_weight + config.air_weight * 0.02) / 0.1  # a metre of the way in
     np.testing.assert_allclose(rest(episodes, 0.1, 0.02), 3.0 * (config.progress_weight - per_metre - slower))
-    while episodes.gauges.inserted().min() < 6.9:
+    while episodes.inserted_length.min() < 6.9:
         episodes.step(held(config, 0.4, 0.02))
-    passes = episodes.passes
+    passes = episodes.scorer
     known = [passes._shown[k][:, 1].sum() for k in range(2)]
-    left = LENGTH - episodes.gauges.inserted()
+    left = LENGTH - episodes.inserted_length
     expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * np.array(known)
     np.testing.assert_allclose(rest(episodes), expected)
     assert min(known) > 0.0
     hanging = episodes.fork([0])
-    hanging.tally[0].slack_periods = 1
-    assert rest(hanging)[0] == pytest.approx(-config.uninspected_weight * (left[0] + 3.0))
+    hanging.scorer.metrics[0].consecutive_slack_steps = 1
+    assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))
 
 
 def test_what_is_earned_ends_with_the_episode() -> None:

@@ -42,7 +42,7 @@ def fed_by_device(policy, config, seconds, start=5.0, speed=0.2):
         row[names.index("inserted_length")] = lengths[max(len(lengths) - 1 - late, 0)] / 60.0
         rows.append(row)
         action, state = policy.predict(row, state)
-        target = config.targets(action[None], may_stand=True)[0, 0]
+        target = config.targets(action[None], allow_standstill=True)[0, 0]
         ramping = min(abs(target - speed) / config.ramp, config.period)
         reached = speed + np.sign(target - speed) * config.ramp * ramping
         lengths.append(lengths[-1] + 0.5 * (speed + reached) * ramping + reached * (config.period - ramping))
@@ -125,14 +125,14 @@ def test_what_a_schedule_has_fed_is_its_integral():
 def test_only_who_replays_may_stand_still():
     """The action is beyond the space of every environment; a schedule over length that stops would never go on."""
     config = TaskConfig()
-    action = np.array([[config.standing, 0.0]], dtype=np.float32)
-    assert config.targets(action, may_stand=True)[0, 0] == 0.0
+    action = np.array([[config.standstill, 0.0]], dtype=np.float32)
+    assert config.targets(action, allow_standstill=True)[0, 0] == 0.0
     with pytest.raises(ValueError, match=r"action\[0\] = -1.1052\d* is outside the accepted range -1 to 1"):
         config.targets(action)
     with pytest.raises(ValueError, match=r"action\[0\] = -1.2"):
-        config.targets([[-1.2, 0.0]], may_stand=True)
+        config.targets([[-1.2, 0.0]], allow_standstill=True)
     with pytest.raises(ValueError, match=r"action\[1\]"):
-        config.targets([[config.standing, config.standing]], may_stand=True)
+        config.targets([[config.standstill, config.standstill]], allow_standstill=True)
     env = gym.make("probe_env/Insertion-v1", fidelity="fast", config={"settle_time": 0.1})
     env.reset(seed=0)
     with pytest.raises(ValueError, match="outside the accepted range"):
@@ -153,7 +153,7 @@ def test_the_example_log_is_followed_in_an_episode(tmp_path):
     path.write_text(log.to_csv())
     config = TaskConfig()
     policy = make_policy(str(path), config)
-    episodes, players = Episodes(1, config, fidelity="fast", threads=1, may_stand=True), Players(1)
+    episodes, players = Episodes(1, config, fidelity="fast", threads=1, allow_standstill=True), Players(1)
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": Context(friction=0.2)}})
     players.begin(0, policy)
     time, length, speed = [], [], []

@@ -93,7 +93,7 @@ def test_feed_slows_without_more_air_and_the_air_comes_in_whole_steps_next_to_a_
     given = np.array([[config.standing, -1.0]], dtype=np.float32)
     shielded = acted(given, np.array([0.6]), config)
     assert shielded[0, 0] == config.standing
-    air = config.targets(shielded, may_stand=True)[0, 1] * 360.0
+    air = config.targets(shielded, allow_standstill=True)[0, 1] * 360.0
     assert air == pytest.approx(round(air), abs=1e-5)
     assert tensions(np.array([[-1.0, shielded[0, 1]]]), 0.6)[0] >= 1.2
 

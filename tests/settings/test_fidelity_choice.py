@@ -1,4 +1,4 @@
-"""Fidelities by name, "auto" with its reasons, and stated errors confirmed on scenes that nothing was chosen on."""
+"""Fidelities by name, and "auto" with its reasons."""
 
 import gymnasium as gym
 import numpy as np

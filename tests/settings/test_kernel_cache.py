@@ -60,16 +60,6 @@ def test_a_temporary_folder_serves_and_is_named_once(installation):
 
 
 @pytest.mark.slow
-def test_with_a_home_numba_keeps_them_there(installation):
-    home = installation / "home"
-    home.mkdir()
-    folder, _, warning = use(installation, home=str(home))
-    assert folder == ""
-    assert "NUMBA_CACHE_DIR" not in warning
-    assert list(home.rglob("*.nbc"))
-
-
-@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_named(installation):
     folder, warning = use(installation, NUMBA_CACHE_DIR="/dev/null/chosen")[::2]
     assert Path(folder).parent == installation / "temporary"

@@ -1,7 +1,5 @@
 """Superelements give way to nodes where the cable between floats is more than elastic, and say so."""
 
-import logging
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from agents.evaluation.run import plan_of
 from agents.policies.cases import case_of
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.fidelity import PRESETS, _log_nodes, resolve_fidelity
+from probe_env.fidelity import PRESETS, resolve_fidelity
 from probe_env.physics.methods import METHODS, ON_NODES
 
 CABLE = {"contact": {"cable": True}}
@@ -45,16 +43,6 @@ def test_auto_and_settings_of_ones_own_give_way_as_well():
         assert taken.time_step <= elastic.time_step
     own = Fidelity(method="imex", time_step=1e-4, nodes_per_pitch=4)
     assert resolve_fidelity(own, scene) == own
-
-
-def test_it_is_said_once(caplog):
-    _log_nodes.cache_clear()
-    with caplog.at_level(logging.WARNING):
-        for _ in range(3):
-            resolve_fidelity("standard", Scene.model_validate(CABLE))
-    (line,) = caplog.messages
-    assert "superelement32 has no nodes between floats" in line
-    assert "imex32 at 0.000125 s, 8 nodes a pitch is taken" in line
 
 
 @pytest.mark.parametrize("env_id", ["Insertion", pytest.param("Design", marks=pytest.mark.slow)])

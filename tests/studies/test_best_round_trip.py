@@ -17,7 +17,7 @@ from agents.studies.builtin import Request
 from agents.studies.shipped import best_round_trip as searched
 from agents.studies.shipped.best_round_trip import COLUMNS, NAME, as_given, ranges, run, starts
 from probe_env import Plant
-from probe_env.envs.plants.tables import FeedDevice, Supply, Tubes
+from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES
 from probe_env.schedule import BACK, FORTH, Schedule
 

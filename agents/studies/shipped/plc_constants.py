@@ -25,8 +25,8 @@ from agents.studies.shipped.best_schedules import search
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.task import metre_reward
-from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.task import metre_reward, uninspected_weight
+from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
@@ -172,10 +172,10 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
         feed, air = policy.targets(seen | {"root_tension": pulled}, memory)
         left = np.maximum(end - length, 0.0)
         travel = np.minimum(feed * dt, left)
-        mean, deviation = vibration.tells(length + 0.5 * travel, feed, air, values, config.scene)
+        mean, deviation = vibration.predict(length + 0.5 * travel, feed, air, values, config.scene)
         noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
         reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
         length = length + travel
         if (left <= 0.0).all():
             break
-    return reward - config.uninspected_weight * np.maximum(end - length, 0.0)
+    return reward - uninspected_weight(config) * np.maximum(end - length, 0.0)

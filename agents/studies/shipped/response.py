@@ -27,9 +27,9 @@ from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity, Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.plants.tables import Tubes
+from probe_env.envs.plants import Tubes
 from probe_env.envs.task import TaskConfig, value_at
-from probe_env.envs.task.observations import ACCELEROMETER_FLOOR, RF_FLOOR
+from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
 from probe_env.files import read_arrays

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypedDict, get_args
@@ -13,7 +14,7 @@ from pydantic import ValidationError
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import GivenPlant, map_beside, plant_of
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, ungrouped
 from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
@@ -66,9 +67,21 @@ def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, floa
     return settings.get("feed_speed", feed), settings.get("air_supply_rate", air)
 
 
+@contextmanager
+def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
+    """Generators go back to where they were if an error leaves the block."""
+    before = [(rng, rng.bit_generator.state) for rng in rngs]
+    try:
+        yield
+    except BaseException:
+        for rng, state in before:
+            rng.bit_generator.state = state
+        raise
+
+
 @dataclass(frozen=True)
-class Starts:
-    """What episodes begin from, see ``EpisodeSettings``; ValueError for contexts or probes that there are not."""
+class EpisodeSampler:
+    """Draws tube and probe of an episode, see ``EpisodeSettings``; ValueError for contexts or probes not known."""
 
     config: TaskConfig
     contexts: Contexts
@@ -156,8 +169,9 @@ def placed(
         left.setdefault("surrogate_map", map_beside(Path(file)))
     plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
     if plant is None:
-        task = config if isinstance(config, TaskConfig) else None
-        task = task or TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
+        task = config
+        if not isinstance(task, TaskConfig):  # of JSON, which has no tuples
+            task = TaskConfig.model_validate(tuples(dict(defaults) | ungrouped(dict(config or {}))))
         return (task if scene is None else task.model_copy(update={"scene": scene_of(scene)})), left
     if scene is not None:
         raise ValueError("tube and scene: give one of them, a tube has a scene of its own")

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from probe_env import Scene, Simulator, SimulatorBatch
-from probe_env.envs.trials.sections import HARDEST
+from probe_env.envs.trials import HARDEST
 from probe_env.physics.closed_forms.bare_chains import Driven, bent_chain, run_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.factors import linear_weights
