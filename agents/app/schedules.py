@@ -116,7 +116,7 @@ def predict(schedule: Schedule, place: Place) -> Prediction:
     length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
     feed, air = config.given(*schedule.at(lengths)).T
-    mean, deviation = place.vibration.tells(lengths, feed, air, contexts, config.scene)
+    mean, deviation = place.vibration.predict(lengths, feed, air, contexts, config.scene)
     cost = expected_cost(mean, deviation, feed, air, config)
     by_tube = mean.reshape(len(tubes), -1)
     middle = by_tube.mean(axis=0)
@@ -146,7 +146,7 @@ def policy_line(spec: str, place: Place) -> Line:
     """Feed and air of a policy or a schedule file in the first tube of a place."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the line shows what the device can feed
-        policy = make_policy(spec, place.config.all_shown, place.vibration)
+        policy = make_policy(spec, place.config.full_observation, place.vibration)
     if isinstance(policy, Replayed):  # over time
         schedule = policy.schedule
         length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)

@@ -60,7 +60,7 @@ class Compare:
         designs = {name: _design(path, place.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
-        config = place.config.all_shown
+        config = place.config.full_observation
         fidelity = resolve_fidelity(self.fidelity, config.scene)
         trials = DesignTrials(place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube)
         print_comparison(compare(designs, trials, self.output))

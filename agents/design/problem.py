@@ -169,7 +169,7 @@ def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> Design
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    config = place.config.all_shown
+    config = place.config.full_observation
     chosen = resolve_fidelity(fidelity, config.scene)
     problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
     problem.check()

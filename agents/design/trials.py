@@ -54,7 +54,7 @@ class DesignTrials:
     feed: str = "constant"
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
-    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
+    config: TaskConfig = field(default_factory=lambda: TaskConfig().full_observation)
     vibration: VibrationMap | None = None
     tube: Named = TABLE_2
 

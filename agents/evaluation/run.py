@@ -100,7 +100,7 @@ def plan_of(
     """
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = place.config.all_shown
+    config = place.config.full_observation
     policies = named_policies(specs, config, place.vibration, classes=True)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
     check_domains(domains_of(specs, forth), config, place.contexts, strict)

@@ -93,7 +93,7 @@ def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path)
         ValueError: an argument is not valid; nothing was written.
         RuntimeError: the simulation diverged; nothing was written.
     """
-    config = place.config.all_shown
+    config = place.config.full_observation
     spacing = SPACING if look.support_spacing is None else look.support_spacing
     within("context", look.context, 0, len(place.contexts) - 1, "")
     within("support_spacing", spacing, 0.05, 100.0, "m")

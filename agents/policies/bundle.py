@@ -230,7 +230,7 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
     Raises:
         ValueError: the model is of another kind, or of other spaces than the task.
     """
-    return Agent(_described(model, config), model.policy, config.all_shown)
+    return Agent(_described(model, config), model.policy, config.full_observation)
 
 
 def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:

@@ -75,7 +75,7 @@ def _grid_vibration(
     places = knots(config)
     lengths, count = np.repeat(places, len(feed)), len(places)
     tube = np.tile(context, (len(lengths), 1))
-    return vibration.tells(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
+    return vibration.predict(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
 
 
 @lru_cache(maxsize=4096)

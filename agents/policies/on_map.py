@@ -171,7 +171,7 @@ class Adaptive(TensionScheduled):
         """Measured vibration (N,) over the map's, in decades."""
         values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
         length, feed, air = (seen[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
-        expected = 10.0 ** self.vibration.tells(length, feed, air, values, self.config.scene)[0] * 1e-4
+        expected = 10.0 ** self.vibration.predict(length, feed, air, values, self.config.scene)[0] * 1e-4
         return np.asarray(np.log10(seen["rf_noise"] / np.hypot(expected, RF_FLOOR)))
 
     def _taut(self, seen: dict[str, FloatArray]) -> FloatArray:

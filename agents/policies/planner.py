@@ -92,7 +92,7 @@ class _RecedingHorizon:
     def decide(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
     ) -> tuple[npt.NDArray[np.float32], list[Any]]:
-        """Actions (n, 2) and states of running episodes, see ``probe_env.envs.trials.Foresighted``."""
+        """Actions (n, 2) and states of running episodes, see ``probe_env.envs.trials.ModelPredictivePolicy``."""
         memories: list[Memory] = []
         for k, state in zip(which, states, strict=True):
             simulator = episodes.batch.simulators[k]

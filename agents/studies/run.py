@@ -90,7 +90,7 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         if update:
             plant = (plant or Plant()).model_copy(update=update)
         place = place_of(plant, study.contexts, study.limit, map_of(tube, plant))
-        unvaried = _changed(place.config.all_shown, study.set)
+        unvaried = _changed(place.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
         accuracy = accuracy.model_copy(update=_under("fidelity", study.set | changes))

@@ -180,7 +180,9 @@ class Training(Model):
         """Who is imitated first."""
         if self.imitation is None:
             return None
-        return make_policy(self.imitation.teacher, self.task.all_shown, self.vibration)  # may look at more than it
+        return make_policy(
+            self.imitation.teacher, self.task.full_observation, self.vibration
+        )  # may look at more than it
 
     @property
     def view(self) -> View:

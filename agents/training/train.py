@@ -202,7 +202,7 @@ def train(
 
 
 def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv, ProbeVecEnv]:
-    settings, task = training.environment, training.task.all_shown
+    settings, task = training.environment, training.task.full_observation
     batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, task,
         fidelity=settings.fidelity, contexts=training.trained_in, probes=settings.probes, threads=threads,
@@ -255,7 +255,7 @@ def _validate(
     threads: int | None,
 ) -> dict[str, Any]:
     """Validate the agent and store it if it is the best so far; returns the row of the phase."""
-    task = training.task.all_shown
+    task = training.task.full_observation
     description = Description(
         algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
         tubes=ranges_of(training.trained_in), trained=trained,

@@ -339,7 +339,7 @@ class SurrogateEpisodes:
         """Predicted values where the probes are, (N,) each, see ``observe``."""
         noise, scene = self.noise, self.config.scene
         length = np.maximum(self.inserted_length, 1.0)
-        mean = self.map.tells(length, np.maximum(self.feed, 1e-3), self.air, self.tubes, scene)[0]
+        mean = self.map.predict(length, np.maximum(self.feed, 1e-3), self.air, self.tubes, scene)[0]
         vibration = mean + noise.bias + self.scatter["slow"] + noise.quick * normal[:, 1]
         drive = {"inserted_length": length, "feed_speed": self.feed, "air_supply_rate": self.air}
         steady = sliding_tension(self.tubes[:, 0], drive | {"helix_diameter": self.tubes[:, 3]}, scene)

@@ -40,7 +40,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class Foresighted(Protocol):
+class ModelPredictivePolicy(Protocol):
     """A policy that tries things out on copies of the probes themselves, which no rig can: what is possible at best."""
 
     def decide(
@@ -75,7 +75,7 @@ class Players:
         for k in np.flatnonzero(active).tolist():
             controller, start = self.controllers[k], np.array([self.states[k] is None])
             assert controller is not None
-            if isinstance(controller, Foresighted) and episodes is not None:
+            if isinstance(controller, ModelPredictivePolicy) and episodes is not None:
                 looking.setdefault(id(controller), []).append(k)
                 continue
             action, self.states[k] = controller.predict(
@@ -84,7 +84,7 @@ class Players:
             actions[k] = action[0]
         for which in looking.values():
             controller = self.controllers[which[0]]
-            assert isinstance(controller, Foresighted)
+            assert isinstance(controller, ModelPredictivePolicy)
             assert episodes is not None
             before = [self.states[k] for k in which]
             actions[which], after = controller.decide(episodes, which, observation[which], before)

@@ -51,7 +51,9 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, 
     assert [signal.getsignal(n) for n in STATUS] == handlers
     assert main(arguments) == 0
     assert f"2 of 6 episodes to do, stored in {output} one by one" in capsys.readouterr().err
-    plan = Plan({"constant": Constant(CONFIG.all_shown)}, load_contexts("test")[0:1], (0,), CONFIG.all_shown)
+    plan = Plan(
+        {"constant": Constant(CONFIG.full_observation)}, load_contexts("test")[0:1], (0,), CONFIG.full_observation
+    )
     table = pd.read_parquet(output / "episodes.parquet")
     assert len(table) == 6
     first = table[(table["policy"] == "constant") & (table["context"] == 0)]

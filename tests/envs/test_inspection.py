@@ -173,7 +173,7 @@ def test_policies_of_the_way_in_come_back_as_fast_as_they_can(tmp_path):
         "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s,return_air_supply_m3_per_h\n"
         "5,0.4,63,0.1,40\n60,0.2,100,0.3,90\n"
     )
-    config = BOTH.all_shown
+    config = BOTH.full_observation
     episodes = Episodes(1, config, fidelity="fast")
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": HARD}})
     back = observation.copy()

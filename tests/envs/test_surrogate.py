@@ -19,7 +19,7 @@ from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
-CONFIG = TaskConfig().all_shown
+CONFIG = TaskConfig().full_observation
 QUIET = Noise()
 TUBE = Context(friction=0.18, helix_diameter=1.4)
 
@@ -89,7 +89,7 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     assert info["feed_speed"] == pytest.approx(0.2)
     tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
     place = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
-    mean = stored_map().tells(*place, tubes, CONFIG.scene)[0][0]
+    mean = stored_map().predict(*place, tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
     seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), place, strict=True))
     pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
@@ -174,9 +174,9 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
     with pytest.raises(ValueError, match=r"time_step: method = 'surrogate' simulates no motion"):
         Fidelity(method="surrogate", time_step=1e-4)
     place = place_of(None, "test", 1)
-    planner = named_policies(("planner",), place.config.all_shown)
+    planner = named_policies(("planner",), place.config.full_observation)
     with pytest.raises(ValueError, match="no simulator for a policy to look ahead with"):
-        run_plan(Plan(planner, place.contexts, (0,), place.config.all_shown, PRESETS["surrogate"]), None)
+        run_plan(Plan(planner, place.contexts, (0,), place.config.full_observation, PRESETS["surrogate"]), None)
 
 
 def test_a_plant_is_predicted_by_the_map_beside_its_file():
@@ -191,7 +191,7 @@ def test_a_plant_is_predicted_by_the_map_beside_its_file():
 
 def test_policies_keep_their_order():
     place = place_of(None, "test", 6)
-    config = place.config.all_shown
+    config = place.config.full_observation
     policies = named_policies(("constant", "best-schedule", "privileged"), config)
     table = run_plan(Plan(policies, place.contexts, (0,), config, PRESETS["surrogate"]), None)
     means = table.groupby("policy")["reward"].mean()

@@ -156,8 +156,8 @@ def test_what_is_observed_and_fields_newer_than_the_results_make_no_other_settin
     setting = json.loads((stored / "setting.json").read_text())
     del setting["probes"], setting["task"]["observe_probe"]
     (stored / "setting.json").write_text(json.dumps(setting))
-    same(run_plan(make_plan(config=CONFIG.all_shown), stored, progress=False), table)
-    again = run_plan(make_plan(config=CONFIG.all_shown), None, progress=False)
+    same(run_plan(make_plan(config=CONFIG.full_observation), stored, progress=False), table)
+    again = run_plan(make_plan(config=CONFIG.full_observation), None, progress=False)
     same(again.drop(columns="commit"), table.drop(columns="commit"))
 
 

@@ -82,7 +82,7 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
 
 
 def test_an_agent_and_adaptive_know_other_probes_only_if_they_were_made_for_them():
-    config = OTHER.configured().all_shown
+    config = OTHER.configured().full_observation
     for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
         deviations = make_policy(spec, config).domain.outside(config, [Context()])
         assert any("probe: another" in line for line in deviations) == (not sees)
@@ -98,8 +98,8 @@ def test_ranges_of_lists_and_of_ranges_are_those_of_the_shipped_map():
 
 def test_an_agent_acts_the_same_in_wider_ranges():
     """What it asks for is in SI units the same, and so is what it sees of its last action."""
-    usual = TaskConfig().all_shown
-    wide = TaskConfig(feed_speeds=(0.01, 0.5), air_supply_rates=(0.005, 0.04)).all_shown
+    usual = TaskConfig().full_observation
+    wide = TaskConfig(feed_speeds=(0.01, 0.5), air_supply_rates=(0.005, 0.04)).full_observation
     names, rng = list(usual.observations), np.random.default_rng(3)
     rows = rng.uniform(0.2, 0.8, (16, len(names))).astype(np.float32)
     columns = [names.index("previous_feed_action"), names.index("previous_air_action")]
@@ -114,7 +114,7 @@ def test_an_agent_acts_the_same_in_wider_ranges():
     # float32 observations differ by rounding, 1e-7 of an action of order one through weights of order ten
     assert wide.targets(acted_wide) == pytest.approx(usual.targets(acted), rel=1e-3)
     with pytest.raises(ValueError, match=r"period = 2\.0 differs from 1\.0"):
-        make_policy("ppo", TaskConfig(period=2.0).all_shown)
+        make_policy("ppo", TaskConfig(period=2.0).full_observation)
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
     assert map_beside(small).name == "small-map.npz"
     assert known.scene == plant.scene
     assert known.digest != stored_map().digest
-    policy = make_policy("tension-scheduled", place.config.all_shown, known)
+    policy = make_policy("tension-scheduled", place.config.full_observation, known)
     assert policy.domain.outside(place.config, place.contexts) == []
     loaded = VibrationMap.load(map_beside(small))
     assert loaded == known

@@ -13,7 +13,7 @@ from agents.training.config import Training
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vector import InsertionVectorEnv
 
-TASK = TaskConfig().all_shown
+TASK = TaskConfig().full_observation
 OWN = Constants(onset_length=12.0, slow_feed=0.11)
 
 
@@ -77,6 +77,6 @@ def test_a_guide_is_named_and_needs_its_feeds_and_its_observations() -> None:
         Training.model_validate({"guide": "moon"})
     guided = agent(View(guide=OWN), Network(net_arch=(8,)))
     with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* guide acts"):
-        Agent(guided.description, guided.policy, TaskConfig(feed_speeds=(0.02, 0.3)).all_shown)
+        Agent(guided.description, guided.policy, TaskConfig(feed_speeds=(0.02, 0.3)).full_observation)
     with pytest.raises(ValueError, match="guide needs the observations root_tension, helix_diameter"):
         View(guide=OWN, observations=("inserted_length", "feed_speed", "air_supply_rate", "rf_noise"))

@@ -63,7 +63,7 @@ def test_what_is_no_law_is_refused_in_one_line(tmp_path: Path) -> None:
         path = written(tmp_path, GIVEN | (change or {}))
         path.write_text(path.read_text() if change else "feed = 1")
         with pytest.raises(ValueError, match=r"law\.json") as error:
-            named_policies([f"mine={path}"], TaskConfig().all_shown)
+            named_policies([f"mine={path}"], TaskConfig().full_observation)
         failures += [] if problem in str(error.value) and "\n" not in str(error.value) else [problem]
     assert failures == []
 
@@ -88,7 +88,7 @@ FLAT = {"inserted_length": (5.0, 60.0), "friction": (0.1, 0.2), "tables": (
 
 def test_it_settles_on_the_friction_of_steady_sliding() -> None:
     """From the middle of its rows with its time constant: after 15 s 1 - 1/e of the way."""
-    config = TaskConfig().all_shown
+    config = TaskConfig().full_observation
     policy, memory = (
         Lawful(config, law=Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT)),
         np.zeros((2, 1)),
@@ -112,7 +112,7 @@ def test_it_feeds_by_the_friction_that_the_tension_tells() -> None:
     The law is fed at 5 m by its middle row and has 60 s and more to learn; steady sliding tells friction within 10 %
     (a fifth of the distance between the two rows).
     """
-    config = TaskConfig().all_shown
+    config = TaskConfig().full_observation
     law = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT)
     plan = Plan({"law": Lawful(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
                 fidelity=PRESETS["fast"])  # fmt: skip

@@ -137,7 +137,7 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
     schedule = best_schedule_for(tube, CONFIG, 0.0, vibration)
     feed, air = (np.array(values) for values in schedule.at(places))
     values = np.tile([getattr(tube, name) for name in CONTEXT], (len(places), 1))
-    mean, deviation = vibration.tells(places, feed, air, values, CONFIG.scene)
+    mean, deviation = vibration.predict(places, feed, air, values, CONFIG.scene)
     rate = CONFIG.progress_weight - expected_cost(mean, deviation, feed, air, CONFIG)
     for k in (0, 7, len(places) - 2):
         wanted = np.trapezoid(rate[k:], np.minimum(places[k:], CONFIG.scene.tube.helix_length))
@@ -185,10 +185,10 @@ def test_a_planner_beats_the_map_that_it_looks_beyond(seeds: Callable[[int], Seq
     """
     config, gain, deviation, runs = TaskConfig(scene={"tube": {"helix_length": 30.0}}), 2.98, 1.11, 8
     policies = {
-        "planner": Planner(config.all_shown, candidates=4, periods=3, every=3),
-        "by the map": make_policy("privileged", config.all_shown),
+        "planner": Planner(config.full_observation, candidates=4, periods=3, every=3),
+        "by the map": make_policy("privileged", config.full_observation),
     }
-    plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.all_shown, resolve_fidelity("fast"))
+    plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.full_observation, resolve_fidelity("fast"))
     rewards = run_plan(plan, None, progress=False).pivot(index="seed", columns="policy", values="reward")
     least = gain - of_another(deviation, 16, members=runs)
     assert (rewards["planner"] - rewards["by the map"]).mean() > least > 0.0

@@ -33,7 +33,7 @@ from probe_env.files import FileError
 from probe_env.physics.closed_forms import sliding_tension
 from tests.oracles.structured_text import FunctionBlock, block_inputs
 
-CONFIG = TaskConfig().all_shown
+CONFIG = TaskConfig().full_observation
 PLANT = PlantData.of(CONFIG)
 TRIM = Trim(aim=4e-5, time=60.0)
 

@@ -221,7 +221,7 @@ def test_an_agent_that_sees_the_probe_estimates_friction_with_its_floats():
     """Small floats have less drag, so less tension: taken for table 2's they look like much more friction."""
     probe = {"carrier_float_diameter": 0.0175, "guide_float_diameter": 0.0175}
     scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5)
-    config = CONFIG.all_shown
+    config = CONFIG.full_observation
     place = {name: k for k, name in enumerate(config.observations)}
     row = np.zeros((1, len(place)), dtype=np.float32)
     measured = {

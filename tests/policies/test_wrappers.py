@@ -14,7 +14,7 @@ from probe_env.envs.task.observations import observe
 from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
-CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).all_shown
+CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).full_observation
 LITTLE = {"feed_speed": 0.4, "air_supply_rate": 30.0 / 3600.0}
 HARD = (
     Context(friction=0.25, drag_factor=0.9, helix_diameter=1.0, contact_stiffness=0.7e5),
@@ -145,7 +145,7 @@ def test_it_goes_by_a_prefix(tmp_path):
     assert own_policies(specs) == ["shielded-own"]
     domains = domains_of(specs, policies)
     assert domains["shielded-best-schedule"] == domains["best-schedule"]
-    both = make_policy("shielded:fast-in", TaskConfig(passes="both").all_shown)
+    both = make_policy("shielded:fast-in", TaskConfig(passes="both").full_observation)
     assert isinstance(both.forth, Shielded)
     assert make_policy("shielded:pi", CONFIG).describe() == make_policy("shielded:pi", CONFIG).describe()
 
@@ -157,7 +157,7 @@ def test_what_it_cannot_do_is_refused():
         make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
     for passes in ("in", "both"):
         with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
-            make_policy("shielded:planner", TaskConfig(passes=passes).all_shown)
+            make_policy("shielded:planner", TaskConfig(passes=passes).full_observation)
 
     with pytest.raises(ValueError, match="'reference' does not simulate the way back; give one of standard, "):
         fidelity_of("reference")

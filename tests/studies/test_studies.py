@@ -164,7 +164,7 @@ def test_fields_change_what_they_say(tmp_path: Path) -> None:
             { "fidelity.time_step" = 1e-4 }, { probe = "improved" }, { fidelity = "standard" }]
     """
     settings = expand(study_of(text, tmp_path / "fields.toml"))
-    usual = TaskConfig().all_shown
+    usual = TaskConfig().full_observation
     tasks = [setting.plan.config for setting in settings]
     assert tasks[0] == tasks[4] == tasks[6] == usual
     assert tasks[1].delay_periods == 2

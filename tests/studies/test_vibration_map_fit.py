@@ -62,7 +62,7 @@ def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatc
     assert loaded.scene == Plant.from_toml(file).scene
     assert loaded.digest != stored_map().digest
     where = (np.array([6.0]), np.array([0.1]), np.array([0.02]), np.array([[0.15, 1e5, 1.0, 0.8]]))
-    mean, deviation = loaded.tells(*where, loaded.scene)
+    mean, deviation = loaded.predict(*where, loaded.scene)
     # a probe of 7 m hardly vibrates: micrometres, between the floor of 0.1 um and 0.1 mm
     assert -3.0 <= mean[0] <= 0.0
     assert 0.0 < deviation[0] < 1.0

@@ -42,7 +42,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     path = str(tmp_path / "seed-0" / BEST)
     config = TaskConfig(
         passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
-    ).all_shown
+    ).full_observation
     agent = make_policy(path, config)
     assert isinstance(agent, Agent)
     asked, predict, way = [], agent.predict, list(config.observations).index("way")
@@ -59,7 +59,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, monkeypatch):
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())
     with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
-        make_policy(path, TaskConfig().all_shown)
+        make_policy(path, TaskConfig().full_observation)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
 
@@ -70,7 +70,7 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     view = View(observations=tuple(task.observations))
     description = Description(algorithm="ppo", network=Network(net_arch=(8,)), view=view, task=task, trained={})
     write_bundle(path, description, build_policy(description))
-    config = TaskConfig(passes="both").all_shown
+    config = TaskConfig(passes="both").full_observation
     policy = make_policy(str(path), config)
     assert isinstance(policy, InSteps)
     assert policy.domain.helix_length == 60.0
@@ -93,4 +93,4 @@ def test_both_ways_need_a_method_that_goes_back():
         settings = TINY | {part: TINY[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
             Training(**settings)
-    assert isinstance(make_policy("ppo", TaskConfig(passes="both").all_shown), BothWays)
+    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), BothWays)

@@ -109,7 +109,7 @@ def run(request: Request) -> Numbers:
     trials, limit = request.budget("trials", TRIALS), request.budget("limit", LIMIT, SPLIT_SIZES["train"])
     train = load_case(request.tube, "train", limit, "both")
     unseen = load_case(request.tube, "validation", 0, "both")
-    config, output, played = train.config.all_shown, request.output, request.output / "simulated"
+    config, output, played = train.config.full_observation, request.output, request.output / "simulated"
     space = ranges(config, load_case(request.tube, "train", 0, "both").contexts)
     print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
     tried, commits = _tried(trials, space, train, played, request.workers)
@@ -135,7 +135,7 @@ def run(request: Request) -> Numbers:
 
 def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
-    config, rows, commits = place.config.all_shown, [], []
+    config, rows, commits = place.config.full_observation, [], []
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -160,4 +160,4 @@ def _tried(trials: int, space: Space, place: Place, played: Path, workers: Worke
 
 
 def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
-    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
+    return Plan(policies, place.contexts, config=place.config.full_observation, fidelity=fidelity_of(FIDELITY))

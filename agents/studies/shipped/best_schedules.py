@@ -88,7 +88,7 @@ class MapCost:
     def reward(self, schedule: Schedule) -> float:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         feed, air = schedule.at(self.lengths)
-        predicted = self.vibration.tells(self.lengths, feed, air, self.tubes, self.config.scene)
+        predicted = self.vibration.predict(self.lengths, feed, air, self.tubes, self.config.scene)
         cost = expected_cost(*predicted, feed, air, self.config)
         return float(self.count * metre_reward(self.config, cost.mean()))
 

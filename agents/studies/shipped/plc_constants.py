@@ -95,7 +95,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     """The constants of plc-law: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
     whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
-    config = whole.config.all_shown
+    config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
@@ -105,8 +105,8 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
 
     def simulated(laws: list[Constants]) -> list[float]:
         nonlocal done
-        policies = {f"law-{done + k}": PlcLaw(place.config.all_shown, law) for k, law in enumerate(laws)}
-        plan = Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity("fast"))
+        policies = {f"law-{done + k}": PlcLaw(place.config.full_observation, law) for k, law in enumerate(laws)}
+        plan = Plan(policies, place.contexts, config=place.config.full_observation, fidelity=resolve_fidelity("fast"))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
         done += len(laws)
         commits.extend(table["commit"])
@@ -148,7 +148,7 @@ def _searched(
 def search_trim(limit: int, request: Request) -> Trim:
     """The constants of trimmed-law: a grid of aims and times, compared with the law without a trim."""
     place = place_of(None, "train", limit)
-    config = place.config.all_shown
+    config = place.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
     policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
     policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}
@@ -189,7 +189,7 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
         feed, air = policy.targets(seen | {"root_tension": pulled}, memory)
         left = np.maximum(end - length, 0.0)
         travel = np.minimum(feed * dt, left)
-        mean, deviation = vibration.tells(length + 0.5 * travel, feed, air, values, config.scene)
+        mean, deviation = vibration.predict(length + 0.5 * travel, feed, air, values, config.scene)
         noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
         reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
         length = length + travel

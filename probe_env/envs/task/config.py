@@ -234,7 +234,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip
         return shown | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
 
     @property
-    def all_shown(self) -> TaskConfig:
+    def full_observation(self) -> TaskConfig:
         """The same task with everything observed: every policy looks at what it is meant to."""
         return self.model_copy(update=dict.fromkeys(SHOWN, True))
 
