@@ -180,9 +180,8 @@ class Training(Model):
         """Who is imitated first."""
         if self.imitation is None:
             return None
-        return make_policy(
-            self.imitation.teacher, self.task.full_observation, self.vibration
-        )  # may look at more than it
+        task = self.task.full_observation  # it may look at more than the agent
+        return make_policy(self.imitation.teacher, task, self.vibration)
 
     @property
     def view(self) -> View:

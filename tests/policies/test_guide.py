@@ -10,8 +10,8 @@ from agents.policies.bundle import Agent, Description, Network, build_policy, lo
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from agents.policies.view import View
 from agents.training.config import Training
+from probe_env.envs.env import InsertionVectorEnv
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.vector import InsertionVectorEnv
 
 TASK = TaskConfig().full_observation
 OWN = Constants(onset_length=12.0, slow_feed=0.11)
