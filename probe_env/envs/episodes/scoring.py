@@ -16,19 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import (
-    COSTS,
-    END_TOLERANCE,
-    MEASURES,
-    Score,
-    TaskConfig,
-    capped_square,
-    cost_terms,
-    ending,
-    score,
-    slack,
-    travel,
-)
+from probe_env.envs.task import COSTS, END_TOLERANCE, MEASURES, Score, TaskConfig, rules
 from probe_env.inspection.tally import TURN, DetectionTally, EitherTally, Reading
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.window import Window
@@ -174,11 +162,11 @@ class Scorer:
         assert window.tension is not None
         ratio = window.statistics[MEASURES[config.vibration_measure][0]] / config.limit
         squares = [window.statistics[f"{name}_rms_{unit}"] ** 2 for name, unit in SIGNALS.items()]
-        each_metre = np.column_stack([np.ones(len(ratio)), capped_square(config, ratio), ratio <= 1.0, *squares])
+        each_metre = np.column_stack([np.ones(len(ratio)), rules.capped_square(config, ratio), ratio <= 1.0, *squares])
         sums = self.count(record, each_metre)
         tension = window.statistics["tension_mean_n"]
-        is_slack = slack(config, tension, record.after) & (self.direction > 0.0)
-        terms = cost_terms(config, is_slack, tension, np.nanmax(window.tension, axis=0), record.buckling_load)
+        is_slack = rules.slack(config, tension, record.after) & (self.direction > 0.0)
+        terms = rules.cost_terms(config, is_slack, tension, np.nanmax(window.tension, axis=0), record.buckling_load)
         costs = {name: np.where(record.good, cost, 0.0) for name, cost in terms.items()}
         for k in np.flatnonzero(record.stepped).tolist():
             self.metrics[k].time += config.period
@@ -188,9 +176,11 @@ class Scorer:
             np.array([getattr(metrics, name) for metrics in self.metrics])
             for name in ("consecutive_slack_steps", "time")
         )
-        ends = ending(config, record.after, record.helix_length, slack_steps, time, record.stepped, window.diverged)
+        ends = rules.ending(
+            config, record.after, record.helix_length, slack_steps, time, record.stepped, window.diverged
+        )
         ends["complete"] = self.complete(ends["complete"], record)
-        scored = score(
+        scored = rules.score(
             config, record.stepped, ends, costs, inspected=sums[:, 0], squares=sums[:, 1], air=record.air,
             uninspected=self.uninspected(record), action_change=record.action_change,
         )  # fmt: skip
@@ -224,7 +214,7 @@ class Scorer:
 
     def count(self, record: StepRecord, each_metre: FloatArray) -> FloatArray:
         """(N, COLUMNS) sums of ``each_metre`` (N, COLUMNS) over the length that the period inspected."""
-        length = travel(self.config, record.before, record.after, record.window.feed_speed)
+        length = rules.travel(self.config, record.before, record.after, record.window.feed_speed)
         return np.where(record.good, length, 0.0)[:, None] * each_metre
 
     def _detect(self, k: int, inspected: float, seconds: float, reading: Reading) -> None:
