@@ -55,8 +55,8 @@ class Percentiles:
 
     def add(self, samples: FloatArray) -> None:
         """Count samples of any sign, unit and shape."""
-        place = np.log10(np.clip(np.abs(samples), LOWEST, HIGHEST * 0.999) / LOWEST) * PER_DECADE
-        self.counts += np.bincount(place.astype(np.int64).ravel(), minlength=BINS)
+        bins = np.log10(np.clip(np.abs(samples), LOWEST, HIGHEST * 0.999) / LOWEST) * PER_DECADE
+        self.counts += np.bincount(bins.astype(np.int64).ravel(), minlength=BINS)
 
     def percentile(self, percent: float) -> float:
         """Upper edge of the bin that holds the percentile; 0 without samples."""
@@ -244,19 +244,19 @@ class RoundTripScorer(Scorer):
         self.reached, self.left = np.zeros(count), np.full(count, np.inf)
         self._since_turn, self._piece = np.zeros(count), np.zeros((count, 2))  # [s]; ends of what was counted last [m]
         self._on_insertion = np.ones(count, dtype=bool)  # of that piece
-        self._shown: list[FloatArray] = [np.zeros((0, COLUMNS)) for _ in range(count)]
+        self._insertion: list[FloatArray] = [np.zeros((0, COLUMNS)) for _ in range(count)]
 
     def fork(self, which: Sequence[int]) -> Self:
         """See ``Scorer.fork``."""
         new = super().fork(which)
-        new._shown = [self._shown[k].copy() for k in which]
+        new._insertion = [self._insertion[k].copy() for k in which]
         return new
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """See ``Scorer.begin``."""
         super().begin(k, start, helix_length)
         self.reached[k], self.left[k], self._since_turn[k] = start, np.inf, 0.0
-        self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, COLUMNS))  # a row a bin, sums over its length
+        self._insertion[k] = np.zeros((math.ceil(helix_length / BIN) + 1, COLUMNS))  # a row a bin, sums over its length
 
     def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
         """(N,) length [m] that withdrawal is still to pass, and the sums of squares that insertion had there."""
@@ -264,7 +264,7 @@ class RoundTripScorer(Scorer):
         squares = np.zeros(len(metres))
         for k, (low, length) in enumerate(zip(self.start.tolist(), metres.tolist(), strict=True)):
             for bin_, piece in _bins(low, low + length):
-                known, sum_of_squares = self._shown[k][bin_, :2]
+                known, sum_of_squares = self._insertion[k][bin_, :2]
                 squares[k] += piece * sum_of_squares / known if known > 0.0 else 0.0
         return metres, squares
 
@@ -275,34 +275,34 @@ class RoundTripScorer(Scorer):
         """See ``Scorer.count``."""
         sums = np.zeros_like(each_metre)
         for k in np.flatnonzero(record.good).tolist():
-            after, remembered, shown = record.after[k], self._shown[k], each_metre[k]
+            after, remembered, measured = record.after[k], self._insertion[k], each_metre[k]
             self._piece[k], self._on_insertion[k] = after, True
             if after > self.reached[k]:
                 self._piece[k] = self.reached[k], after
                 for bin_, length in _bins(self.reached[k], after):
-                    remembered[bin_] += length * shown
+                    remembered[bin_] += length * measured
                 if self.config.inspects != "back":
-                    sums[k] += (after - self.reached[k]) * shown
+                    sums[k] += (after - self.reached[k]) * measured
                 self.reached[k] = after
             if self.direction[k] < 0.0:
                 high, low = min(self.left[k], self.reached[k]), max(after, self.start[k])
                 if low < high:
                     self._piece[k], self._on_insertion[k] = (low, high), False
                     for bin_, length in _bins(low, high):
-                        sums[k] += self._again(remembered[bin_], length, shown)
+                        sums[k] += self._again(remembered[bin_], length, measured)
                     self.left[k] = low
         return sums
 
-    def _again(self, known: FloatArray, length: float, shown: FloatArray) -> FloatArray:
+    def _again(self, known: FloatArray, length: float, measured: FloatArray) -> FloatArray:
         """What a piece of a bin adds on withdrawal."""
         if self.config.inspects == "back":
-            return length * shown
+            return length * measured
         if self.config.inspects == "in" or known[0] == 0.0:
-            return np.zeros_like(shown)
+            return np.zeros_like(measured)
         before = known / known[0]
-        better = shown[1] < before[1]
-        gain = np.where(better, shown - before, 0.0)
-        gain[2] = max(shown[2] - before[2], 0.0)
+        better = measured[1] < before[1]
+        gain = np.where(better, measured - before, 0.0)
+        gain[2] = max(measured[2] - before[2], 0.0)
         return np.asarray(length * gain)
 
     def _detect(self, k: int, inspected: float, seconds: float, reading: Reading) -> None:

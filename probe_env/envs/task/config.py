@@ -37,7 +37,7 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
 """Statistic of a window and default limit of each vibration measure; of snr the noise over a 20 % groove's signal."""
 
 
-def scene_of(given: Any) -> Any:
+def scene_of(settings: Any) -> Any:
     """What is simulated: table 2's scene where nothing is given, changed by a mapping, or a whole one.
 
     A mapping of plain values goes through JSON, and so does an environment's ``spec``.
@@ -45,7 +45,7 @@ def scene_of(given: Any) -> Any:
     Raises:
         ValueError: a field that is not known or not valid.
     """
-    return Scene.fitted(given) if isinstance(given, Mapping) else given
+    return Scene.fitted(settings) if isinstance(settings, Mapping) else settings
 
 
 class Actuators(Model):
@@ -229,9 +229,9 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip
     @property
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
-        shown = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
+        visible = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
         both = BOTH_WAYS if self.returns else {}
-        return shown | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
+        return visible | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
 
     @property
     def full_observation(self) -> TaskConfig:
@@ -265,26 +265,28 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip
             raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
         ranges = (self.feed_speeds, self.air_supply_rates)
         shares = share_of(values)
-        wanted = self._in_steps(np.column_stack([value_at(shares[:, k], range_) for k, range_ in enumerate(ranges)]))
-        wanted[stands, 0] = 0.0
-        return wanted
+        requested = self._in_steps(np.column_stack([value_at(shares[:, k], range_) for k, range_ in enumerate(ranges)]))
+        requested[stands, 0] = 0.0
+        return requested
 
     def given(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) what feed device and air supply give where these are asked for [m/s], [m3/s]: the nearest they can."""
-        wanted = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
-        return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in wanted]))
+        requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
+        return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in requested]))
 
-    def _in_steps(self, wanted: FloatArray) -> FloatArray:
+    def _in_steps(self, requested: FloatArray) -> FloatArray:
         ranges = (self.feed_speeds, self.air_supply_rates)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
             if step > 0.0:
-                wanted[:, column] = np.clip(step * np.round(wanted[:, column] / step), *ranges[column])
-        return wanted
+                requested[:, column] = np.clip(step * np.round(requested[:, column] / step), *ranges[column])
+        return requested
 
     def actions(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) actions that ask for feed speeds [m/s] and air supplies [m3/s], or the nearest in the task's range."""
-        wanted = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
-        return np.column_stack([action_of(share_between(np.clip(value, *range_), range_)) for value, range_ in wanted])
+        requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
+        return np.column_stack(
+            [action_of(share_between(np.clip(value, *range_), range_)) for value, range_ in requested]
+        )
 
     def action(self, feed_speed: float, air_supply_rate: float) -> npt.NDArray[np.float32]:
         """(2,) the action that asks for a feed speed [m/s] and an air supply [m3/s].
