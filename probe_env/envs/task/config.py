@@ -48,6 +48,28 @@ def scene_of(settings: Any) -> Any:
     return Scene.fitted(settings) if isinstance(settings, Mapping) else settings
 
 
+class Setup(Model):
+    """What is simulated."""
+
+    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
+    """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
+    sensor: Sensor = Sensor()
+    """What motion does to the signals, and when a flaw is called."""
+    growing: bool = True
+    """Whether the probe is fed in; else its length is constant."""
+
+
+class Timing(Model):
+    """Control period and times of an episode."""
+
+    period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
+    """Control period."""
+    time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
+    """Time after which an episode is truncated."""
+    settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
+    """Time for which the probe settles before an episode."""
+
+
 class Actuators(Model):
     """Feed device and air supply."""
 
@@ -67,8 +89,12 @@ class Actuators(Model):
 
 
 class Reward(Model):
-    """Weights of the reward, see ``rules.reward_terms``."""
+    """What vibration is compared with, and weights of the reward, see ``rules.reward_terms``."""
 
+    vibration_measure: Measure = "displacement"
+    """What is compared with the limit at the sensor; snr: noise over the signal of a 20 % groove."""
+    vibration_limit: Annotated[float, Field(gt=0.0)] | None = None
+    """Limit of the vibration measure, SI units; none: its usual one, 0.1 mm, 5 mm/s, 20 m/s2 or 1/3."""
     ratio_cap: Annotated[float, quantity(1.0, 100.0, "")] = 3.0
     """Vibration over its limit counts up to this; its cost grows with the square."""
     progress_weight: Annotated[float, quantity(0.0, 1e3, "1/m")] = 1.0
@@ -86,12 +112,8 @@ class Reward(Model):
 
 
 class Limits(Model):
-    """Limits of vibration, tension and drive."""
+    """Limits of the root tension: when drive is lost, and what the cable should bear."""
 
-    vibration_measure: Measure = "displacement"
-    """What is compared with the limit at the sensor; snr: noise over the signal of a 20 % groove."""
-    vibration_limit: Annotated[float, Field(gt=0.0)] | None = None
-    """Limit of the vibration measure, SI units; none: its usual one, 0.1 mm, 5 mm/s, 20 m/s2 or 1/3."""
     required_tension: Annotated[float, quantity(0.0, 1e3, "N")] = 0.8
     """Mean root tension that drives the probe; with less it is slack."""
     lost_drive_periods: Annotated[int, Field(ge=1, le=1000)] = 3
@@ -143,8 +165,8 @@ class Observation(Model):
 
 
 GROUPS: Final[dict[str, type[Model]]] = {
-    "actuators": Actuators, "reward": Reward, "limits": Limits, "round_trip": RoundTrip, "disturbances": Disturbances,
-    "observation": Observation,
+    "timing": Timing, "actuators": Actuators, "reward": Reward, "limits": Limits, "round_trip": RoundTrip,
+    "disturbances": Disturbances, "observation": Observation,
 }  # fmt: skip
 """Groups of fields, which settings may name as tables: ``{"reward": {"time_weight": 0.2}}``."""
 SHOWN: Final = tuple(Observation.model_fields)
@@ -172,24 +194,11 @@ def ungrouped(settings: Any) -> Any:
     return flat
 
 
-class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip):
-    """Settings of the control task, SI units: the fields of all groups, and those of the episode itself.
+class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, RoundTrip, Setup):
+    """Settings of the control task, SI units: the fields of all groups.
 
     Every field is read by its name, ``config.time_weight``. Settings may name it so, or in the table of its group.
     """
-
-    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
-    """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
-    sensor: Sensor = Sensor()
-    """What motion does to the signals, and when a flaw is called."""
-    growing: bool = True
-    """Whether the probe is fed in; else its length is constant."""
-    period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
-    """Control period."""
-    time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
-    """Time after which an episode is truncated."""
-    settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
-    """Time for which the probe settles before an episode."""
 
     @model_validator(mode="before")
     @classmethod
