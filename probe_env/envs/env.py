@@ -208,31 +208,31 @@ class InspectionEnv(ProbeEnv):
 
     ## Description
     The probe is fed in as in `Insertion-v1`. At the end of the helix feed and air are turned round: the air blows
-    towards the feed device, which draws the cable out, until the probe is where it began. On the way back the cable is
+    towards the feed device, which draws the cable out, until the probe is where it began. On withdrawal the cable is
     pressed and lies on the outer wall, where it hardly rings. What a metre counts for is the better of both passes.
 
     ## Action Space
-    As `Insertion-v1`: how fast and how much air, on the way that the probe is on.
+    As `Insertion-v1`: how fast and how much air, of the pass that the probe is on.
 
     ## Observation Space
-    As `Insertion-v1`; feed speed and air supply are below 0 on the way back, and `way` comes before what is privileged:
-    1 on the way in, -1 on the way back.
+    As `Insertion-v1`; feed speed and air supply are below 0 on withdrawal, and `way` comes before what is privileged:
+    1 on insertion, -1 on withdrawal.
 
     ## Rewards
-    As `Insertion-v1`, for time and air of both ways. `config={"inspects": "best"}` (default): a metre that is quieter
-    on the way back than on the way in gives the difference back; `"in"`: the way back shows nothing; `"back"`: nothing
-    but the way back counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
-    either way calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both ways
+    As `Insertion-v1`, for time and air of both passes. `config={"inspects": "best"}` (default): a metre that is quieter
+    on withdrawal than on insertion gives the difference back; `"in"`: withdrawal shows nothing; `"back"`: nothing
+    but withdrawal counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
+    either pass calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both passes
     when the episode ends: a probe that stays in the tube owes the metres that it was not drawn back.
 
     ## Episode End
-    Terminated when the probe is back where it began, on lost drive on the way in, and when the simulation diverges;
+    Terminated when the probe is back where it began, on lost drive on insertion, and when the simulation diverges;
     truncated after 1,800 s.
 
     ## Arguments
-    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate the way back, with nodes between the
-    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in
-    alone: on the way back the motion is what the turn or a change of the feed has left. The cable touches the walls in
+    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate withdrawal, with nodes between the
+    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for insertion
+    alone: on withdrawal the motion is what the turn or a change of the feed has left. The cable touches the walls in
     every scene.
     """
 
@@ -304,9 +304,9 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
         for k in which:
-            given = None if seeds is None else seeds[k]
-            if given is not None or k not in self._rngs:  # else its generator goes on
-                self._rngs[k] = gym.utils.seeding.np_random(given)[0]
+            own_seed = None if seeds is None else seeds[k]
+            if own_seed is not None or k not in self._rngs:  # else its generator goes on
+                self._rngs[k] = gym.utils.seeding.np_random(own_seed)[0]
         observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
         self._ended[mask], self._steps[mask] = False, 0
         merged: dict[str, Any] = {}

@@ -30,20 +30,7 @@ from probe_env.envs.episodes.starts import (
     restored_on_error,
     settling,
 )
-from probe_env.envs.task import (
-    COSTS,
-    FAILURES,
-    Score,
-    TaskConfig,
-    air_used,
-    any_ending,
-    capped_square,
-    consecutive_slack,
-    cost_terms,
-    ending,
-    score,
-    slack,
-)
+from probe_env.envs.task import COSTS, FAILURES, Score, TaskConfig, rules
 from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE, Fidelity, is_surrogate
@@ -284,7 +271,7 @@ class SurrogateEpisodes:
         measured = self._measured(normal)
         scored = self._score(stepped, self.inserted_length - before, air_before, change, measured)
         self.sensors.update(measured, stepped, normal[:, 5:], self.rng)
-        ended = any_ending(scored.endings)
+        ended = rules.any_ending(scored.endings)
         self.running &= ~ended
         infos = self._infos(stepped, measured, scored, targets)
         for k in np.flatnonzero(ended).tolist():
@@ -310,15 +297,16 @@ class SurrogateEpisodes:
         """Score a control period and add it to the episodes' sums."""
         config, tension = self.config, measured["tension_mean_n"]
         ratio = measured["radial_rms_m"] / self.limit
-        air = np.where(stepped, air_used(config, air_before, self.air), 0.0)
-        is_slack = slack(config, tension, self.inserted_length)
-        costs = cost_terms(config, is_slack, tension, tension, self.buckling)
+        air = np.where(stepped, rules.air_used(config, air_before, self.air), 0.0)
+        is_slack = rules.slack(config, tension, self.inserted_length)
+        costs = rules.cost_terms(config, is_slack, tension, tension, self.buckling)
         self.time = np.where(stepped, self.time + config.period, self.time)
-        self.slack_steps = np.where(stepped, consecutive_slack(self.slack_steps, is_slack), self.slack_steps)
+        self.slack_steps = np.where(stepped, rules.consecutive_slack(self.slack_steps, is_slack), self.slack_steps)
         length, never = self.inserted_length, np.zeros(len(self), dtype=bool)
-        endings = ending(config, length, self.helix_length, self.slack_steps, self.time, stepped, never)
-        scored = score(
-            config, stepped, endings, costs, inspected=travel, squares=travel * capped_square(config, ratio), air=air,
+        endings = rules.ending(config, length, self.helix_length, self.slack_steps, self.time, stepped, never)
+        squares = travel * rules.capped_square(config, ratio)
+        scored = rules.score(
+            config, stepped, endings, costs, inspected=travel, squares=squares, air=air,
             uninspected=self.helix_length - length, action_change=change,
         )  # fmt: skip
         added = {

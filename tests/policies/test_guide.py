@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from probe_env.envs.vector import InsertionVectorEnv
 
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from agents.policies.view import View
 from agents.training.config import Training
+from probe_env.envs.env import InsertionVectorEnv
 from probe_env.envs.task import TaskConfig
 
 TASK = TaskConfig().full_observation

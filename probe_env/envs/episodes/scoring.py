@@ -16,19 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import (
-    COSTS,
-    END_TOLERANCE,
-    MEASURES,
-    Score,
-    TaskConfig,
-    capped_square,
-    cost_terms,
-    ending,
-    score,
-    slack,
-    travel,
-)
+from probe_env.envs.task import COSTS, END_TOLERANCE, MEASURES, Score, TaskConfig, rules
 from probe_env.inspection.metrics import TURN, DetectionMetrics, RoundTripMetrics
 from probe_env.inspection.snr import FilteredSignal
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
@@ -68,8 +56,8 @@ class Percentiles:
 
     def add(self, samples: FloatArray) -> None:
         """Count samples of any sign, unit and shape."""
-        place = np.log10(np.clip(np.abs(samples), LOWEST, HIGHEST * 0.999) / LOWEST) * PER_DECADE
-        self.counts += np.bincount(place.astype(np.int64).ravel(), minlength=BINS)
+        bins = np.log10(np.clip(np.abs(samples), LOWEST, HIGHEST * 0.999) / LOWEST) * PER_DECADE
+        self.counts += np.bincount(bins.astype(np.int64).ravel(), minlength=BINS)
 
     def percentile(self, percent: float) -> float:
         """Upper edge of the bin that holds the percentile; 0 without samples."""
@@ -175,11 +163,11 @@ class Scorer:
         assert window.tension is not None
         ratio = window.statistics[MEASURES[config.vibration_measure][0]] / config.limit
         squares = [window.statistics[f"{name}_rms_{unit}"] ** 2 for name, unit in SIGNALS.items()]
-        each_metre = np.column_stack([np.ones(len(ratio)), capped_square(config, ratio), ratio <= 1.0, *squares])
+        each_metre = np.column_stack([np.ones(len(ratio)), rules.capped_square(config, ratio), ratio <= 1.0, *squares])
         sums = self.count(record, each_metre)
         tension = window.statistics["tension_mean_n"]
-        is_slack = slack(config, tension, record.after) & (self.direction > 0.0)
-        terms = cost_terms(config, is_slack, tension, np.nanmax(window.tension, axis=0), record.buckling_load)
+        is_slack = rules.slack(config, tension, record.after) & (self.direction > 0.0)
+        terms = rules.cost_terms(config, is_slack, tension, np.nanmax(window.tension, axis=0), record.buckling_load)
         costs = {name: np.where(record.good, cost, 0.0) for name, cost in terms.items()}
         for k in np.flatnonzero(record.stepped).tolist():
             self.metrics[k].time += config.period
@@ -189,9 +177,11 @@ class Scorer:
             np.array([getattr(metrics, name) for metrics in self.metrics])
             for name in ("consecutive_slack_steps", "time")
         )
-        ends = ending(config, record.after, record.helix_length, slack_steps, time, record.stepped, window.diverged)
+        ends = rules.ending(
+            config, record.after, record.helix_length, slack_steps, time, record.stepped, window.diverged
+        )
         ends["complete"] = self.complete(ends["complete"], record)
-        scored = score(
+        scored = rules.score(
             config, record.stepped, ends, costs, inspected=sums[:, 0], squares=sums[:, 1], air=record.air,
             uninspected=self.uninspected(record), action_change=record.action_change,
         )  # fmt: skip
@@ -225,7 +215,7 @@ class Scorer:
 
     def count(self, record: StepRecord, each_metre: FloatArray) -> FloatArray:
         """(N, COLUMNS) sums of ``each_metre`` (N, COLUMNS) over the length that the period inspected."""
-        length = travel(self.config, record.before, record.after, record.window.feed_speed)
+        length = rules.travel(self.config, record.before, record.after, record.window.feed_speed)
         return np.where(record.good, length, 0.0)[:, None] * each_metre
 
     def _detect(self, k: int, inspected: float, seconds: float, signal: FilteredSignal) -> None:
@@ -255,19 +245,19 @@ class RoundTripScorer(Scorer):
         self.reached, self.left = np.zeros(count), np.full(count, np.inf)
         self._since_turn, self._piece = np.zeros(count), np.zeros((count, 2))  # [s]; ends of what was counted last [m]
         self._on_insertion = np.ones(count, dtype=bool)  # of that piece
-        self._shown: list[FloatArray] = [np.zeros((0, COLUMNS)) for _ in range(count)]
+        self._insertion: list[FloatArray] = [np.zeros((0, COLUMNS)) for _ in range(count)]
 
     def fork(self, which: Sequence[int]) -> Self:
         """See ``Scorer.fork``."""
         new = super().fork(which)
-        new._shown = [self._shown[k].copy() for k in which]
+        new._insertion = [self._insertion[k].copy() for k in which]
         return new
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """See ``Scorer.begin``."""
         super().begin(k, start, helix_length)
         self.reached[k], self.left[k], self._since_turn[k] = start, np.inf, 0.0
-        self._shown[k] = np.zeros((math.ceil(helix_length / BIN) + 1, COLUMNS))  # a row a bin, sums over its length
+        self._insertion[k] = np.zeros((math.ceil(helix_length / BIN) + 1, COLUMNS))  # a row a bin, sums over its length
 
     def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
         """(N,) length [m] that withdrawal is still to pass, and the sums of squares that insertion had there."""
@@ -275,7 +265,7 @@ class RoundTripScorer(Scorer):
         squares = np.zeros(len(metres))
         for k, (low, length) in enumerate(zip(self.start.tolist(), metres.tolist(), strict=True)):
             for bin_, piece in _bins(low, low + length):
-                known, sum_of_squares = self._shown[k][bin_, :2]
+                known, sum_of_squares = self._insertion[k][bin_, :2]
                 squares[k] += piece * sum_of_squares / known if known > 0.0 else 0.0
         return metres, squares
 
@@ -286,34 +276,34 @@ class RoundTripScorer(Scorer):
         """See ``Scorer.count``."""
         sums = np.zeros_like(each_metre)
         for k in np.flatnonzero(record.good).tolist():
-            after, remembered, shown = record.after[k], self._shown[k], each_metre[k]
+            after, remembered, measured = record.after[k], self._insertion[k], each_metre[k]
             self._piece[k], self._on_insertion[k] = after, True
             if after > self.reached[k]:
                 self._piece[k] = self.reached[k], after
                 for bin_, length in _bins(self.reached[k], after):
-                    remembered[bin_] += length * shown
+                    remembered[bin_] += length * measured
                 if self.config.inspects != "back":
-                    sums[k] += (after - self.reached[k]) * shown
+                    sums[k] += (after - self.reached[k]) * measured
                 self.reached[k] = after
             if self.direction[k] < 0.0:
                 high, low = min(self.left[k], self.reached[k]), max(after, self.start[k])
                 if low < high:
                     self._piece[k], self._on_insertion[k] = (low, high), False
                     for bin_, length in _bins(low, high):
-                        sums[k] += self._again(remembered[bin_], length, shown)
+                        sums[k] += self._again(remembered[bin_], length, measured)
                     self.left[k] = low
         return sums
 
-    def _again(self, known: FloatArray, length: float, shown: FloatArray) -> FloatArray:
+    def _again(self, known: FloatArray, length: float, measured: FloatArray) -> FloatArray:
         """What a piece of a bin adds on withdrawal."""
         if self.config.inspects == "back":
-            return length * shown
+            return length * measured
         if self.config.inspects == "in" or known[0] == 0.0:
-            return np.zeros_like(shown)
+            return np.zeros_like(measured)
         before = known / known[0]
-        better = shown[1] < before[1]
-        gain = np.where(better, shown - before, 0.0)
-        gain[2] = max(shown[2] - before[2], 0.0)
+        better = measured[1] < before[1]
+        gain = np.where(better, measured - before, 0.0)
+        gain[2] = max(measured[2] - before[2], 0.0)
         return np.asarray(length * gain)
 
     def _detect(self, k: int, inspected: float, seconds: float, signal: FilteredSignal) -> None:

@@ -117,9 +117,9 @@ class EpisodeSampler:
         Raises:
             ValueError: an option is not known or not valid.
         """
-        given = dict(options)
-        changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
-        context = drawn_context(self.contexts, rng, given)
+        fixed = dict(options)
+        changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
+        context = drawn_context(self.contexts, rng, fixed)
         drawn = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
         changes["probe"] = drawn | dict(changes.get("probe", {}))
         return context, self.build(context, changes)
@@ -201,12 +201,12 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     try:
         if isinstance(contexts, Mapping):
             return Ranges.model_validate(tuples(dict(contexts)))
-        place, listed = "contexts", []
-        for k, given in enumerate(contexts):
-            place = f"contexts[{k}]"
-            listed.append(given if isinstance(given, Context) else Context.model_validate(dict(given)))
+        name, listed = "contexts", []
+        for k, fields in enumerate(contexts):
+            name = f"contexts[{k}]"
+            listed.append(fields if isinstance(fields, Context) else Context.model_validate(dict(fields)))
     except ValidationError as error:
-        raise ValueError(explain(error, "contexts" if isinstance(contexts, Mapping) else place)) from error
+        raise ValueError(explain(error, "contexts" if isinstance(contexts, Mapping) else name)) from error
     except TypeError as error:
         raise ValueError(f"contexts = {contexts!r} is no name, list of contexts or mapping of ranges") from error
     if not listed:
@@ -214,19 +214,19 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     return tuple(listed)
 
 
-def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:
-    """A context from the generator, at random or from a list; ``given`` fixes fields or a whole "context".
+def drawn_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
+    """A context from the generator, at random or from a list; ``fixed`` fixes fields or a whole "context".
 
-    Takes "context" out of ``given``.
+    Takes "context" out of ``fixed``.
 
     Raises:
         ValueError: no such list, or a field that is not known or not valid.
     """
     source = checked_contexts(contexts)
-    whole = given.pop("context", None)
+    whole = fixed.pop("context", None)
     if whole is not None:
         values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
-        given = values | given
+        fixed = values | fixed
     if isinstance(source, Ranges):
-        return draw_context(rng, given, source)
-    return source[int(rng.integers(len(source)))].model_copy(update=given)
+        return draw_context(rng, fixed, source)
+    return source[int(rng.integers(len(source)))].model_copy(update=fixed)

@@ -37,7 +37,7 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
 """Statistic of a window and default limit of each vibration measure; of snr the noise over a 20 % groove's signal."""
 
 
-def scene_of(given: Any) -> Any:
+def scene_of(settings: Any) -> Any:
     """What is simulated: table 2's scene where nothing is given, changed by a mapping, or a whole one.
 
     A mapping of plain values goes through JSON, and so does an environment's ``spec``.
@@ -45,7 +45,29 @@ def scene_of(given: Any) -> Any:
     Raises:
         ValueError: a field that is not known or not valid.
     """
-    return Scene.fitted(given) if isinstance(given, Mapping) else given
+    return Scene.fitted(settings) if isinstance(settings, Mapping) else settings
+
+
+class Setup(Model):
+    """What is simulated."""
+
+    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
+    """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
+    sensor: Sensor = Sensor()
+    """What motion does to the signals, and when a flaw is called."""
+    growing: bool = True
+    """Whether the probe is fed in; else its length is constant."""
+
+
+class Timing(Model):
+    """Control period and times of an episode."""
+
+    period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
+    """Control period."""
+    time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
+    """Time after which an episode is truncated."""
+    settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
+    """Time for which the probe settles before an episode."""
 
 
 class Actuators(Model):
@@ -67,8 +89,12 @@ class Actuators(Model):
 
 
 class Reward(Model):
-    """Weights of the reward, see ``rules.reward_terms``."""
+    """What vibration is compared with, and weights of the reward, see ``rules.reward_terms``."""
 
+    vibration_measure: Measure = "displacement"
+    """What is compared with the limit at the sensor; snr: noise over the signal of a 20 % groove."""
+    vibration_limit: Annotated[float, Field(gt=0.0)] | None = None
+    """Limit of the vibration measure, SI units; none: its usual one, 0.1 mm, 5 mm/s, 20 m/s2 or 1/3."""
     ratio_cap: Annotated[float, quantity(1.0, 100.0, "")] = 3.0
     """Vibration over its limit counts up to this; its cost grows with the square."""
     progress_weight: Annotated[float, quantity(0.0, 1e3, "1/m")] = 1.0
@@ -86,12 +112,8 @@ class Reward(Model):
 
 
 class Limits(Model):
-    """Limits of vibration, tension and drive."""
+    """Limits of the root tension: when drive is lost, and what the cable should bear."""
 
-    vibration_measure: Measure = "displacement"
-    """What is compared with the limit at the sensor; snr: noise over the signal of a 20 % groove."""
-    vibration_limit: Annotated[float, Field(gt=0.0)] | None = None
-    """Limit of the vibration measure, SI units; none: its usual one, 0.1 mm, 5 mm/s, 20 m/s2 or 1/3."""
     required_tension: Annotated[float, quantity(0.0, 1e3, "N")] = 0.8
     """Mean root tension that drives the probe; with less it is slack."""
     lost_drive_periods: Annotated[int, Field(ge=1, le=1000)] = 3
@@ -143,8 +165,8 @@ class Observation(Model):
 
 
 GROUPS: Final[dict[str, type[Model]]] = {
-    "actuators": Actuators, "reward": Reward, "limits": Limits, "round_trip": RoundTrip, "disturbances": Disturbances,
-    "observation": Observation,
+    "timing": Timing, "actuators": Actuators, "reward": Reward, "limits": Limits, "round_trip": RoundTrip,
+    "disturbances": Disturbances, "observation": Observation,
 }  # fmt: skip
 """Groups of fields, which settings may name as tables: ``{"reward": {"time_weight": 0.2}}``."""
 SHOWN: Final = tuple(Observation.model_fields)
@@ -172,24 +194,11 @@ def ungrouped(settings: Any) -> Any:
     return flat
 
 
-class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip):
-    """Settings of the control task, SI units: the fields of all groups, and those of the episode itself.
+class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, RoundTrip, Setup):
+    """Settings of the control task, SI units: the fields of all groups.
 
     Every field is read by its name, ``config.time_weight``. Settings may name it so, or in the table of its group.
     """
-
-    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
-    """Tube, probe and air that an episode changes by its context: what a controller may know of the plant."""
-    sensor: Sensor = Sensor()
-    """What motion does to the signals, and when a flaw is called."""
-    growing: bool = True
-    """Whether the probe is fed in; else its length is constant."""
-    period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
-    """Control period."""
-    time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
-    """Time after which an episode is truncated."""
-    settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
-    """Time for which the probe settles before an episode."""
 
     @model_validator(mode="before")
     @classmethod
@@ -229,9 +238,9 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip
     @property
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
-        shown = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
+        visible = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
         both = BOTH_WAYS if self.returns else {}
-        return shown | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
+        return visible | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
 
     @property
     def full_observation(self) -> TaskConfig:
@@ -265,26 +274,28 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, RoundTrip
             raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
         ranges = (self.feed_speeds, self.air_supply_rates)
         shares = share_of(values)
-        wanted = self._in_steps(np.column_stack([value_at(shares[:, k], range_) for k, range_ in enumerate(ranges)]))
-        wanted[stands, 0] = 0.0
-        return wanted
+        requested = self._in_steps(np.column_stack([value_at(shares[:, k], range_) for k, range_ in enumerate(ranges)]))
+        requested[stands, 0] = 0.0
+        return requested
 
     def given(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) what feed device and air supply give where these are asked for [m/s], [m3/s]: the nearest they can."""
-        wanted = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
-        return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in wanted]))
+        requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
+        return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in requested]))
 
-    def _in_steps(self, wanted: FloatArray) -> FloatArray:
+    def _in_steps(self, requested: FloatArray) -> FloatArray:
         ranges = (self.feed_speeds, self.air_supply_rates)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
             if step > 0.0:
-                wanted[:, column] = np.clip(step * np.round(wanted[:, column] / step), *ranges[column])
-        return wanted
+                requested[:, column] = np.clip(step * np.round(requested[:, column] / step), *ranges[column])
+        return requested
 
     def actions(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) actions that ask for feed speeds [m/s] and air supplies [m3/s], or the nearest in the task's range."""
-        wanted = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
-        return np.column_stack([action_of(share_between(np.clip(value, *range_), range_)) for value, range_ in wanted])
+        requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
+        return np.column_stack(
+            [action_of(share_between(np.clip(value, *range_), range_)) for value, range_ in requested]
+        )
 
     def action(self, feed_speed: float, air_supply_rate: float) -> npt.NDArray[np.float32]:
         """(2,) the action that asks for a feed speed [m/s] and an air supply [m3/s].

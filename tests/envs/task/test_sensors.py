@@ -136,7 +136,7 @@ def test_settings_are_accepted_in_groups_and_by_themselves():
     assert env.unwrapped.config == expected.model_copy(update={"time_limit": 1800.0})  # its own defaults stand
     assert all(info.description for info in TaskConfig.model_fields.values())
     for wrong, message in (
-        ({"reward": {"tension_limit": 5.0}}, "reward = .* must be a table of ratio_cap, progress_weight"),
+        ({"reward": {"tension_limit": 5.0}}, "reward = .* must be a table of vibration_measure, "),
         ({"reward": {"time_weight": 0.3}, "time_weight": 0.3}, "reward.time_weight: given twice"),
         ({"reward": {"time_weight": -1.0}}, "time_weight"),
         ({"rewards": {}}, "rewards"),
