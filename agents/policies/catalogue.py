@@ -14,7 +14,7 @@ from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
-from agents.policies.plc_law import PlcLaw, TrimmedLaw
+from agents.policies.plc_law import PlcIntegral, PlcProportional
 from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/policies/data/``."""
-LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-proportional": PlcLaw, "plc-integral": TrimmedLaw}
+LAWS: Final[dict[str, type[PlcProportional]]] = {"plc-proportional": PlcProportional, "plc-integral": PlcIntegral}
 OLD_NAMES: Final = {"plc-law": "plc-proportional", "trimmed-law": "plc-integral"}
 """Names before version 0.1.0, which stored results have, and are still accepted."""
 BY_DIAMETER: Final = "best-schedule-by-diameter"

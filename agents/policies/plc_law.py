@@ -3,7 +3,7 @@
 The best schedules of the vibration map all have this form. Onset and slow feed depend on the friction, estimated from
 the root tension, and on the helix diameter; measured noise shifts the length that counts.
 
-``TrimmedLaw`` adds integral action: past the onset its feed is trimmed until the noise meets an aim. The feed at which
+``PlcIntegral`` adds integral action: past the onset its feed is trimmed until the noise meets an aim. The feed at which
 a probe begins to ring is a sharp limit, different in every tube, but its ratio to the law's feed varies little along a
 tube. The feed is lowered faster than raised, since ringing costs more than time.
 """
@@ -158,7 +158,7 @@ def law_at(
 
 
 @dataclass
-class PlcLaw(FixedPolicy):
+class PlcProportional(FixedPolicy):
     """Acts by the law. Memory: averages of friction and of the logarithm of the noise."""
 
     constants: Constants = field(default_factory=read_constants)
@@ -192,20 +192,20 @@ class PlcLaw(FixedPolicy):
 
 
 @dataclass
-class TrimmedLaw(PlcLaw):
+class PlcIntegral(PlcProportional):
     """Acts by the law with its feed trimmed. Memory: the law's, average of the logarithm of the noise, trim."""
 
     trim: Trim = field(default_factory=read_trim)
-    memory: ClassVar[int] = PlcLaw.memory + 2
+    memory: ClassVar[int] = PlcProportional.memory + 2
 
     def start(self, memory: FloatArray) -> None:
         """Memory: the law's, little noise, and no trim."""
-        super().start(memory[:, : PlcLaw.memory])
-        memory[:, PlcLaw.memory :] = np.log(UNKNOWN_NOISE), 0.0
+        super().start(memory[:, : PlcProportional.memory])
+        memory[:, PlcProportional.memory :] = np.log(UNKNOWN_NOISE), 0.0
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The law's, with the feed past the onset trimmed."""
-        feed, air = super().targets(measured, memory[:, : PlcLaw.memory])
+        feed, air = super().targets(measured, memory[:, : PlcProportional.memory])
         noise, trim = memory[:, -2], memory[:, -1]
         noise += gain(self.config, NOISE_AVERAGE) * (np.log(np.maximum(measured["rf_noise"], 1e-7)) - noise)
         past = air > self._plant.air_supply_rates[0]  # the onset

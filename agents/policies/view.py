@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.plc_law import Constants, PlcLaw, read_constants
+from agents.policies.plc_law import Constants, PlcProportional, read_constants
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.scales import OBSERVATIONS
@@ -153,4 +153,4 @@ class View(Model):
         return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
 
 
-_guide = lru_cache(maxsize=64)(PlcLaw)
+_guide = lru_cache(maxsize=64)(PlcProportional)

@@ -16,7 +16,7 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
 from agents.policies.cases import case_of
 from agents.policies.fixed import FixedPolicy
-from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
+from agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
@@ -98,12 +98,12 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
     def by_map(points: FloatArray) -> list[float]:
-        laws = [PlcLaw(config, constants_at(point)) for point in points]
+        laws = [PlcProportional(config, constants_at(point)) for point in points]
         return [float(quasi_steady_rewards(law, whole.contexts, vibration).mean()) for law in laws]
 
     def simulated(points: FloatArray) -> list[float]:
         nonlocal done
-        policies = {f"law-{done + k}": PlcLaw(config, constants_at(point)) for k, point in enumerate(points)}
+        policies = {f"law-{done + k}": PlcProportional(config, constants_at(point)) for k, point in enumerate(points)}
         plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
         done += len(points)
@@ -133,8 +133,8 @@ def search_trim(limit: int, request: Request) -> Trim:
     place = case_of(None, "train", limit)
     config = place.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
-    policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
-    policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}
+    policies: dict[str, Policy] = {UNTRIMMED: PlcProportional(config)}
+    policies |= {name: PlcIntegral(config, trim=trim) for name, trim in trims.items()}
     plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
     table = run_plan(plan, request.output / "trim-episodes", workers=request.workers)
     rows: list[dict[str, Any]] = []
