@@ -88,10 +88,10 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     info = step.infos[0]
     assert info["feed_speed"] == pytest.approx(0.2)
     tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
-    place = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
-    mean = stored_map().predict(*place, tubes, CONFIG.scene)[0][0]
+    inputs = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
+    mean = stored_map().predict(*inputs, tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
-    seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), place, strict=True))
+    seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), inputs, strict=True))
     pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
     assert info["tension_mean_n"] == pytest.approx(pulled[0] * TUBE.drag_factor)
 
@@ -173,10 +173,10 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
         gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"time_step: method = 'surrogate' simulates no motion"):
         Fidelity(method="surrogate", time_step=1e-4)
-    place = case_of(None, "test", 1)
-    planner = named_policies(("planner",), place.config.full_observation)
+    case = case_of(None, "test", 1)
+    planner = named_policies(("planner",), case.config.full_observation)
     with pytest.raises(ValueError, match="no simulator for a policy to look ahead with"):
-        run_plan(Plan(planner, place.contexts, (0,), place.config.full_observation, PRESETS["surrogate"]), None)
+        run_plan(Plan(planner, case.contexts, (0,), case.config.full_observation, PRESETS["surrogate"]), None)
 
 
 def test_a_plant_is_predicted_by_the_map_beside_its_file():
@@ -190,10 +190,10 @@ def test_a_plant_is_predicted_by_the_map_beside_its_file():
 
 
 def test_policies_keep_their_order():
-    place = case_of(None, "test", 6)
-    config = place.config.full_observation
+    case = case_of(None, "test", 6)
+    config = case.config.full_observation
     policies = named_policies(("constant", "best-schedule", "privileged"), config)
-    table = run_plan(Plan(policies, place.contexts, (0,), config, PRESETS["surrogate"]), None)
+    table = run_plan(Plan(policies, case.contexts, (0,), config, PRESETS["surrogate"]), None)
     means = table.groupby("policy")["reward"].mean()
     assert means["constant"] < means["best-schedule"] - 50.0
     assert means["best-schedule"] < means["privileged"]
