@@ -58,7 +58,7 @@ class DesignProblem(DesignTrials):
 
     @property
     def probes(self) -> dict[str, Design]:
-        """What a search is to beat: the study's two probes, its original one's case taken by the plant's own."""
+        """What a search is to beat: the study's two probes, the plant's own in place of the original."""
         try:
             own = Design().completed(self.config.scene.probe)
         except ValueError:  # it is not one that the search may build

@@ -200,12 +200,12 @@ def held(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> 
     still, ends = length.copy(), [0]
     for first, end in zip(edges[::2], edges[1::2], strict=True):
         last = int(np.searchsorted(time, time[end - 1] + DWELL, side="right")) - 1
-        place = np.median(length[first : last + 1])
-        begin = first + int(np.searchsorted(high[first : last + 1], place - tolerance, side="left"))
-        until = first + int(np.searchsorted(low[first : last + 1], place + tolerance, side="right")) - 1
+        median = np.median(length[first : last + 1])
+        begin = first + int(np.searchsorted(high[first : last + 1], median - tolerance, side="left"))
+        until = first + int(np.searchsorted(low[first : last + 1], median + tolerance, side="right")) - 1
         begin = max(begin, ends[-1])  # a standstill may begin within a second of the one before
         if time[until] - time[begin] >= max(DWELL, 0.5 * (time[last] - time[first])):
-            still[begin : until + 1] = max(place, still[begin - 1] if begin else place)
+            still[begin : until + 1] = max(median, still[begin - 1] if begin else median)
             ends += [begin, until]
     return np.maximum.accumulate(still), np.array(ends[1:], dtype=np.int64)
 
@@ -234,9 +234,9 @@ def kept_rows(
         bad = worst > tolerance
         if not bad.any():
             break
-        places = np.flatnonzero(error > tolerance)
-        places = places[error[places] == worst[np.searchsorted(rows, places, side="right") - 1]]
-        more = [rows, places]
+        worst_rows = np.flatnonzero(error > tolerance)
+        worst_rows = worst_rows[error[worst_rows] == worst[np.searchsorted(rows, worst_rows, side="right") - 1]]
+        more = [rows, worst_rows]
         if number >= ROUNDS:
             more.append((rows[:-1][bad] + rows[1:][bad]) // 2)
         rows = np.unique(np.concatenate(more))

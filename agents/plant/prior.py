@@ -24,7 +24,7 @@ DRAG: Final = (0.85, 1.15)
 
 
 class Unknown(NamedTuple):
-    """An unknown parameter: its place in the plant's file, the range of the response's training, its name in tables."""
+    """An unknown parameter: its field in the plant's file, the range of the response's training, its name in tables."""
 
     table: str
     field: str

@@ -82,8 +82,8 @@ class Table:
 
     def error(self, row: int, problem: str, column: int | None = None) -> FileError:
         """An error at a row, and column."""
-        place = f", column {self.heads[column]!r}" if column is not None else ""
-        return FileError(self.path, f"{self.row_word} {self.lines[row]}{place}: {problem}")
+        position = f", column {self.heads[column]!r}" if column is not None else ""
+        return FileError(self.path, f"{self.row_word} {self.lines[row]}{position}: {problem}")
 
     def error_between(self, first: int, last: int, problem: str) -> FileError:
         """An error from one row to another."""

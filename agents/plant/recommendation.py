@@ -39,7 +39,7 @@ MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_accel
 """Vibration measure of a task -> channel of the response."""
 FEEDS, AIRS = 28, 12
 """Points of the grid of settings."""
-SAFE_PLACES: Final = 23
+SAFE_LENGTHS: Final = 23
 """Lengths of an insertion at which ``safe_air`` computes the root tension."""
 STEP: Final = 0.02
 FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
@@ -148,29 +148,29 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
         problem = f"task.vibration_measure = {config.vibration_measure!r}"
         raise ValueError(f"{problem}: recommendations know {' and '.join(MEASURES)}")
     end = config.scene.tube.helix_length
-    places = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
+    lengths = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
     feed, air = _grid(config)
-    shape = len(places), len(feed)
-    metres = Metres(np.repeat(places, shape[1]), np.tile(feed, shape[0]), np.tile(air, shape[0]), {})
-    stands_for = np.gradient(places)
+    shape = len(lengths), len(feed)
+    metres = Metres(np.repeat(lengths, shape[1]), np.tile(feed, shape[0]), np.tile(air, shape[0]), {})
+    stands_for = np.gradient(lengths)
     stands_for[[0, -1]] *= 0.5  # half a spacing at the ends
     cost = expected_costs(tubes, response, config, metres).mean(axis=0).reshape(shape)
     taut = np.quantile(tensions(tubes, config, metres), 1.0 - SURE, axis=0).reshape(shape)
-    too_slack = slack(config, taut / MARGIN, places[:, None])
+    too_slack = slack(config, taut / MARGIN, lengths[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
-        at = f"{taut[hopeless][0].max():.3g} N of root tension at {places[hopeless][0]:g} m in {SURE:.0%} of the draws"
+        at = f"{taut[hopeless][0].max():.3g} N of root tension at {lengths[hopeless][0]:g} m in {SURE:.0%} of the draws"
         needed = f"{MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
         problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
         raise ValueError(f"{problem} {at}, and {needed}")
     logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
     change = SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
     path = cheapest_path(np.where(too_slack, np.inf, cost * stands_for[:, None]), change)
-    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (places, feed[path], air[path]))
+    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (lengths, feed[path], air[path]))
     schedule = Schedule("inserted_length", "linear", position, feeds_of, airs_of)
     on_path = range(len(path)), path
     gained = float((metre_reward(config, cost) * stands_for[:, None])[on_path].sum())
-    return Optimum(schedule, gained, float(taut[on_path][drive_counts(config, places)].min(initial=np.inf)))
+    return Optimum(schedule, gained, float(taut[on_path][drive_counts(config, lengths)].min(initial=np.inf)))
 
 
 def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
@@ -180,15 +180,15 @@ def recommended_law(tubes: Sequence[Context], response: Response, config: TaskCo
     least, most = ranges["friction"]
     inside = [mu for mu in FRICTIONS if least - STEP < mu < most + STEP]
     tables: list[OfDiameter] = []
-    places: tuple[float, ...] = ()
+    lengths: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         alike = [tube for tube in tubes if tube.helix_diameter == diameter][:OF_A_LAW]
         drawn = ([tube.model_copy(update={"friction": mu}) for tube in alike] for mu in inside)
         rows = [recommended(contexts, response, config).schedule for contexts in drawn]
-        places = rows[0].position
+        lengths = rows[0].position
         columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
         tables.append(OfDiameter(helix_diameter=diameter, **columns))
-    return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=places, tables=tuple(tables))
+    return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=lengths, tables=tuple(tables))
 
 
 def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:
@@ -250,7 +250,7 @@ def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
 
 
 def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
-    """Points of the grid, one per place, with the smallest sum of costs (places, g) and of changes (g, g): Bellman."""
+    """Points of the grid, one per length, with the smallest sum of costs (lengths, g) and of changes (g, g): Bellman."""
     total, came_from = staged[0], []
     for costs in staged[1:]:
         through = total[:, None] + change
@@ -301,7 +301,7 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
 
 def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
     """(a,) smallest root tension of the insertion [N] over tubes and lengths at which the drive counts, by air."""
-    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_PLACES)
+    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_LENGTHS)
     lengths = lengths[drive_counts(config, lengths)]
     air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
     tension = tensions(tubes, config, Metres(length, np.full(len(length), feed), air, {}))

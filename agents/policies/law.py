@@ -83,10 +83,10 @@ class Law(Model):
         """
         diameters = np.array([table.helix_diameter for table in self.tables])
         targets = np.empty((2, len(friction)))
-        for k, (mu, place, d) in enumerate(zip(friction, length, diameter, strict=True)):
+        for k, (mu, inserted, d) in enumerate(zip(friction, length, diameter, strict=True)):
             table = self.tables[int(np.abs(diameters - d).argmin())]
             for row, values in enumerate((table.feed_speed, table.air_supply_rate)):
-                column = [np.interp(place, self.inserted_length, line) for line in values]
+                column = [np.interp(inserted, self.inserted_length, line) for line in values]
                 targets[row, k] = np.interp(mu, self.friction, column)
         return targets[0], targets[1]
 

@@ -87,8 +87,8 @@ def _grid_vibration(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and deviation (knots * g,) of the decadic logarithm of the vibration in one tube."""
     feed, air = grid(config)
-    places = knots(config)
-    lengths, count = np.repeat(places, len(feed)), len(places)
+    length = knots(config)
+    lengths, count = np.repeat(length, len(feed)), len(length)
     tube = np.tile(context, (len(lengths), 1))
     return vibration.predict(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
 
@@ -104,8 +104,8 @@ def best_schedule_for(
     values = np.array([[getattr(context, name) for name in CONTEXT]])
     best = expected_costs(values, config, shift, vibration)[0].argmin(axis=1)
     feed, air = (column[best] for column in grid(config))
-    places = tuple(map(float, knots(config)))
-    return Schedule("inserted_length", "linear", places, tuple(map(float, feed)), tuple(map(float, air)))
+    length = tuple(map(float, knots(config)))
+    return Schedule("inserted_length", "linear", length, tuple(map(float, feed)), tuple(map(float, air)))
 
 
 def looked_up(
@@ -131,7 +131,9 @@ class ByDiameter(FixedPolicy):
         """What the schedule of the diameter says for the inserted length."""
         diameters = np.array(list(self.schedules))
         nearest = [diameters[np.abs(diameters - d).argmin()] for d in measured["helix_diameter"]]
-        pairs = [self.schedules[d].at(place) for d, place in zip(nearest, measured["inserted_length"], strict=True)]
+        pairs = [
+            self.schedules[d].at(inserted) for d, inserted in zip(nearest, measured["inserted_length"], strict=True)
+        ]
         return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
     @classmethod

@@ -317,13 +317,13 @@ def worth_of_rest(tube: Context, inserted: FloatArray, config: TaskConfig, vibra
 def _worth(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[FloatArray, FloatArray]:
     """Lengths (k,) [m] and what is to come from each."""
     end = config.scene.tube.helix_length
-    places = np.minimum(knots(config), end)
+    lengths = np.minimum(knots(config), end)
     values = np.array([[getattr(tube, name) for name in CONTEXT]])
     rate = metre_reward(config, expected_costs(values, config, 0.0, vibration)[0].min(axis=1))
-    if places[-1] < end:  # as the last knot is
-        places, rate = np.append(places, end), np.append(rate, rate[-1])
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(places)
-    return places, np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    if lengths[-1] < end:  # as the last knot is
+        lengths, rate = np.append(lengths, end), np.append(rate, rate[-1])
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(lengths)
+    return lengths, np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
 def earned(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:

@@ -327,5 +327,5 @@ def _fills_phases(training: Training, steps: int) -> bool:
     return training.phase_steps % (steps * training.environment.num_envs) == 0
 
 
-def _search_error(place: str, problem: str) -> PydanticCustomError:
-    return PydanticCustomError("search", "{text}", {"text": f"search{place}: {problem}"})
+def _search_error(field: str, problem: str) -> PydanticCustomError:
+    return PydanticCustomError("search", "{text}", {"text": f"search{field}: {problem}"})
