@@ -101,7 +101,7 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
-def both_ways(case: EvaluationCase, inspects: str) -> EvaluationCase:
+def round_trip(case: EvaluationCase, inspects: str) -> EvaluationCase:
     """The same case with a task of both passes and twice the time; ``inspects`` as in ``TaskConfig``."""
     update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * case.config.time_limit}
     return case._replace(config=case.config.model_copy(update=update))
@@ -139,6 +139,6 @@ def load_case(
             raise ValueError(f"inspects = {inspects!r} needs --passes both: the probe is not drawn back")
         return case._replace(config=case.config.model_copy(update={"passes": "in"}))
     if not case.config.returns:
-        return both_ways(case, inspects or "best")
+        return round_trip(case, inspects or "best")
     update = {"inspects": inspects} if inspects else {}
     return case._replace(config=case.config.model_copy(update=update))

@@ -16,7 +16,7 @@ from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
 from agents.policies.plc_law import PlcIntegral, PlcProportional
 from agents.policies.policy import Domain, Policy
-from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, way_in
+from agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -112,7 +112,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         FileNotFoundError: no such file.
     """
     if config.returns:
-        return _both_ways(spec, config, vibration, classes)
+        return _round_trip(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
         if spec.removeprefix(PREFIX) in PLANNERS:
             raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
@@ -175,7 +175,7 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {one_line(str(error))}"
 
 
-def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, classes: bool) -> Policy:
+def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, classes: bool) -> Policy:
     if spec in INSPECTION_PLANNERS:
         return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
     if spec in PLANNERS:
@@ -189,7 +189,9 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, cl
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, way back", back, config)
-    return BothWays(config, make_policy(spec, way_in(config), vibration, classes), back or fastest_back(config))
+    return RoundTripPolicy(
+        config, make_policy(spec, insertion_task(config), vibration, classes), back or fastest_withdrawal(config)
+    )
 
 
 def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:

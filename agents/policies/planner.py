@@ -353,14 +353,14 @@ def worth_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
     assert isinstance(passes, RoundTripScorer)
     inserted, length = episodes.inserted_length, episodes.helix_length
     to_pass, shaken = passes.still_to_pass()
-    forth, unseen = passes.direction > 0.0, length - passes.reached
-    here = np.where(forth, length - inserted, to_pass) / held[:, 0]
-    back = np.where(forth, length - passes.start, 0.0) / config.feed_speeds[1]
+    inserting, uninspected = passes.direction > 0.0, length - passes.reached
+    here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
+    back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
     spent = costs(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
     # what the way in shook was charged already, and a silent way back gives it again
     refund = spent["vibration"] if config.inspects == "best" else 0.0
-    left = np.where(forth, length - passes.start, to_pass)
-    metres = unseen if config.inspects == "best" else left
+    left = np.where(inserting, length - passes.start, to_pass)
+    metres = uninspected if config.inspects == "best" else left
     worth = config.progress_weight * metres + refund - spent["time"] - spent["air"]
-    lost = -uninspected_weight(config) * (unseen + left)
+    lost = -uninspected_weight(config) * (uninspected + left)
     return np.where(episodes.running, np.where(is_slack(episodes), lost, worth), 0.0)

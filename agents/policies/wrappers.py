@@ -125,45 +125,45 @@ class Shielded(_Wrapper):
         return np.column_stack([np.where(short, np.minimum(feed, slower), feed), np.where(short, more, air)])
 
 
-def fastest_back(config: TaskConfig) -> Schedule:
+def fastest_withdrawal(config: TaskConfig) -> Schedule:
     """The fastest withdrawal of the feed device, with the study's air or the nearest possible."""
     feed, air = config.given(config.feed_speeds[1], STUDY_AIR)[0]
     return Schedule("inserted_length", "linear", (0.0,), (float(feed),), (float(air),))
 
 
 @dataclass
-class BothWays(_Wrapper):
+class RoundTripPolicy(_Wrapper):
     """A policy for the insertion, and a schedule over inserted length for the withdrawal.
 
     Attributes:
         config: the task of both passes.
-        forth: policy of the insertion, made for ``way_in`` of the task.
-        back: schedule of the withdrawal.
+        insertion: policy of the insertion, made for ``insertion_task`` of the task.
+        withdrawal: schedule of the withdrawal.
     """
 
     config: TaskConfig
-    forth: Policy
-    back: Schedule
+    insertion: Policy
+    withdrawal: Schedule
 
     def _act(
         self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions; in the withdrawal the inner policy gets feed, air and tension without signs, and is not heeded."""
+        """Actions of the schedule in the withdrawal, where the inner policy gets feed, air and tension without signs."""
         names, measured = list(self.config.observations), in_si_units(self.config, rows)
-        back, visible = measured["way"] < 0.0, rows.copy()
+        withdrawn, visible = measured["way"] < 0.0, rows.copy()
         for column in (k for k, name in enumerate(names) if name in SIGNED):
-            visible[back, column] = np.abs(visible[back, column])
+            visible[withdrawn, column] = np.abs(visible[withdrawn, column])
         visible = np.delete(visible, names.index("way"), axis=1)
-        actions, state = self.forth.predict(visible, state, start, deterministic)
-        withdrawal = self.config.actions(*self.back.at(measured["inserted_length"])).astype(np.float32)
-        return np.where(back[:, None], withdrawal, np.atleast_2d(actions)), state
+        actions, state = self.insertion.predict(visible, state, start, deterministic)
+        withdrawal = self.config.actions(*self.withdrawal.at(measured["inserted_length"])).astype(np.float32)
+        return np.where(withdrawn[:, None], withdrawal, np.atleast_2d(actions)), state
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
-        way_back = {name: getattr(self.back, name) for name in ("position", "feed_speed", "air_supply_rate")}
-        return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
+        schedule = {name: getattr(self.withdrawal, name) for name in ("position", "feed_speed", "air_supply_rate")}
+        return {"policy": type(self).__name__, "forth": self.insertion.describe(), "back": schedule}
 
 
-def way_in(config: TaskConfig) -> TaskConfig:
+def insertion_task(config: TaskConfig) -> TaskConfig:
     """The task of the insertion alone."""
     return config.model_copy(update={"passes": "in"})

@@ -22,7 +22,7 @@ from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
 from agents.policies.law import Lawful
 from agents.policies.policy import OutsideDomain, Policy
-from agents.policies.wrappers import BothWays
+from agents.policies.wrappers import RoundTripPolicy
 from agents.studies.spec import Changes, Study
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
@@ -165,8 +165,8 @@ def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
     Raises:
         ValueError: no such parameter, or a value of another kind.
     """
-    if isinstance(policy, BothWays):
-        return replace(policy, forth=_with(policy.forth, name, parameters))
+    if isinstance(policy, RoundTripPolicy):
+        return replace(policy, insertion=_with(policy.insertion, name, parameters))
     own = fields(policy) if is_dataclass(policy) else ()
     known = [part.name for part in own if part.name not in ("config", "vibration")]
     for key, value in parameters.items():

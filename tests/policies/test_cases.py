@@ -9,7 +9,7 @@ import pytest
 from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
-from agents.policies.cases import both_ways, case_of, load_case, map_of, with_probe
+from agents.policies.cases import case_of, load_case, map_of, round_trip, with_probe
 from agents.policies.catalogue import make_policy
 from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
@@ -63,7 +63,7 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
     case = case_of(rough, "test", 4)
     if passes == "both":
-        case = both_ways(case, "best")
+        case = round_trip(case, "best")
     with pytest.warns(OutsideDomain) as caught:
         plan_of(["best-schedule", "tension-scheduled", "pi"], case, 1, "fast")
     assert [str(w.message).split(" was")[0] for w in caught] == ["best-schedule", "tension-scheduled"]

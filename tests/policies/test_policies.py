@@ -144,7 +144,7 @@ def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeyp
     assert own_policies(specs) == ["Mine", "slow", "shielded-Mine"]
     assert feed_of(policies["Mine"].predict(observation())[0])[0] == pytest.approx(0.1)
     both = make_policy(spec, TaskConfig(passes="both").full_observation, classes=True)
-    assert both.forth.describe() == policies["Mine"].describe()
+    assert both.insertion.describe() == policies["Mine"].describe()
     for given, message in (
         ("nowhere_at_all:Mine", "cannot be imported (ModuleNotFoundError: No module named 'nowhere_at_all'): install"),
         ("broken_here:Mine", "cannot be imported (ModuleNotFoundError"),

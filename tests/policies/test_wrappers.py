@@ -136,7 +136,7 @@ def test_it_goes_by_a_prefix(tmp_path):
     domains = domains_of(specs, policies)
     assert domains["shielded-best-schedule"] == domains["best-schedule"]
     both = make_policy("shielded:fast-in", TaskConfig(passes="both").full_observation)
-    assert isinstance(both.forth, Shielded)
+    assert isinstance(both.insertion, Shielded)
     assert make_policy("shielded:pi", CONFIG).describe() == make_policy("shielded:pi", CONFIG).describe()
 
 

@@ -21,7 +21,7 @@ from agents.policies.cases import plant_at
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.view import View
-from agents.policies.wrappers import BothWays
+from agents.policies.wrappers import RoundTripPolicy
 from agents.training.config import Training
 from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, run_lock, train_all
 from probe_env import Fidelity, load_contexts
@@ -343,4 +343,4 @@ def test_both_ways_need_a_method_that_goes_back():
         settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
             Training(**settings)
-    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), BothWays)
+    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), RoundTripPolicy)

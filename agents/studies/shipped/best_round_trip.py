@@ -25,7 +25,7 @@ from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.on_map import FIRST
 from agents.policies.policy import Policy
-from agents.policies.wrappers import BothWays, way_in
+from agents.policies.wrappers import RoundTripPolicy, insertion_task
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request, print_frame
@@ -79,13 +79,13 @@ def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     return given
 
 
-def policy_of(config: TaskConfig, numbers: Numbers) -> BothWays:
+def policy_of(config: TaskConfig, numbers: Numbers) -> RoundTripPolicy:
     """A schedule of one feed and air each way."""
     ways = [
         Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
         for columns in (FORTH, BACK)
     ]
-    return BothWays(config, Scheduled(way_in(config), ways[0]), ways[1])
+    return RoundTripPolicy(config, Scheduled(insertion_task(config), ways[0]), ways[1])
 
 
 def csv_of(config: TaskConfig, numbers: Numbers) -> str:
