@@ -32,7 +32,7 @@ from agents.app.runs import (
 )
 from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
 from agents.evaluation.run import claim_folder, write_report
-from agents.policies.catalogue import own_policies
+from agents.policies.catalogue import user_policies
 from agents.records.manifest import write_json
 from agents.terminal.refusals import refusal
 from probe_env import Plant
@@ -117,7 +117,7 @@ class _Player:
                 warnings.simplefilter("always")
                 plan = self.request.plan()
             request, names, output = self.request, list(plan.policies), self.request.output
-            own = [MANUAL] * request.manual + own_policies(request.policies)
+            own = [MANUAL] * request.manual + user_policies(request.policies)
             claim_folder(plan, output, names[1] if request.manual and len(names) > 1 else None, own)
             write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
             stored = stored_episodes(plan, output)

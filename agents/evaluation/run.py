@@ -27,7 +27,7 @@ from agents.evaluation.statistics import (
 )
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.cases import EvaluationCase, load_case
-from agents.policies.catalogue import domains_of, named_policies, own_policies
+from agents.policies.catalogue import domains_of, named_policies, user_policies
 from agents.policies.policy import check_domains
 from agents.policies.wrappers import RoundTripPolicy
 from agents.records.manifest import write_json
@@ -80,7 +80,7 @@ def evaluate(
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
-    return evaluate_plan(plan, output, against, workers, own_policies(policies))
+    return evaluate_plan(plan, output, against, workers, user_policies(policies))
 
 
 def plan_of(

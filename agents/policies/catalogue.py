@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
-from agents.policies.law import Law, Lawful
+from agents.policies.law import Law, LawPolicy
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
 from agents.policies.plc_law import PlcIntegral, PlcProportional
@@ -84,7 +84,7 @@ def _is_file(spec: str) -> bool:
     return path.suffix in (".csv", ".toml", ".json", ".safetensors") and path.exists()
 
 
-def own_policies(specs: Sequence[str]) -> list[str]:
+def user_policies(specs: Sequence[str]) -> list[str]:
     """Names of the user's own policies: classes, and files except for agents that ship."""
     pairs = [(name, spec.removeprefix(PREFIX)) for name, spec in map(name_and_spec, specs)]
     return [
@@ -138,7 +138,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         _warn_of_limits(spec, schedule, config)
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
     if suffix == ".json":
-        return Lawful(config, law=Law.read(spec))
+        return LawPolicy(config, law=Law.read(spec))
     if suffix == ".safetensors":
         return _agent(spec, config)
     if custom := CLASS.fullmatch(spec):

@@ -92,7 +92,7 @@ class Law(Model):
 
 
 @dataclass
-class Lawful(FixedPolicy):
+class LawPolicy(FixedPolicy):
     """Acts by a law, with the friction that steady sliding would need for the measured tension."""
 
     law: Law = field(kw_only=True)

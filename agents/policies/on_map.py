@@ -108,7 +108,7 @@ def best_schedule_for(
     return Schedule("inserted_length", "linear", length, tuple(map(float, feed)), tuple(map(float, air)))
 
 
-def looked_up(
+def targets_on_map(
     tubes: Sequence[Context],
     length: FloatArray,
     config: TaskConfig,
@@ -173,7 +173,7 @@ class Privileged(MapPolicy):
         tubes = np.column_stack([measured[name] for name in CONTEXT]).astype(np.float32)
         contexts = [_context(*map(float, tube)) for tube in tubes]
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(contexts, measured["inserted_length"], config, self.vibration)
+        return targets_on_map(contexts, measured["inserted_length"], config, self.vibration)
 
 
 @dataclass
@@ -197,7 +197,7 @@ class TensionScheduled(MapPolicy):
         without_probe = {name: measured[name] for name in MEASURED}
         tubes = self.tubes(friction_from_tension(without_probe, self.config.scene), measured["helix_diameter"], memory)
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(tubes, measured["inserted_length"], config, self.vibration)
+        return targets_on_map(tubes, measured["inserted_length"], config, self.vibration)
 
     def tubes(self, friction: FloatArray, helix_diameter: FloatArray, memory: FloatArray) -> list[Context]:
         """Tubes (N,) of the averaged friction, which ``memory`` keeps; rounded so that few schedules are searched."""
@@ -236,7 +236,7 @@ class Adaptive(TensionScheduled):
         rounded = np.round(memory[:, 1] / SHIFT_STEP) * SHIFT_STEP
         shifts = [round(float(decades), 4) for decades in rounded]
         config = _weighted(self.config, self.vibration_weight)
-        feed, air = looked_up(tubes, measured["inserted_length"], config, self.vibration, shifts)
+        feed, air = targets_on_map(tubes, measured["inserted_length"], config, self.vibration, shifts)
         goal = np.column_stack([feed, np.clip(self._taut(measured), air, self.config.air_supply_rates[1])])
         applied = np.column_stack([measured["feed_speed"], measured["air_supply_rate"]])
         before = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)

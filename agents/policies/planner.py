@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.policies.fixed import gain
-from agents.policies.on_map import FRICTION_STEP, FRICTIONS, LEAST_AIR, expected_costs, knots, looked_up
+from agents.policies.on_map import FRICTION_STEP, FRICTIONS, LEAST_AIR, expected_costs, knots, targets_on_map
 from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
@@ -132,7 +132,7 @@ class ModelPredictivePolicy(ABC):
                 move_to(tube, copies, range(row * self.candidates, (row + 1) * self.candidates))
         blur_states(copies, self.blur, entropy)
         rows = candidates.reshape(-1, 2)
-        worth = (earned(copies, rows, self.periods) + self._rest(copies, rows)).reshape(candidates.shape[:2])
+        worth = (reward_of_holding(copies, rows, self.periods) + self._rest(copies, rows)).reshape(candidates.shape[:2])
         return np.take_along_axis(candidates, worth.argmax(axis=1)[:, None, None], axis=1)[:, 0]
 
     def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
@@ -200,7 +200,7 @@ class InsertionPlanner(ModelPredictivePolicy):
     def _candidates(
         self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
-        best = np.column_stack(looked_up(tubes, inserted, self.config, self.vibration))
+        best = np.column_stack(targets_on_map(tubes, inserted, self.config, self.vibration))
         return candidates_near(held, best, self.candidates, self.config, entropy)
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
@@ -208,7 +208,7 @@ class InsertionPlanner(ModelPredictivePolicy):
         rest = np.zeros(len(copies))
         if self.rest == "map":
             pairs = zip(copies.context, inserted, strict=True)
-            rest = np.array([worth_of_rest(tube, at, self.config, self.vibration) for tube, at in pairs])
+            rest = np.array([remaining_reward(tube, at, self.config, self.vibration) for tube, at in pairs])
         # drive that is about to be lost is lost: the map does not know of it
         lost = -uninspected_weight(self.config) * (copies.helix_length - inserted)
         return np.where(copies.running, np.where(is_slack(copies), lost, rest), 0.0)
@@ -243,7 +243,7 @@ class InspectionPlanner(ModelPredictivePolicy):
         return candidates_for_both_passes(held, self.candidates, self.config, entropy)
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        return worth_of_both_passes(copies, held)
+        return remaining_reward_of_both_passes(copies, held)
 
 
 def candidates_for_both_passes(held: FloatArray, count: int, config: TaskConfig, entropy: list[int]) -> FloatArray:
@@ -308,13 +308,13 @@ def blur_states(copies: Episodes, blur: float, entropy: list[int]) -> None:
         simulator.displace(blur * noise[: simulator.root])
 
 
-def worth_of_rest(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
+def remaining_reward(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
     """Expected reward of the best schedule from inserted lengths [m] (any shape) to the helix's end."""
-    return np.interp(inserted, *_worth(tube, config, vibration))
+    return np.interp(inserted, *_remaining_rewards(tube, config, vibration))
 
 
 @lru_cache(maxsize=1024)
-def _worth(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[FloatArray, FloatArray]:
+def _remaining_rewards(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[FloatArray, FloatArray]:
     """Lengths (k,) [m] and what is to come from each."""
     end = config.scene.tube.helix_length
     lengths = np.minimum(knots(config), end)
@@ -326,7 +326,7 @@ def _worth(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[
     return lengths, np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-def earned(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
+def reward_of_holding(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
     """(N,) reward of episodes that go on for some periods with (N, 2) feed [m/s] and air [m3/s] held."""
     actions = copies.config.actions(held[:, 0], held[:, 1]).astype(np.float32)
     reward = np.zeros(len(copies))
@@ -343,7 +343,7 @@ def is_slack(episodes: Episodes) -> BoolArray:
     return np.array([metrics.consecutive_slack_steps > 0 for metrics in episodes.scorer.metrics])
 
 
-def worth_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
+def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
     """(N,) what is left to earn by probes that go both ways; 0 where an episode has ended.
 
     On the way that each is on (N, 2) feed [m/s] and air [m3/s] are held, from the turn on the feed is the fastest and

@@ -148,7 +148,7 @@ class RoundTripPolicy(_Wrapper):
     def _act(
         self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions of the schedule in the withdrawal, where the inner policy gets feed, air and tension without signs."""
+        """Actions; in the withdrawal they are the schedule's, and the inner policy gets observations without signs."""
         names, measured = list(self.config.observations), in_si_units(self.config, rows)
         withdrawn, visible = measured["way"] < 0.0, rows.copy()
         for column in (k for k, name in enumerate(names) if name in SIGNED):

@@ -20,7 +20,7 @@ from agents.evaluation.workers import HERE, Workers
 from agents.policies.cases import EvaluationCase, case_of, map_of, plant_at, with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
-from agents.policies.law import Lawful
+from agents.policies.law import LawPolicy
 from agents.policies.policy import OutsideDomain, Policy
 from agents.policies.wrappers import RoundTripPolicy
 from agents.studies.spec import Changes, Study
@@ -186,7 +186,7 @@ def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
     tubes, response = case_of(plant, "train").contexts, stored_response()
     if name == "recommended":
         return Scheduled(config, recommended(tubes, response, config).schedule)
-    return Lawful(config, law=recommended_law(tubes, response, config))
+    return LawPolicy(config, law=recommended_law(tubes, response, config))
 
 
 def _folder(values: Changes) -> str:

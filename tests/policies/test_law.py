@@ -13,7 +13,7 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.plant.recommendation import recommended, recommended_law
 from agents.plant.response import stored_response
 from agents.policies.catalogue import named_policies
-from agents.policies.law import Law, Lawful
+from agents.policies.law import Law, LawPolicy
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import sliding_tension
@@ -94,7 +94,7 @@ def test_it_settles_on_the_friction_of_steady_sliding() -> None:
     """From the middle of its rows with its time constant: after 15 s 1 - 1/e of the way."""
     config = TaskConfig().full_observation
     law, memory = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT), np.zeros((2, 1))
-    policy = Lawful(config, law=law)
+    policy = LawPolicy(config, law=law)
     policy.start(memory)
     rest = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 0.0175, "helix_diameter": 1.2}
     seen = {name: np.full(2, value) for name, value in rest.items()}
@@ -114,7 +114,7 @@ def test_it_feeds_by_the_friction_that_the_tension_tells() -> None:
     """
     config = TaskConfig().full_observation
     law = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT)
-    plan = Plan({"law": Lawful(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
+    plan = Plan({"law": LawPolicy(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
                 fidelity=PRESETS["fast"])  # fmt: skip
     times = run_plan(plan, None, progress=False)["inspection_time_s"]
     assert times[0] == pytest.approx(55.0 / 0.3, rel=0.15)

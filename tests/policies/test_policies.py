@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, own_policies
+from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, user_policies
 from agents.policies.fixed import PI, Constant, OnOff, SlowDown
 from agents.training.config import Training
 from probe_env.envs.task import TaskConfig
@@ -141,7 +141,7 @@ def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeyp
     specs = [spec, f"slow={spec}", f"shielded:{spec}", "pi"]
     policies = named_policies(specs, CONFIG, classes=True)
     assert list(policies) == ["Mine", "slow", "shielded-Mine", "pi"]
-    assert own_policies(specs) == ["Mine", "slow", "shielded-Mine"]
+    assert user_policies(specs) == ["Mine", "slow", "shielded-Mine"]
     assert feed_of(policies["Mine"].predict(observation())[0])[0] == pytest.approx(0.1)
     both = make_policy(spec, TaskConfig(passes="both").full_observation, classes=True)
     assert both.insertion.describe() == policies["Mine"].describe()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.plan import Plan, RolloutRunner
-from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
+from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, user_policies
 from agents.policies.fixed import Constant
 from agents.policies.wrappers import Shielded
 from probe_env import Context, Scene, TaskConfig
@@ -132,7 +132,7 @@ def test_it_goes_by_a_prefix(tmp_path):
     specs = [f"shielded:{file}", "shielded:best-schedule", "best-schedule"]
     policies = named_policies(specs, CONFIG)
     assert list(policies) == ["shielded-own", "shielded-best-schedule", "best-schedule"]
-    assert own_policies(specs) == ["shielded-own"]
+    assert user_policies(specs) == ["shielded-own"]
     domains = domains_of(specs, policies)
     assert domains["shielded-best-schedule"] == domains["best-schedule"]
     both = make_policy("shielded:fast-in", TaskConfig(passes="both").full_observation)
