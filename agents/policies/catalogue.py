@@ -42,17 +42,17 @@ CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 def named_policies(
     specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False
 ) -> dict[str, Policy]:
-    """Policies by their names in tables: from "NAME=SPEC", or the name, file name or class name in the spec.
+    """Make policies from "NAME=SPEC" or "SPEC"; the keys are their names in tables.
 
     Raises:
-        ValueError: no policy, a name twice or not valid, or as ``make_policy``.
+        ValueError: no policy, a duplicate or invalid name, or as ``make_policy``.
     """
     pairs = [name_and_spec(spec) for spec in specs]
     names = [name for name, _ in pairs]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or not names:
         raise ValueError(
-            f"policies = {', '.join(specs) or 'none'}: at least one is needed, and no name twice"
+            f"policies = {', '.join(specs) or 'none'}: at least one is needed, and names must differ"
             + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
         )
     return {
@@ -62,7 +62,7 @@ def named_policies(
 
 
 def name_and_spec(argument: str) -> tuple[str, str]:
-    """Name and spec of a policy argument; an existing file wins, whatever characters its name has."""
+    """Split a policy argument into name and spec; an existing file has priority, even with "=" in its name."""
     if argument.startswith(PREFIX):
         name, spec = name_and_spec(argument.removeprefix(PREFIX))
         return f"shielded-{name}", PREFIX + spec
@@ -85,7 +85,7 @@ def _is_file(spec: str) -> bool:
 
 
 def user_policies(specs: Sequence[str]) -> list[str]:
-    """Names of the user's own policies: classes, and files except for agents that ship."""
+    """Names of the user's policies: classes, and files other than shipped agents."""
     pairs = [(name, spec.removeprefix(PREFIX)) for name, spec in map(name_and_spec, specs)]
     return [
         name
@@ -95,17 +95,17 @@ def user_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False) -> Policy:
-    """A policy by name, from a schedule (.csv, .toml), feedback law (.json), agent's bundle (.safetensors) or class.
+    """Make a policy from a name, schedule (.csv, .toml), feedback law (.json), bundle (.safetensors) or class.
 
-    Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
-    keeps a margin of drive. In a task of both passes agents that were trained in one act on both; other policies are
-    for the insertion, and the withdrawal is in a schedule file's own columns, or as fast as possible.
+    Shipped agents are NAME (training seed 0) or NAME@SEED. "shielded:" before a name or file adds the shield. In a task
+    with withdrawal, agents that were trained in one act on both passes. Other policies act on the insertion; the
+    withdrawal follows the columns of the schedule file, or is as fast as possible.
 
     Args:
-        spec: name, file or "module:Class", a class that is called with the task and makes a ``Policy``.
-        config: the task.
-        vibration: the map of policies that need one; default: the shipped one.
-        classes: accept "module:Class", which imports code; False for specs that are read from a file.
+        spec: name, file or "module:Class"; ``Class(config)`` must return a ``Policy``.
+        config: task.
+        vibration: vibration map; default: the shipped one.
+        classes: accept "module:Class", which imports code; False for specs from a file.
 
     Raises:
         ValueError: no such policy, or the file or class is not valid, or an agent does not fit the task.
@@ -115,7 +115,9 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return _round_trip(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
         if spec.removeprefix(PREFIX) in PLANNERS:
-            raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
+            raise ValueError(
+                f"policy = {spec!r}: the shield needs a policy that acts on observations; a planner simulates"
+            )
         return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
     spec = policy_file(OLD_NAMES.get(spec, spec))
     suffix = Path(spec).suffix
@@ -143,7 +145,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return _agent(spec, config)
     if custom := CLASS.fullmatch(spec):
         if not classes:
-            raise ValueError(f"policy = {spec!r}: a class imports code, and a file may not ask for that")
+            raise ValueError(f"policy = {spec!r}: a class imports code, which specs from a file must not do")
         return _custom(config, **custom.groupdict())
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
     similar = ", ".join(difflib.get_close_matches(spec, names))
@@ -168,7 +170,7 @@ def _custom(config: TaskConfig, module: str, name: str) -> Policy:
     try:
         return kind(config)  # type: ignore[no-any-return]
     except Exception as error:
-        raise ValueError(f"policy = {spec!r} cannot be made for the task ({_reason(error)})") from error
+        raise ValueError(f"policy = {spec!r} cannot be created for the task ({_reason(error)})") from error
 
 
 def _reason(error: Exception) -> str:
@@ -180,15 +182,15 @@ def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, c
         return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
     if spec in PLANNERS:
         names = ", ".join(INSPECTION_PLANNERS)
-        raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
+        raise ValueError(f"policy = {spec!r} plans the insertion only; planners for --passes both: {names}")
     file = Path(policy_file(spec.removeprefix(PREFIX)))
     if file.suffix == ".safetensors" and _agent(file).config.returns:
         if spec.startswith(PREFIX):
-            raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
+            raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
         return _agent(file, config)
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
-        _warn_of_limits(f"{spec}, way back", back, config)
+        _warn_of_limits(f"{spec}, withdrawal", back, config)
     return RoundTripPolicy(
         config, make_policy(spec, insertion_task(config), vibration, classes), back or fastest_withdrawal(config)
     )
@@ -220,7 +222,7 @@ def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
             continue
         if min(values) < low * (1.0 - 1e-6) or max(values) > high * (1.0 + 1e-6):
             warnings.warn(
-                f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} goes beyond what the"
-                f" task gives, {low * factor:g} to {high * factor:g} {unit}: the nearest of these is taken",
-                stacklevel=2,  # one place, whoever asks: told once
+                f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} is outside the"
+                f" task's range {low * factor:g} to {high * factor:g} {unit}: it is clipped",
+                stacklevel=2,  # the same line for all callers, so that Python shows the warning once
             )

@@ -196,7 +196,7 @@ def test_the_shipped_log_is_shown_and_made_a_schedule(tmp_path, monkeypatch, cap
     assert schedule.position == pytest.approx(log.time)
     policy = make_policy("output/example-rig-clean.csv", TaskConfig())
     assert policy.schedule.at([dwell.time + 0.5 * dwell.duration])[0] == 0.0
-    assert policy.stands
+    assert policy.allow_standstill
     assert policy.schedule.start_length == pytest.approx(log.inserted_length[0])
 
 

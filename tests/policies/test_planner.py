@@ -332,7 +332,7 @@ def test_planners_play_by_name_and_say_what_they_cannot() -> None:
     assert make_policy("planner-estimated", CONFIG).describe()["tube"] == "estimated"
     assert make_policy("planner", config).describe()["blur"] == 0.0
     assert make_policy("planner-blurred", config).describe()["blur"] == BLUR
-    with pytest.raises(ValueError, match="'planner-estimated' looks ahead on the way in alone; planners of both ways"):
+    with pytest.raises(ValueError, match="'planner-estimated' plans the insertion only; planners for --passes both"):
         make_policy("planner-estimated", config)
     with pytest.raises(ValueError, match="inspects = 'in': the way back counts for nothing"):
         make_policy("planner", task("in"))

@@ -105,7 +105,7 @@ def test_fixed_laws_do_what_they_are_called():
 def test_a_schedule_beyond_the_device_is_told(tmp_path):
     path = tmp_path / "fast.csv"
     path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
-    with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s goes beyond .* 0.02 to 0.4 m/s"):
+    with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s is outside .* 0.02 to 0.4 m/s"):
         policy = make_policy(str(path), CONFIG)
     assert feed_of(policy.predict(observation(5.0))[0])[0] == pytest.approx(0.4)
 
@@ -151,7 +151,7 @@ def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeyp
         ("own_policies_here:Other", "own_policies_here has no class Other"),
         ("own_policies_here:mine", "own_policies_here has no class mine"),
         ("own_policies_here:Mute", "the class has no method describe"),
-        ("own_policies_here:Picky", "cannot be made for the task (TypeError: two; lines)"),
+        ("own_policies_here:Picky", "cannot be created for the task (TypeError: two; lines)"),
     ):
         with pytest.raises(ValueError, match=rf"^policy = '{given}'.*{re.escape(message)}"):
             make_policy(given, CONFIG, classes=True)
