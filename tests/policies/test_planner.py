@@ -334,10 +334,10 @@ def test_planners_play_by_name_and_say_what_they_cannot() -> None:
     assert make_policy("planner-blurred", config).describe()["blur"] == BLUR
     with pytest.raises(ValueError, match="'planner-estimated' plans the insertion only; planners for --passes both"):
         make_policy("planner-estimated", config)
-    with pytest.raises(ValueError, match="inspects = 'in': the way back counts for nothing"):
+    with pytest.raises(ValueError, match="inspects = 'in': the withdrawal is not scored"):
         make_policy("planner", task("in"))
     for each, kind in ((CONFIG, InsertionPlanner), (config, InspectionPlanner)):
         with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
             kind(each, candidates=0)
-        with pytest.raises(ValueError, match="a planner tries things out on the simulator itself"):
+        with pytest.raises(ValueError, match="a planner needs the simulator, not only observations"):
             make_policy("planner", each).predict(np.zeros(len(each.observations)))
