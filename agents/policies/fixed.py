@@ -75,7 +75,7 @@ class FixedPolicy(ABC):
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], State]:
-        """Actions for observations (d,) or (N, d), and the state to give back next time."""
+        """Actions for observations (d,) or (N, d), and the state for the next call."""
         rows = np.atleast_2d(observation)
         memory = np.zeros((len(rows), self.memory + 1)) if state is None else state[0].copy()
         new = np.ones(len(rows), dtype=bool) if state is None else np.zeros(len(rows), dtype=bool)

@@ -76,7 +76,7 @@ def test_a_guide_is_named_and_needs_its_feeds_and_its_observations() -> None:
     with pytest.raises(ValueError, match="guide"):
         Training.model_validate({"guide": "moon"})
     guided = agent(View(guide=OWN), Network(net_arch=(8,)))
-    with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* guide acts"):
+    with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* the range of the agent's guide"):
         Agent(guided.description, guided.policy, TaskConfig(feed_speeds=(0.02, 0.3)).full_observation)
     with pytest.raises(ValueError, match="guide needs the observations root_tension, helix_diameter"):
         View(guide=OWN, observations=("inserted_length", "feed_speed", "air_supply_rate", "rf_noise"))

@@ -198,7 +198,7 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
     assert (known.helix_diameter, known.contact_stiffness) == (TUBES[0].helix_diameter, Context().contact_stiffness)
     assert known.friction == pytest.approx(states[0].friction, abs=0.0025)
     blind = TaskConfig(observe_root_tension=False)
-    with pytest.raises(ValueError, match="needs a task that shows the root tension"):
+    with pytest.raises(ValueError, match="planner-estimated needs the root tension"):
         InsertionPlanner(blind, tube="estimated").decide(episodes, [0], np.zeros((1, len(blind.observations))), [None])
 
 

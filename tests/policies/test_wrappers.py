@@ -143,7 +143,7 @@ def test_it_goes_by_a_prefix(tmp_path):
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match=r"margin = 0.5 is outside the accepted range 1 to 100"):
         Shielded(CONFIG, Given([[0.0, 0.0]]), margin=0.5)
-    with pytest.raises(ValueError, match="a shield needs a task that shows the root tension"):
+    with pytest.raises(ValueError, match="the shield needs the root tension"):
         make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
     for passes in ("in", "both"):
         with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):

@@ -309,7 +309,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
     table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, BACK), None)
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())
-    with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
+    with pytest.raises(FileError, match=r'observations = way are not .*; "way" needs passes ='):
         make_policy(path, TaskConfig().full_observation)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
