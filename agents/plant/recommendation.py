@@ -250,7 +250,7 @@ def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
 
 
 def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
-    """Points of the grid, one per length, with the smallest sum of costs (lengths, g) and of changes (g, g): Bellman."""
+    """Grid points, one per length, with the smallest sum of costs (lengths, g) and of changes (g, g): Bellman."""
     total, came_from = staged[0], []
     for costs in staged[1:]:
         through = total[:, None] + change

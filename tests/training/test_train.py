@@ -132,7 +132,7 @@ def test_stopped_before_any_file_is_in_its_place_and_killed_it_goes_on(tmp_path,
 
 def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
     folder = tmp_path / "other" / "seed-0"
-    with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process trains there"):
+    with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process is training there"):
         train_all(Training(**PPO), folder.parent, resume=False)
     assert not list(folder.iterdir())
     with run_lock(folder):
@@ -215,7 +215,7 @@ BROKEN = {
     "algorithm = 'a2c'": "algorithm: ",
     "seeds = [1, 1]": "seeds = ",
     "seeds = [-1]": "seeds.0",
-    "phases = 0": "leaves nothing to train",
+    "phases = 0": "means no training",
     "averages = [0.0]": "averages",
     "colour = 1": "colour",
     "[learning]\nmomentum = 1": "learning.momentum is not one of ppo's",
