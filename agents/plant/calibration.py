@@ -214,7 +214,7 @@ def print_calibration(calibration: Calibration, own: bool = True) -> None:
     rows = [(text, *(f"{value:.4g}" for value in values), unit) for text, values, unit in estimates]
     print_table("What the logs tell: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
     logs = (
-        f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.felt)}"
+        f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.measured)}"
         for case in calibration.cases
     )
     geometry = dict.fromkeys(
@@ -272,7 +272,7 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
     from agents.records.drawing import BLUE, GREY, GRID, plain, save
 
     likelihood, cases = calibration.posterior.likelihood, calibration.cases
-    present = [name for name in CHANNELS if any(name in case.metres.felt for case in cases)]
+    present = [name for name in CHANNELS if any(name in case.metres.measured for case in cases)]
     figure = Figure(figsize=(4.6 * len(cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
     axes = figure.subplots(len(present), len(cases), squeeze=False, sharex="col", sharey="row")
     rng = np.random.default_rng(0)
@@ -294,7 +294,7 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
             column, x = names.index(name), case.metres.length
             axis.fill_between(x, scale * low[:, column], scale * high[:, column], color=BLUE, alpha=0.2, linewidth=0)
             axis.plot(x, scale * middle[:, column], color=BLUE, linewidth=1.0, label="expected, with 90 %")
-            axis.plot(x, scale * case.metres.felt[name], ".", color="black", markersize=3.0, label="log")
+            axis.plot(x, scale * case.metres.measured[name], ".", color="black", markersize=3.0, label="log")
             if name != "root_tension":
                 axis.set_yscale("log")
         axes[0][number].set_title(plain(case.name), fontsize=9, color=GREY)

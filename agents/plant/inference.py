@@ -78,7 +78,7 @@ class Likelihood:
         self.response, self.cases = response, cases
         self.tubes = tuple(dict.fromkeys(case.tube for case in cases))
         self.tube_indices = [self.tubes.index(case.tube) for case in cases]
-        self.chosen = [[k for k, name in enumerate(CHANNELS) if name in case.metres.felt] for case in cases]
+        self.chosen = [[k for k, name in enumerate(CHANNELS) if name in case.metres.measured] for case in cases]
         self.observed = [observed(case.metres, chosen) for case, chosen in zip(cases, self.chosen, strict=True)]
         self.blocks = [
             {
@@ -148,7 +148,7 @@ def sampled(
     import emcee
 
     for case in cases:
-        if not case.metres.felt:
+        if not case.metres.measured:
             raise ValueError(f"{case.name}: measures none of {', '.join(CHANNELS)}, so it tells nothing")
         if len(case.metres) < LEAST_METRES:
             raise ValueError(f"{case.name}: {len(case.metres)} metres were fed, and at least {LEAST_METRES} are needed")
@@ -272,7 +272,7 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     Least squares of the logarithm of the tension over the metres of the tube's logs, with drag near its prior. The
     interval includes the correlation of neighbouring metres and ``SLIDING_TRUST``, for the motion is not quite steady.
     """
-    with_tension = [case for case in cases if "root_tension" in case.metres.felt]
+    with_tension = [case for case in cases if "root_tension" in case.metres.measured]
     if not with_tension:
         return None
     middle = float(prior.values(np.zeros((1, 1 + len(prior.shared))), 1)[0, 0, DRAG])
@@ -284,7 +284,7 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
         for case in with_tension:
             predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene)[0] * np.exp(x[1])
             scale = middle / case.scene.air.drag_coefficient
-            parts.append(np.log(np.maximum(case.metres.felt["root_tension"], 1e-2) / (predicted * scale)))
+            parts.append(np.log(np.maximum(case.metres.measured["root_tension"], 1e-2) / (predicted * scale)))
         return np.concatenate(parts)
 
     def weighted(weight: float) -> Callable[[FloatArray], FloatArray]:

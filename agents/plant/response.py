@@ -58,7 +58,7 @@ class Metres:
     length: FloatArray  # inserted, at their middle [m]
     feed: FloatArray  # [m/s]
     air: FloatArray  # [m3/s]
-    felt: dict[str, FloatArray]  # channel -> mean tension [N], rms of accelerations [m/s2], noise [m]
+    measured: dict[str, FloatArray]  # channel -> mean tension [N], rms of accelerations [m/s2], noise [m]
 
     def __len__(self) -> int:
         return len(self.length)
@@ -69,7 +69,7 @@ def metres_of(log: Log) -> Metres:
 
     Standstills and the following ``RESTART`` are left out, and metres of which less than ``LEAST_FED`` was fed.
     """
-    felt = [name for name in CHANNELS if name in log.measured]
+    names = [name for name in CHANNELS if name in log.measured]
     lasts = np.diff(log.time, append=log.time[-1] + (log.time[-1] - log.time[-2] if len(log.time) > 1 else 1.0))
     stood = np.where(log.feed_speed <= 0.0, log.time + lasts, -np.inf)
     since = log.time - np.maximum.accumulate(stood)
@@ -86,7 +86,7 @@ def metres_of(log: Log) -> Metres:
         return np.asarray(np.sqrt(weighed) if rms else weighed)
 
     length = np.arange(first, first + len(kept))[kept] + 0.5
-    means = {name: mean(log.measured[name], QUANTITIES[name].rms) for name in felt}
+    means = {name: mean(log.measured[name], QUANTITIES[name].rms) for name in names}
     return Metres(length, through[kept] / seconds[kept], mean(log.air_supply_rate), means)
 
 
@@ -233,7 +233,7 @@ def observed(metres: Metres, chosen: list[int]) -> FloatArray:
     """(m, c) decadic logarithm of some channels as they were measured."""
     columns = []
     for k in chosen:
-        values = metres.felt[CHANNELS[k]]
+        values = metres.measured[CHANNELS[k]]
         columns.append(np.log10(np.maximum(values, FLOORS[0]) if k == 0 else np.hypot(values, FLOORS[k])))
     return np.column_stack(columns)
 

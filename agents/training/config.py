@@ -82,7 +82,7 @@ class Validation(Model):
 class Training(Model):
     """A training run.
 
-    ``learning`` holds arguments of SB3's algorithm (``n_steps``, ``learning_rate``, ``gamma``, ...). A phase begins with
+    ``learning`` holds arguments of SB3's algorithm (``n_steps``, ``gamma``, ...). A phase begins with
     a reset of all environments and ends with validation and a checkpoint. ``search`` is used by ``probe-env tune``
     only: table -> field -> choices or a range, see ``axes_of``.
     """

@@ -54,15 +54,15 @@ def log_like(
     if rng:
         factor = np.linalg.cholesky(RESPONSE.covariance(length, list(range(len(CHANNELS)))))
         strays = (factor @ rng.normal(size=len(factor))).reshape(strays.shape)
-    felt = 10.0 ** (mean[0] + spread[0] * strays)
-    felt[:, 0] *= gain
-    return Case("log", tube, scene, Metres(length, feed, air, {n: felt[:, CHANNELS.index(n)] for n in channels}))
+    measured = 10.0 ** (mean[0] + spread[0] * strays)
+    measured[:, 0] *= gain
+    return Case("log", tube, scene, Metres(length, feed, air, {n: measured[:, CHANNELS.index(n)] for n in channels}))
 
 
-def with_felt(case: Case, felt: dict[str, FloatArray]) -> Case:
+def with_measurements(case: Case, measured: dict[str, FloatArray]) -> Case:
     """The case with other measurements."""
     m = case.metres
-    return case._replace(metres=Metres(m.length, m.feed, m.air, felt))
+    return case._replace(metres=Metres(m.length, m.feed, m.air, measured))
 
 
 def test_the_prior_is_what_the_file_says() -> None:
@@ -108,12 +108,12 @@ def test_metres_are_means_over_time_and_of_squares() -> None:
     averaged = metres_of(recorded([0.25] * 8, [1, 2, 3, 4, 5, 5, 5, 5], noise))
     np.testing.assert_allclose(averaged.length, [5.5, 6.5])
     np.testing.assert_allclose(averaged.feed, 0.25)
-    np.testing.assert_allclose(averaged.felt["root_tension"], [2.5, 5.0])
-    np.testing.assert_allclose(averaged.felt["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
+    np.testing.assert_allclose(averaged.measured["root_tension"], [2.5, 5.0])
+    np.testing.assert_allclose(averaged.measured["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
     assert len(metres_of(recorded([0.0] * 5, [1.0] * 5, [1e-5] * 5))) == 0
     coarse, *fine = (metres_of(recorded([0.25] * 12, list(range(12)), [1e-5] * 12, parts)) for parts in (1, 2, 5))
     for finer in fine:
-        np.testing.assert_allclose(finer.felt["root_tension"], coarse.felt["root_tension"])
+        np.testing.assert_allclose(finer.measured["root_tension"], coarse.measured["root_tension"])
 
 
 def test_a_standstill_and_its_restart_do_not_count() -> None:
@@ -121,8 +121,8 @@ def test_a_standstill_and_its_restart_do_not_count() -> None:
     moving = metres_of(recorded([0.25] * 16, [2.0] * 16, [1e-5] * 16))
     feed, tension = [0.25] * 4 + [0.0] * 10 + [0.25] * 12, [2.0] * 4 + [9.0] * 13 + [2.0] * 9
     stood = metres_of(recorded(feed, tension, [1e-5] * 26))
-    np.testing.assert_allclose(moving.felt["root_tension"], 2.0)
-    np.testing.assert_allclose(stood.felt["root_tension"], 2.0)
+    np.testing.assert_allclose(moving.measured["root_tension"], 2.0)
+    np.testing.assert_allclose(stood.measured["root_tension"], 2.0)
     assert len(moving) == 4
     np.testing.assert_allclose(stood.length, [5.5, 7.5, 8.5])  # of the second metre a quarter is left
 
@@ -190,8 +190,8 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Se
     own = Likelihood(RESPONSE, [case]).misfit(0, TRUTH)
     # mean squares of 44 numbers each; the sensors' scatter, which was not drawn, makes them smaller
     assert (own[:4] < chi2.isf(CHANCE / 4, len(LENGTH)) / len(LENGTH)).all()
-    noisy = {name: values * np.exp(rng.normal(size=len(values))) for name, values in case.metres.felt.items()}
-    assert (Likelihood(RESPONSE, [with_felt(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
+    noisy = {name: values * np.exp(rng.normal(size=len(values))) for name, values in case.metres.measured.items()}
+    assert (Likelihood(RESPONSE, [with_measurements(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
 
 
 def test_too_short_or_silent_a_log_is_refused() -> None:
@@ -213,7 +213,7 @@ def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
 def test_a_missing_channel_is_left_out_and_the_scatter_settles_as_a_geometric_mean() -> None:
     """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
     case = log_like(TRUTH, np.random.default_rng(1))
-    part = with_felt(case, {n: case.metres.felt[n] for n in CHANNELS[1:]})
+    part = with_measurements(case, {n: case.metres.measured[n] for n in CHANNELS[1:]})
     assert Likelihood(RESPONSE, [part]).chosen == [[1, 2, 3]]
     np.testing.assert_array_equal(observed(part.metres, [1, 2, 3]), observed(case.metres, [0, 1, 2, 3])[:, 1:])
     whole = RESPONSE.covariance(LENGTH, [0, 1, 2, 3]).reshape(len(LENGTH), 4, len(LENGTH), 4)
@@ -254,7 +254,7 @@ def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | f
     length = np.arange(5.5, 55.0)
     bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
     tension = drag * steady_tension(np.full((1, 1), friction), bare, scene)[0] * np.exp(noise)
-    return with_felt(Case("log", "", scene, bare), {"root_tension": tension})
+    return with_measurements(Case("log", "", scene, bare), {"root_tension": tension})
 
 
 def test_sliding_is_the_inverse_of_the_closed_form() -> None:
@@ -266,7 +266,7 @@ def test_sliding_is_the_inverse_of_the_closed_form() -> None:
             assert fit.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
             assert fit.friction[1] < friction < fit.friction[2]
     case = sliding_log(0.2, 1.0, 0.0242)
-    assert by_sliding([with_felt(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
+    assert by_sliding([with_measurements(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
     # a pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off
     fit = by_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
     assert fit is not None

@@ -161,7 +161,7 @@ def insert(
         window = episodes.window
         assert window is not None
         after = np.minimum(window.inserted_length, config.scene.tube.helix_length)
-        felt = [np.hypot(window.statistics[name], floor) for name, floor in RECORDED.values()]
+        measured = [np.hypot(window.statistics[name], floor) for name, floor in RECORDED.values()]
         felt[0] = window.statistics["tension_mean_n"]  # which may push
         for k in np.flatnonzero(active & ~window.diverged).tolist():
             fed = (after[k] - length[k]) / config.period
@@ -189,7 +189,7 @@ def simulated(group: int) -> dict[str, FloatArray]:
         **tubes,
         "damping_time": np.array([s.damping_time for s in specimens])[row],
         **{name: np.concatenate([getattr(part, name) for part in metres]) for name in ("length", "feed", "air")},
-        **{name: np.concatenate([part.felt[name] for part in metres]) for name in CHANNELS},
+        **{name: np.concatenate([part.measured[name] for part in metres]) for name in CHANNELS},
     }
 
 
