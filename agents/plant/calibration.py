@@ -80,7 +80,7 @@ class Calibration:
             for k, name in enumerate((*CHANNELS, "all channels together")):
                 if misfit[k] > limits[k]:
                     reasons.append(
-                        f"{case.name}: {name.replace('_', ' ')} strays {np.sqrt(misfit[k]):.1f} times as far from the"
+                        f"{case.name}: {name.replace('_', ' ')} deviations {np.sqrt(misfit[k]):.1f} times as far from the"
                         f" model as simulated logs do (one in a hundred: {np.sqrt(limits[k]):.1f})"
                     )
         return reasons
@@ -279,8 +279,8 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
     for number, case in enumerate(cases):
         draws = calibration.posterior.draws[likelihood.tube_indices[number]]
         table = draws[rng.choice(len(draws), min(DRAWN, len(draws)), replace=False)]
-        strays, spread = likelihood.strays(number, table)
-        mean = likelihood.observed[number] - strays * spread
+        deviations, spread = likelihood.deviations(number, table)
+        mean = likelihood.observed[number] - deviations * spread
         sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
         low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
         names = [CHANNELS[k] for k in likelihood.chosen[number]]

@@ -91,7 +91,7 @@ class Likelihood:
         ]
         self.settled: list[FloatArray] = []
 
-    def strays(self, number: int, table: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def deviations(self, number: int, table: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Deviations (n, m, c) of a case at (n, 4) in standard deviations, and those [decades]."""
         case, chosen = self.cases[number], self.chosen[number]
         mean, spread = self.response.predict(table, case.metres, case.scene)
@@ -106,7 +106,7 @@ class Likelihood:
         that alone: logs deviate less than the wandering insertions of the training.
         """
         self.settled = [
-            np.exp(np.log(self.strays(number, draws[tube])[1]).mean(axis=0))
+            np.exp(np.log(self.deviations(number, draws[tube])[1]).mean(axis=0))
             for number, tube in enumerate(self.tube_indices)
         ]
 
@@ -114,27 +114,27 @@ class Likelihood:
         """(n,) logarithm of the likelihood at draws (tubes, n, 4), up to a constant; call ``settle`` before."""
         total = np.zeros(draws.shape[1])
         for number, tube in enumerate(self.tube_indices):
-            strays, spread = self.strays(number, draws[tube])
-            total += sum(self.block(number, channels, strays, spread) for channels in self.blocks[number])
+            deviations, spread = self.deviations(number, draws[tube])
+            total += sum(self.block(number, channels, deviations, spread) for channels in self.blocks[number])
         return total
 
-    def block(self, number: int, channels: tuple[int, ...], strays: FloatArray, spread: FloatArray) -> FloatArray:
+    def block(self, number: int, channels: tuple[int, ...], deviations: FloatArray, spread: FloatArray) -> FloatArray:
         """(n,) contribution of some channels of a case; 0 where the log has none of them."""
         if channels not in self.blocks[number]:
-            return np.zeros(len(strays))
+            return np.zeros(len(deviations))
         columns, factor = self.blocks[number][channels]
         fixed = channels == VIBRATION
         scatter = self.settled[number] if fixed else np.hypot(spread, GAUGES[self.chosen[number]])
-        flat = (strays * spread / scatter)[..., columns].reshape(len(strays), -1)
+        flat = (deviations * spread / scatter)[..., columns].reshape(len(deviations), -1)
         white = solve_triangular(factor, flat.T, lower=True, check_finite=False)
         density = -0.5 * (white**2).sum(axis=0)
         return np.asarray(TRUST * (density if fixed else density - np.log(scatter[..., columns]).sum(axis=(1, 2))))
 
     def misfit(self, number: int, table: FloatArray) -> FloatArray:
         """(c + 1,) of a case at (4,), see ``Response.misfit_of``."""
-        strays, spread = (values[0] for values in self.strays(number, table[None]))
-        strays = strays * spread / np.hypot(spread, GAUGES[self.chosen[number]])
-        return self.response.misfit_of(strays, self.cases[number].metres.length, self.chosen[number])
+        deviations, spread = (values[0] for values in self.deviations(number, table[None]))
+        deviations = deviations * spread / np.hypot(spread, GAUGES[self.chosen[number]])
+        return self.response.misfit_of(deviations, self.cases[number].metres.length, self.chosen[number])
 
 
 def sampled(
@@ -239,12 +239,12 @@ class GainLikelihood:
     def logarithm(self, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) log-likelihood at (n, d), and logarithm of the gain there; the likelihood is a parabola in it."""
         table = self.prior.values(normal, 1)[0]
-        strays, spread = self.likelihood.strays(self.number, table)
-        total = self.likelihood.block(self.number, VIBRATION, strays, spread)
+        deviations, spread = self.likelihood.deviations(self.number, table)
+        total = self.likelihood.block(self.number, VIBRATION, deviations, spread)
         own = spread[..., self.column].T
         white, of_gain = (
             solve_triangular(self.factor, values, lower=True, check_finite=False)
-            for values in (strays[..., self.column].T, 1.0 / (own * np.log(10.0)))
+            for values in (deviations[..., self.column].T, 1.0 / (own * np.log(10.0)))
         )
         slope, bend = (white * of_gain).sum(axis=0), (of_gain**2).sum(axis=0)
         gain = np.clip(slope / bend, -MOST, MOST) * self.free
@@ -279,7 +279,7 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     low, high = prior.ranges.get("drag_coefficient", (middle, middle))
     spread = max((high - low) / middle / 4.0, 1e-6)
 
-    def strays(x: FloatArray) -> FloatArray:
+    def deviations(x: FloatArray) -> FloatArray:
         parts = []
         for case in with_tension:
             predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene)[0] * np.exp(x[1])
@@ -288,11 +288,11 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
         return np.concatenate(parts)
 
     def weighted(weight: float) -> Callable[[FloatArray], FloatArray]:
-        return lambda x: np.append(strays(x) * weight, x[1] / spread)
+        return lambda x: np.append(deviations(x) * weight, x[1] / spread)
 
     bounds = ([np.log(UNKNOWNS["friction"].low / 2.0), -1.0], [np.log(1.0), 1.0])
     fit = least_squares(weighted(10.0), [np.log(0.15), 0.0], bounds=bounds, loss="soft_l1")
-    left = strays(fit.x)
+    left = deviations(fit.x)
     alike = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
     weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + alike) / (1.0 - alike))
     fit = least_squares(weighted(float(weight)), fit.x, bounds=bounds, loss="soft_l1")

@@ -154,21 +154,21 @@ class Response:
         part = np.ix_(chosen, chosen)
         return np.asarray(sum(np.kron(k, alike[part]) for k, alike in zip(kernels, self.alike, strict=True)))
 
-    def misfit_of(self, strays: FloatArray, length: FloatArray, chosen: list[int]) -> FloatArray:
+    def misfit_of(self, deviations: FloatArray, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(c + 1,) mean squared decorrelated deviation of every channel, and of all; NaN for channels not chosen.
 
         Args:
-            strays: (m, c) deviations of the chosen channels [standard deviations].
+            deviations: (m, c) deviations of the chosen channels [standard deviations].
             length: (m,) [m].
             chosen: their indices.
         """
-        strays = np.clip(strays, -FAREST, FAREST)
+        deviations = np.clip(deviations, -FAREST, FAREST)
         misfit = np.full(len(CHANNELS) + 1, np.nan)
         for column, k in enumerate(chosen):
             own = np.linalg.cholesky(self.covariance(length, [k]))
-            misfit[k] = (solve_triangular(own, strays[:, column], lower=True) ** 2).mean()
+            misfit[k] = (solve_triangular(own, deviations[:, column], lower=True) ** 2).mean()
         whole = np.linalg.cholesky(self.covariance(length, chosen))
-        misfit[-1] = (solve_triangular(whole, strays.ravel(), lower=True) ** 2).mean()
+        misfit[-1] = (solve_triangular(whole, deviations.ravel(), lower=True) ** 2).mean()
         return misfit
 
     @classmethod

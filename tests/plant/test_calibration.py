@@ -50,11 +50,11 @@ def log_like(
     feed = np.interp(length, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
     air = np.interp(length, [5.0, 30.0, 50.0], [0.018, 0.025, 0.03])
     mean, spread = RESPONSE.predict(truth[None], Metres(length, feed, air, {}), scene)
-    strays = np.zeros(mean[0].shape)
+    deviations = np.zeros(mean[0].shape)
     if rng:
         factor = np.linalg.cholesky(RESPONSE.covariance(length, list(range(len(CHANNELS)))))
-        strays = (factor @ rng.normal(size=len(factor))).reshape(strays.shape)
-    measured = 10.0 ** (mean[0] + spread[0] * strays)
+        deviations = (factor @ rng.normal(size=len(factor))).reshape(deviations.shape)
+    measured = 10.0 ** (mean[0] + spread[0] * deviations)
     measured[:, 0] *= gain
     return Case("log", tube, scene, Metres(length, feed, air, {n: measured[:, CHANNELS.index(n)] for n in channels}))
 
@@ -220,7 +220,7 @@ def test_a_missing_channel_is_left_out_and_the_scatter_settles_as_a_geometric_me
     block = RESPONSE.covariance(LENGTH, [1, 2, 3]).reshape(len(LENGTH), 3, len(LENGTH), 3)
     np.testing.assert_allclose(whole[:, 1:, :, 1:], block)
     likelihood, draws = Likelihood(RESPONSE, [case]), np.array([TRUTH, TRUTH * [2.0, 1.0, 1.0, 1.0]])
-    spread = likelihood.strays(0, draws)[1]
+    spread = likelihood.deviations(0, draws)[1]
     likelihood.settle(draws[None])
     np.testing.assert_allclose(likelihood.settled[0], np.sqrt(spread[0] * spread[1]))
 
