@@ -21,15 +21,15 @@ SENSOR: Final = np.array([0.005, 0.05, 0.05, 0.05])
 """Smallest scatter of a metre's measurements [decades]: the sensors' and the error of a small network."""
 GAUGES: Final = np.array([0.01, 0.0, 0.0, 0.0])
 """Additional scatter [decades], except where a gain is looked for: a rough gauge is no misspecification."""
-UNREST: Final = np.array([0.0, 0.5, 0.5, 0.5])
+FEED_NOISE: Final = np.array([0.0, 0.5, 0.5, 0.5])
 """Additional scatter of each channel as a share of ``FLOORS``: the unrest of feeding, so that quiet metres weigh less
 than those that ring."""
 TENSION, VIBRATION = (0,), (1, 2, 3)
-TRUST: Final = 0.7
-"""Power of the likelihood: the network's error in a log is correlated over many metres. It and ``UNREST`` were found on
+LIKELIHOOD_POWER: Final = 0.7
+"""Power of the likelihood: the network's error in a log is correlated over many metres. It and ``FEED_NOISE`` were found on
 48 simulated logs at ``standard`` that serve nothing else."""
 WALKERS: Final = 32
-BURN, STEPS, KEPT = 300, 400, 512
+BURN_IN, STEPS, DRAWS = 300, 400, 512
 SETTLED, FIRST, LEAST = 3, 2048, 256
 """Rounds in which the scatter of the vibration is settled, draws in each, and how many of them are used."""
 
@@ -37,16 +37,16 @@ BOX: Final = 2.33
 """Gains: bound of the standard normal coordinates (98 % of the prior), within which all are held equally possible."""
 MOST: Final = 1.5
 """Largest logarithm of a gain."""
-ALIKE: Final = 15.0, 0.8
+CORRELATION: Final = 15.0, 0.8
 """Correlation of the tension's deviations in gains: length [m], and the share of each metre alone. The likelihood of 32
 logs at ``standard`` is largest at 15 m and 0.4; the rest is left to gauges."""
 LIMIT: Final = 4.5
-"""Of twice the logarithm of the likelihood ratio: one in thirty by Wilks, and none of the 32 logs that ``ALIKE`` was
+"""Of twice the logarithm of the likelihood ratio: one in thirty by Wilks, and none of the 32 logs that ``CORRELATION`` was
 found on (largest: 4.3); of these with 1.5 times the tension all but two exceeded it. Measured before the tension block
 of the posterior got its present form, which moves the settled scatter a little."""
 DRAWN, STARTS, STEP = 2048, 4, 1e-4
 
-SLIDING_TRUST: Final = 0.02
+SLIDING_SCATTER: Final = 0.02
 """Relative standard deviation of the simulated mean tension from the closed form, over a whole log."""
 Z90: Final = 1.645
 
@@ -95,7 +95,7 @@ class Likelihood:
         """Deviations (n, m, c) of a case at (n, 4) in standard deviations, and those [decades]."""
         case, chosen = self.cases[number], self.chosen[number]
         mean, spread = self.response.predict(table, case.metres, case.scene)
-        quiet = UNREST * np.minimum(FLOORS / 10.0**mean, 1.0)
+        quiet = FEED_NOISE * np.minimum(FLOORS / 10.0**mean, 1.0)
         spread = np.hypot(np.hypot(spread, SENSOR), quiet)[..., chosen]
         return (self.observed[number] - mean[..., chosen]) / spread, spread
 
@@ -128,7 +128,7 @@ class Likelihood:
         flat = (deviations * spread / scatter)[..., columns].reshape(len(deviations), -1)
         white = solve_triangular(factor, flat.T, lower=True, check_finite=False)
         density = -0.5 * (white**2).sum(axis=0)
-        return np.asarray(TRUST * (density if fixed else density - np.log(scatter[..., columns]).sum(axis=(1, 2))))
+        return np.asarray(LIKELIHOOD_POWER * (density if fixed else density - np.log(scatter[..., columns]).sum(axis=(1, 2))))
 
     def misfit(self, number: int, table: FloatArray) -> FloatArray:
         """(c + 1,) of a case at (4,), see ``Response.misfit_of``."""
@@ -175,11 +175,11 @@ def sampled(
         moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
         sampler = emcee.EnsembleSampler(walkers, size, density, moves=moves, vectorize=True)
     sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
-    steps = sampler.sample(start, iterations=BURN + STEPS)
-    for _ in tqdm(steps, total=BURN + STEPS, desc="posterior", unit="step", disable=not progress):
+    steps = sampler.sample(start, iterations=BURN_IN + STEPS)
+    for _ in tqdm(steps, total=BURN_IN + STEPS, desc="posterior", unit="step", disable=not progress):
         pass
-    chain, density_of = sampler.get_chain(discard=BURN, flat=True), sampler.get_log_prob(discard=BURN, flat=True)
-    rows = np.linspace(0, len(chain) - 1, KEPT).round().astype(int)
+    chain, density_of = sampler.get_chain(discard=BURN_IN, flat=True), sampler.get_log_prob(discard=BURN_IN, flat=True)
+    rows = np.linspace(0, len(chain) - 1, DRAWS).round().astype(int)
     best = prior.values(chain[[int(np.argmax(density_of))]], tubes)[:, 0]
     misfit = [likelihood.misfit(k, best[tube]) for k, tube in enumerate(likelihood.tube_indices)]
     return Posterior(prior.values(chain[rows], tubes), misfit, likelihood)
@@ -233,8 +233,8 @@ class GainLikelihood:
         self.likelihood, self.number, self.prior, self.free = likelihood, number, prior, free
         self.column = likelihood.chosen[number].index(TENSION[0])
         length = likelihood.cases[number].metres.length
-        alike = np.exp(-np.abs(length[:, None] - length) / ALIKE[0])
-        self.factor = np.linalg.cholesky(alike + ALIKE[1] ** 2 * np.eye(len(length)))
+        correlation = np.exp(-np.abs(length[:, None] - length) / CORRELATION[0])
+        self.factor = np.linalg.cholesky(correlation + CORRELATION[1] ** 2 * np.eye(len(length)))
 
     def logarithm(self, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) log-likelihood at (n, d), and logarithm of the gain there; the likelihood is a parabola in it."""
@@ -270,7 +270,7 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     """Friction and drag of one tube by the closed form of steady sliding; None without a tension.
 
     Least squares of the logarithm of the tension over the metres of the tube's logs, with drag near its prior. The
-    interval includes the correlation of neighbouring metres and ``SLIDING_TRUST``, for the motion is not quite steady.
+    interval includes the correlation of neighbouring metres and ``SLIDING_SCATTER``, for the motion is not quite steady.
     """
     with_tension = [case for case in cases if "root_tension" in case.metres.measured]
     if not with_tension:
@@ -293,12 +293,12 @@ def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     bounds = ([np.log(UNKNOWNS["friction"].low / 2.0), -1.0], [np.log(1.0), 1.0])
     fit = least_squares(weighted(10.0), [np.log(0.15), 0.0], bounds=bounds, loss="soft_l1")
     left = deviations(fit.x)
-    alike = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
-    weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + alike) / (1.0 - alike))
+    correlation = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
+    weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + correlation) / (1.0 - correlation))
     fit = least_squares(weighted(float(weight)), fit.x, bounds=bounds, loss="soft_l1")
     jacobian = np.asarray(fit.jac)
     covariance = np.linalg.inv(jacobian.T @ jacobian + 1e-12 * np.eye(2))
-    deviation = np.sqrt(np.diag(covariance) + SLIDING_TRUST**2)
+    deviation = np.sqrt(np.diag(covariance) + SLIDING_SCATTER**2)
 
     centres = np.exp(fit.x) * (1.0, middle)
     rows = np.column_stack([centres, centres * np.exp(-Z90 * deviation), centres * np.exp(Z90 * deviation)])

@@ -38,7 +38,7 @@ Found on 48 simulated logs at ``standard``. With a response learnt at ``fast``, 
 those of the accelerations had to be five times as high."""
 INPUTS: Final = 10
 LAYERS: Final = 3
-FAREST: Final = 10.0
+MAX_DEVIATION: Final = 10.0
 """Deviations are clipped here in misfits [standard deviations]."""
 FRICTION, STIFFNESS, DRAG, DAMPING = range(4)
 """Columns of tables of unknowns, in the order of ``prior.UNKNOWNS``."""
@@ -162,7 +162,7 @@ class Response:
             length: (m,) [m].
             chosen: their indices.
         """
-        deviations = np.clip(deviations, -FAREST, FAREST)
+        deviations = np.clip(deviations, -MAX_DEVIATION, MAX_DEVIATION)
         misfit = np.full(len(CHANNELS) + 1, np.nan)
         for column, k in enumerate(chosen):
             own = np.linalg.cholesky(self.covariance(length, [k]))
