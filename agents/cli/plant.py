@@ -99,15 +99,15 @@ class Calibrate:
         for needed in ("emcee", "corner"):  # before half a minute of sampling
             import_module(needed)
 
-        from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
+        from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, read_cases
         from agents.plant.response import stored_response
         from agents.policies.cases import plant_at
         from agents.records.manifest import origin, write_json
         from probe_env import Plant
 
         plant = plant_at(self.tube) or Plant()
-        recorded = recorded_of(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
-        calibration = calibrate(recorded, plant, stored_response(), str(self.tube or "tube"))
+        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
+        calibration = calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
         target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})
         pictures = [

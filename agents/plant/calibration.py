@@ -16,9 +16,9 @@ from agents.plant.inference import (
     Gain,
     Posterior,
     Sliding,
-    by_sliding,
-    gain_of,
-    sampled,
+    fit_gain,
+    fit_sliding,
+    sample_posterior,
 )
 from agents.plant.logs import read_log
 from agents.plant.prior import UNKNOWNS, Prior, prior_of
@@ -138,7 +138,7 @@ class Calibration:
         }
 
 
-def recorded_of(
+def read_cases(
     paths: Sequence[Path], plant: Plant, helix_diameters: Sequence[float], tubes: Sequence[str], columns: Sequence[str]
 ) -> list[Case]:
     """The logs with their tubes; all arguments are checked before the first log is read.
@@ -192,10 +192,10 @@ def calibrate(
         ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.
     """
     prior = prior_of(plant, file)
-    posterior = sampled(response, cases, prior, progress=progress)
+    posterior = sample_posterior(response, cases, prior, progress=progress)
     beyond = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
-    sliding = {tube: by_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
-    gains = [gain_of(posterior.likelihood, number, prior) for number in range(len(cases))]
+    sliding = {tube: fit_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
+    gains = [fit_gain(posterior.likelihood, number, prior) for number in range(len(cases))]
     return Calibration(prior, posterior, sliding, beyond, gains)
 
 

@@ -128,7 +128,9 @@ class Likelihood:
         flat = (deviations * spread / scatter)[..., columns].reshape(len(deviations), -1)
         white = solve_triangular(factor, flat.T, lower=True, check_finite=False)
         density = -0.5 * (white**2).sum(axis=0)
-        return np.asarray(LIKELIHOOD_POWER * (density if fixed else density - np.log(scatter[..., columns]).sum(axis=(1, 2))))
+        return np.asarray(
+            LIKELIHOOD_POWER * (density if fixed else density - np.log(scatter[..., columns]).sum(axis=(1, 2)))
+        )
 
     def misfit(self, number: int, table: FloatArray) -> FloatArray:
         """(c + 1,) of a case at (4,), see ``Response.misfit_of``."""
@@ -137,7 +139,7 @@ class Likelihood:
         return self.response.misfit_of(deviations, self.cases[number].metres.length, self.chosen[number])
 
 
-def sampled(
+def sample_posterior(
     response: Response, cases: Sequence[Case], prior: Prior, seed: int = 0, progress: bool = False
 ) -> Posterior:
     """Posterior of the frictions of all tubes and of the unknowns that they share; ``seed`` is that of the walkers.
@@ -203,7 +205,7 @@ class Gain(NamedTuple):
     gain: float
 
 
-def gain_of(likelihood: Likelihood, number: int, prior: Prior) -> Gain | None:
+def fit_gain(likelihood: Likelihood, number: int, prior: Prior) -> Gain | None:
     """Best gain of one log's tension gauge, with its unknowns free within the prior; None without a tension.
 
     The level of the tension gives only friction and pull of the air together. Its initial bend gives the friction
@@ -266,7 +268,7 @@ class Sliding(NamedTuple):
     drag_coefficient: tuple[float, float, float]
 
 
-def by_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
+def fit_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
     """Friction and drag of one tube by the closed form of steady sliding; None without a tension.
 
     Least squares of the logarithm of the tension over the metres of the tube's logs, with drag near its prior. The

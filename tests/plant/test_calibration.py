@@ -15,8 +15,8 @@ from scipy.stats import chi2, norm
 
 from agents.cli import main
 from agents.plant import inference
-from agents.plant.calibration import recorded_of
-from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, by_sliding, gain_of, sampled
+from agents.plant.calibration import read_cases
+from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, fit_gain, fit_sliding, sample_posterior
 from agents.plant.logs import Log
 from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
@@ -141,7 +141,7 @@ def test_truths_are_where_the_posterior_says(short: None, seeds: Seeds) -> None:
     ranks = np.empty((logs, 4))
     for k, (truth, seed) in enumerate(zip(truths, seeds(logs), strict=True)):
         case = log_like(truth, np.random.default_rng([4, seed]), length=LENGTH[::2])
-        draws = sampled(RESPONSE, [case], PRIOR, seed=seed).draws[0]
+        draws = sample_posterior(RESPONSE, [case], PRIOR, seed=seed).draws[0]
         ranks[k] = ((draws < truth).sum(axis=0) + 0.5) / (len(draws) + 1)
     scores = norm.ppf(ranks)
     assert (np.abs(scores.mean(axis=0)) < norm.isf(CHANCE / 16) / np.sqrt(logs)).all()
@@ -158,13 +158,13 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
     for seed in seeds(worlds):
         rng = np.random.default_rng([2, seed])
         logs = [log_like(truth, rng, length=LENGTH[::2]) for _ in range(3)]  # every other metre is enough
-        one, three = (sampled(RESPONSE, logs[:n], PRIOR, seed).draws[0, :, 0].std() for n in (1, 3))
+        one, three = (sample_posterior(RESPONSE, logs[:n], PRIOR, seed).draws[0, :, 0].std() for n in (1, 3))
         ratios.append(np.log(three / one))
     # exp(-0.274), for drag, which acts alike, is known no better; scatters by 0.069 over 16 worlds
     assert np.mean(ratios) < -0.274 + of_another(0.069, 16, members=worlds) < 0.0
     own = {"a": 0.18, "b": 0.12}
     others = [log_like(np.array([friction, 9e4, 0.44, 6e-5]), rng, tube=tube) for tube, friction in own.items()]
-    draws = sampled(RESPONSE, others, PRIOR).draws
+    draws = sample_posterior(RESPONSE, others, PRIOR).draws
     # 0.183 +- 0.0051 and 0.122 +- 0.0032 over 16 worlds
     assert np.median(draws[0, :, 0]) > 0.183 - of_another(0.0051, 16, among=2) > 0.15
     assert np.median(draws[1, :, 0]) < 0.122 + of_another(0.0032, 16, among=2) < 0.15
@@ -175,7 +175,7 @@ def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(
     rng = np.random.default_rng(0)
     own, every = {"a": 0.3, "b": 0.1}, LENGTH[::4]
     cases = [log_like(np.array([mu, 9e4, 0.44, 6e-5]), rng, tube=k, length=every) for k, mu in own.items()]
-    first, second = (sampled(RESPONSE, cases, PRIOR).draws for _ in range(2))
+    first, second = (sample_posterior(RESPONSE, cases, PRIOR).draws for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert first.shape[0] == 2
     np.testing.assert_array_equal(first[0, :, 1:], first[1, :, 1:])
@@ -197,9 +197,9 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Se
 def test_too_short_or_silent_a_log_is_refused() -> None:
     """Before anything is sampled, by its name."""
     with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8 are needed"):
-        sampled(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
+        sample_posterior(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
     with pytest.raises(ValueError, match="log: measures none of root_tension, radial_acceleration_rms"):
-        sampled(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
+        sample_posterior(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
 
 
 def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
@@ -239,13 +239,13 @@ def test_the_best_gain_is_exact() -> None:
 
 def test_a_gauge_that_reads_too_much_is_found() -> None:
     """A gain of 1.5 is beyond the 15 % that drag may be, and the tension's bend fixes the friction; 1.1 is within."""
-    true, drag, scaled = (gain_of(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
+    true, drag, scaled = (fit_gain(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
     assert true
     assert drag
     assert scaled
     assert max(true.ratio, drag.ratio) < LIMIT < scaled.ratio
     assert scaled.gain > 1.5 / 1.15 / 1.15  # drag may be at either edge of its prior
-    assert gain_of(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
+    assert fit_gain(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
 
 
 def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | float = 0.0) -> Case:
@@ -261,14 +261,14 @@ def test_sliding_is_the_inverse_of_the_closed_form() -> None:
     """Without scatter the friction is found: drag is table 2's, and so is the middle of its prior."""
     for bore in (0.022, 0.0242, 0.026):
         for friction in (0.08, 0.2, 0.33):
-            fit = by_sliding([sliding_log(friction, 1.0, bore)], PRIOR)
+            fit = fit_sliding([sliding_log(friction, 1.0, bore)], PRIOR)
             assert fit is not None
             assert fit.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
             assert fit.friction[1] < friction < fit.friction[2]
     case = sliding_log(0.2, 1.0, 0.0242)
-    assert by_sliding([with_measurements(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
+    assert fit_sliding([with_measurements(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
     # a pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off
-    fit = by_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
+    fit = fit_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
     assert fit is not None
     for (mean, low, high), true in ((fit.friction, 0.2), (fit.drag_coefficient, 1.1 * 0.44)):
         assert low < true < high
@@ -286,7 +286,7 @@ def test_intervals_cover_under_correlated_scatter() -> None:
         rng = np.random.default_rng([5, seed])
         noise = np.linalg.cholesky(np.exp(-apart / 3.0) + 1e-9 * np.eye(50)) @ rng.normal(size=50) * 0.05
         friction = float(rng.uniform(0.08, 0.3))
-        fit = by_sliding([sliding_log(friction, 1.0, 0.0242, noise)], PRIOR)
+        fit = fit_sliding([sliding_log(friction, 1.0, 0.0242, noise)], PRIOR)
         assert fit is not None
         covered += fit.friction[1] <= friction <= fit.friction[2]
     assert covered >= 27
@@ -329,4 +329,4 @@ def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
     ]
     for arguments, problem in cases:
         with pytest.raises(ValueError, match=problem):
-            recorded_of(**(usual | arguments))
+            read_cases(**(usual | arguments))
