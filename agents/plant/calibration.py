@@ -90,7 +90,7 @@ class Calibration:
         """Unknowns whose posterior lies at an edge of the prior, one text each."""
         texts, (width, share) = [], AT_EDGE
         for column, name in enumerate(UNKNOWNS):
-            if name in self.prior.known:
+            if name in self.prior.fixed:
                 continue
             low, high = self.prior.ranges[name]
             at = (self.posterior.draws[:, :, column] - low) / (high - low)
@@ -129,11 +129,11 @@ class Calibration:
                 for k, (tube, fit) in enumerate(self.sliding.items())
             },
             "held_possible": {name: list(range_) for name, range_ in self.prior.ranges.items()},
-            "known": self.prior.known,
+            "known": self.prior.fixed,
             "draws": {
                 name: [float(f"{v:.6g}") for v in draws[turns, rows, column]]
                 for column, name in enumerate(UNKNOWNS)
-                if name not in self.prior.known
+                if name not in self.prior.fixed
             },
         }
 
@@ -228,8 +228,8 @@ def print_calibration(calibration: Calibration, own: bool = True) -> None:
         terms["taken for"] += f". That is table 2's: {hint}"
     if prior.assumed:
         terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(prior.assumed)
-    if prior.known:
-        known = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.known.items())
+    if prior.fixed:
+        known = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.fixed.items())
         terms["known"] = "by the file: " + "; ".join(text.strip() for text in known)
     print_terms(terms)
     for text in calibration.beyond:
@@ -247,7 +247,7 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
 
     draws, columns, labels = calibration.posterior.draws, [], []
     for column, name in enumerate(UNKNOWNS):
-        if name in calibration.prior.known:
+        if name in calibration.prior.fixed:
             continue
         several = name == "friction" and len(draws) > 1
         for k, tube in enumerate(calibration.sliding if several else ("",)):

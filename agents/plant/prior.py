@@ -47,7 +47,7 @@ UNKNOWNS: Final = {
 class Prior:
     """Prior distribution of the unknowns: fixed values, quantile functions and ranges of the others, by name."""
 
-    known: dict[str, float]
+    fixed: dict[str, float]
     quantile: dict[str, Callable[[FloatArray], FloatArray]]
     ranges: dict[str, tuple[float, float]]
     assumed: list[str]  # ranges that the file does not give, as texts
@@ -65,8 +65,8 @@ class Prior:
         shares = np.clip(ndtr(normal), 1e-9, 1.0 - 1e-9)
         table = np.empty((tubes, len(normal), len(UNKNOWNS)))
         for k, name in enumerate(UNKNOWNS):
-            if name in self.known:
-                table[:, :, k] = self.known[name]
+            if name in self.fixed:
+                table[:, :, k] = self.fixed[name]
             elif name == "friction":
                 table[:, :, k] = self.quantile[name](shares[:, :tubes]).T
             else:
@@ -93,7 +93,7 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
         elif isinstance(figure, Normal):
             _checked(figure.mean, unknown, file)
         elif name != "friction" and unknown.field in table.model_fields_set:
-            prior.known[name] = _checked(figure, unknown, file)
+            prior.fixed[name] = _checked(figure, unknown, file)
             continue
         else:
             if name == "drag_coefficient":

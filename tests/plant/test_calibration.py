@@ -75,7 +75,7 @@ def test_the_prior_is_what_the_file_says() -> None:
     np.testing.assert_allclose(PRIOR.values(np.zeros((1, 4)), 1)[0, 0], middle)
     numbers = {"contact": {"friction": 0.2, "stiffness": 8e4}, "air": {"drag_coefficient": 0.4}}
     prior = prior_of(Plant(**numbers, probe={"damping_time": 6e-5}))
-    assert prior.known == {"contact_stiffness": 8e4, "drag_coefficient": 0.4, "damping_time": 6e-5}
+    assert prior.fixed == {"contact_stiffness": 8e4, "drag_coefficient": 0.4, "damping_time": 6e-5}
     table = prior.values(np.zeros((3, 2)), 2)
     np.testing.assert_allclose(table, np.broadcast_to([sum(FRICTION) / 2.0, 8e4, 0.4, 6e-5], (2, 3, 4)))
     figures = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"mean": 1e5, "std": 1e4}}
