@@ -64,7 +64,7 @@ class Repairs:
 
 
 @dataclass(frozen=True)
-class Cleaned:
+class CleanLog:
     """A log at its own rows.
 
     ``band`` is the smallest length from each row on and the largest up to it: what the encoder's noise leaves open.
@@ -80,7 +80,7 @@ class Cleaned:
     rows: IntArray  # (n,) index of the row of the table
 
 
-def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
+def clean(channels: Channels, bounds: Bounds) -> CleanLog:
     """The log with everything repaired that is within the bounds.
 
     Raises:
@@ -128,7 +128,7 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
     low = np.minimum.accumulate(length[::-1])[::-1]
     repairs.backward, repairs.most_backward = int((behind > 0.0).sum()), float(behind.max())
     rising = np.where(low == high, length, 0.5 * (low + high))  # neither early nor late
-    return Cleaned(time, rising, (low, high), values, repairs, notes, rows)
+    return CleanLog(time, rising, (low, high), values, repairs, notes, rows)
 
 
 def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
@@ -149,11 +149,11 @@ def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, F
         problem = f"{time[-1]:.6g} s are more than the {most:g} s of a log: cut it, or is the unit of time right?"
         raise table.error(rows[-1], problem, k)
     first = np.flatnonzero(np.diff(time, prepend=-1.0) > 0.0)
-    means = {n: portion_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()}
+    means = {n: group_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()}
     return time[first], means, rows[first]
 
 
-def portion_means(values: FloatArray, first: IntArray, rms: bool) -> FloatArray:
+def group_means(values: FloatArray, first: IntArray, rms: bool) -> FloatArray:
     """Means, or root mean squares, of portions that begin at the rows ``first``; NaN where all are missing."""
     if len(first) == len(values):
         return values
@@ -188,7 +188,9 @@ def _bridged(
     return np.asarray(np.interp(time, time[known], column[known]))
 
 
-def held(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
+def flatten_standstills(
+    time: FloatArray, length: FloatArray, band: Band, tolerance: float
+) -> tuple[FloatArray, IntArray]:
     """The length (n,) with standstills made constant, never falling, and the first and last rows of standstills.
 
     In a standstill the probe moves slower than ``STANDSTILL`` for ``DWELL``, and for at least half of that time its
@@ -216,12 +218,12 @@ def outside(time: FloatArray, rows: IntArray, length: FloatArray, band: Band) ->
     return np.asarray(np.maximum(0.0, np.maximum(line - band[1], band[0] - line)))
 
 
-def kept_rows(
+def thinned_rows(
     time: FloatArray, length: FloatArray, band: Band, ends: IntArray, tolerance: float, every: float
 ) -> IntArray:
     """Rows (m,) whose straight lines stay within ``tolerance`` [m] of the band, at most ``every`` [s] apart.
 
-    ``ends``, the first and last rows of standstills, are kept. Rows of the file that are further apart stay so.
+    ``ends``, the first and last rows of standstills, are rounded. Rows of the file that are further apart stay so.
     """
     regular, end = [0], len(time) - 1
     while regular[-1] < end:

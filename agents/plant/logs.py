@@ -10,7 +10,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, cleaned, held, kept_rows, outside, portion_means
+from agents.plant.cleaning import (
+    DIGITS,
+    DWELL,
+    Bounds,
+    Repairs,
+    clean,
+    flatten_standstills,
+    group_means,
+    outside,
+    thinned_rows,
+)
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
 from agents.plant.reader import IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
@@ -46,7 +56,7 @@ class Log:
         measured: some of ``MEASURED`` -> (n,) mean or root mean square until the next row [SI].
         repairs: counts of them.
         notes: sentences about what does not agree.
-        deviation: largest distance of the straight lines from the band of lengths of ``Cleaned`` [m].
+        deviation: largest distance of the straight lines from the band of lengths of ``CleanLog`` [m].
     """
 
     time: FloatArray
@@ -116,30 +126,30 @@ def read_log(
     if air_supply_rate is not None:
         within("air_supply_rate", air_supply_rate, 0.0, RANGES[AIR][1] / HOUR, "m3/s")
     channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate)
-    table, whole = channels.table, cleaned(channels, bounds)
+    table, whole = channels.table, clean(channels, bounds)
     share = 0.49 * bounds.tolerance  # for standing still, for straight lines, the rest for digits
     rows: IntArray
     if table.steps:  # it is clean already
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
-        length, ends = held(whole.time, whole.length, whole.band, share)
+        length, ends = flatten_standstills(whole.time, whole.length, whole.band, share)
         band = np.minimum(whole.band[0], length), np.maximum(whole.band[1], length)
-        rows = kept_rows(whole.time, length, band, ends, share, bounds.every)
+        rows = thinned_rows(whole.time, length, band, ends, share, bounds.every)
     if len(rows) > MOST_POINTS:
         raise FileError(table.path, f"{len(rows)} rows are left, more than {MOST_POINTS}: raise --every or --tolerance")
-    time, kept = whole.time[rows], np.round(length[rows], DIGITS)
-    speed = np.diff(kept) / np.diff(time)
+    time, rounded = whole.time[rows], np.round(length[rows], DIGITS)
+    speed = np.diff(rounded) / np.diff(time)
     if speed.max() > RANGES[FEED][1]:
         k = int(speed.argmax())
-        problem = f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
+        problem = f"the inserted length leaps from {rounded[k]:.6g} to {rounded[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
         hint = f"no feed does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance"
         first, last = whole.rows[rows[k : k + 2]]
         raise table.error_between(first, last, f"{problem}, and {hint} for a noisy encoder")
-    values = {name: portion_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
-    length[rows] = kept
+    values = {name: group_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
+    length[rows] = rounded
     deviation = float(outside(whole.time, rows, length, whole.band).max())
     speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
-    return Log(time, kept, speed, air, measured, whole.repairs, whole.notes, deviation)
+    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation)
 
 
 def print_log(log: Log, path: Path) -> None:

@@ -108,7 +108,7 @@ def plain(words: str) -> str:
     return re.sub(r"[\s_.\-:]+", " ", words).strip().casefold()
 
 
-def known_as(head: str) -> str | None:
+def quantity_of(head: str) -> str | None:
     """The quantity (or ``DATE``) that a head means; None if no known one."""
     words = plain(split_head(head)[0])
     return _BY_HEAD.get(words) or _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))

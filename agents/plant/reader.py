@@ -30,13 +30,13 @@ from agents.plant.quantities import (
     QUANTITIES,
     ColumnOption,
     Quantity,
-    known_as,
     looks_like_unit,
     plain,
+    quantity_of,
     si_factor,
     split_head,
 )
-from agents.plant.times import MISSING, MORE_THAN_NUMBER, CellError, check, dated, matches, seconds
+from agents.plant.times import MISSING, MORE_THAN_NUMBER, CellError, check, matches, seconds, with_dates
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.schedule import CSV_COMMENT
@@ -130,7 +130,7 @@ def read_channels(
     values: dict[str, FloatArray] = {}
     try:
         if date is not None:
-            cells["time"] = dated(table.columns[date], cells["time"])
+            cells["time"] = with_dates(table.columns[date], cells["time"])
         first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
         written_out = matches(first, MORE_THAN_NUMBER).any()
         numbers = {name: k for name, k in indices.items() if not (written_out and name == "time")}
@@ -278,7 +278,7 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
 def _named(cells: Sequence[str], options: Sequence[ColumnOption]) -> int:
     """How many quantities a row names."""
     named = {option.quantity for cell in cells if cell for option in options if option.means(cell)}
-    return len(named | {name for cell in cells if (name := known_as(cell))})
+    return len(named | {name for cell in cells if (name := quantity_of(cell))})
 
 
 def _listed(heads: Sequence[str]) -> str:
@@ -363,7 +363,7 @@ def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, i
         indices[option.quantity] = found[0]
     by_option = dict(indices)
     for k, head in enumerate(table.heads):
-        known = known_as(head)
+        known = quantity_of(head)
         if k in by_option.values() or known is None or known in by_option:
             continue
         if known in indices:

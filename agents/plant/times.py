@@ -47,7 +47,7 @@ def matches(cells: Any, pattern: str) -> BoolArray:
     return np.asarray(pc.match_substring_regex(cells, pattern))
 
 
-def dated(dates: Any, clocks: Any) -> Any:
+def with_dates(dates: Any, clocks: Any) -> Any:
     """Trimmed clocks with the days of another column, as timestamps.
 
     Timestamps, numbers and the clocks of a single day stay as they are: a clock shows when midnight is passed.

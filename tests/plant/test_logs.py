@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from agents.cli import main
 from agents.plant.cleaning import Bounds
 from agents.plant.logs import read_log
-from agents.plant.quantities import QUANTITIES, known_as, si_factor, split_head
+from agents.plant.quantities import QUANTITIES, quantity_of, si_factor, split_head
 from agents.policies.catalogue import make_policy
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env import TaskConfig
@@ -124,7 +124,7 @@ def test_heads():
         "": (None, ""),
         "Geschwindigkeit Soll [m/s]": (None, "m/s"),
     }
-    assert {head: (known_as(head), split_head(head)[1]) for head in expected} == expected
+    assert {head: (quantity_of(head), split_head(head)[1]) for head in expected} == expected
 
 
 def test_what_went_wrong_is_repaired_and_counted(tmp_path):
