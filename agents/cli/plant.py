@@ -114,10 +114,10 @@ class Calibrate:
             draw_corner(calibration, self.output / "corner.png"),
             draw_bands(calibration, self.output / "bands.png"),
         ]
-        print_calibration(calibration, own=self.tube is not None)
+        print_calibration(calibration, with_file=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("this posterior is not usable: a tube.toml that names it gives a warning")
+            print("do not use this posterior: a tube.toml that names it gives a warning")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 

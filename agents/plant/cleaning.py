@@ -188,9 +188,7 @@ def _bridged(
     return np.asarray(np.interp(time, time[known], column[known]))
 
 
-def flatten_standstills(
-    time: FloatArray, length: FloatArray, band: Band, tolerance: float
-) -> tuple[FloatArray, IntArray]:
+def find_standstills(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
     """The length (n,) with standstills made constant, never falling, and the first and last rows of standstills.
 
     In a standstill the probe moves slower than ``STANDSTILL`` for ``DWELL``, and for at least half of that time its
@@ -218,12 +216,12 @@ def outside(time: FloatArray, rows: IntArray, length: FloatArray, band: Band) ->
     return np.asarray(np.maximum(0.0, np.maximum(line - band[1], band[0] - line)))
 
 
-def thinned_rows(
+def thin_rows(
     time: FloatArray, length: FloatArray, band: Band, ends: IntArray, tolerance: float, every: float
 ) -> IntArray:
     """Rows (m,) whose straight lines stay within ``tolerance`` [m] of the band, at most ``every`` [s] apart.
 
-    ``ends``, the first and last rows of standstills, are rounded. Rows of the file that are further apart stay so.
+    ``ends``, the first and last rows of standstills, are always included; rows of the file may be further apart.
     """
     regular, end = [0], len(time) - 1
     while regular[-1] < end:

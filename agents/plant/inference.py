@@ -1,4 +1,4 @@
-"""Estimates of the unknowns from logs: the posterior by emcee, gauge errors, and friction from the tension alone."""
+"""Estimates of the unknowns from logs: posterior (emcee), gauge errors, and friction from the tension alone."""
 
 from __future__ import annotations
 
@@ -18,32 +18,31 @@ from probe_env.arrays import FloatArray
 
 LEAST_METRES: Final = 8
 SENSOR: Final = np.array([0.005, 0.05, 0.05, 0.05])
-"""Smallest scatter of a metre's measurements [decades]: the sensors' and the error of a small network."""
+"""Smallest scatter of the measurements of a metre [decades]: sensors and error of the network."""
 GAUGES: Final = np.array([0.01, 0.0, 0.0, 0.0])
-"""Additional scatter [decades], except where a gain is looked for: a rough gauge is no misspecification."""
+"""Additional scatter [decades], not used in the fit of a gain: a noisy gauge is no misspecification."""
 FEED_NOISE: Final = np.array([0.0, 0.5, 0.5, 0.5])
-"""Additional scatter of each channel as a share of ``FLOORS``: the unrest of feeding, so that quiet metres weigh less
-than those that ring."""
+"""Additional scatter of each channel as a share of ``FLOORS``: vibration from feeding, which lowers the weight of
+metres without ringing."""
 TENSION, VIBRATION = (0,), (1, 2, 3)
 LIKELIHOOD_POWER: Final = 0.7
-"""Power of the likelihood: the network's error in a log is correlated over many metres. It and ``FEED_NOISE`` were found on
-48 simulated logs at ``standard`` that serve nothing else."""
+"""Power of the likelihood: the network's error in a log is correlated over many metres. It and ``FEED_NOISE`` were
+found on 48 simulated logs at ``standard`` that are not used elsewhere."""
 WALKERS: Final = 32
 BURN_IN, STEPS, DRAWS = 300, 400, 512
 SETTLED, FIRST, LEAST = 3, 2048, 256
-"""Rounds in which the scatter of the vibration is settled, draws in each, and how many of them are used."""
+"""Rounds that fix the scatter of the vibration, draws per round, and draws used of each."""
 
 BOX: Final = 2.33
-"""Gains: bound of the standard normal coordinates (98 % of the prior), within which all are held equally possible."""
+"""Gains: bound of the standard normal coordinates (98 % of the prior), uniform within it."""
 MOST: Final = 1.5
 """Largest logarithm of a gain."""
 CORRELATION: Final = 15.0, 0.8
-"""Correlation of the tension's deviations in gains: length [m], and the share of each metre alone. The likelihood of 32
-logs at ``standard`` is largest at 15 m and 0.4; the rest is left to gauges."""
+"""Correlation of the deviations of the tension in gains: length [m], and share of independent noise. The likelihood of
+32 logs at ``standard`` is largest at 15 m and 0.4; the rest allows for gauges."""
 LIMIT: Final = 4.5
-"""Of twice the logarithm of the likelihood ratio: one in thirty by Wilks, and none of the 32 logs that ``CORRELATION`` was
-found on (largest: 4.3); of these with 1.5 times the tension all but two exceeded it. Measured before the tension block
-of the posterior got its present form, which moves the settled scatter a little."""
+"""Limit of twice the logarithm of the likelihood ratio: exceeded by one log in thirty (Wilks), by none of the 32 logs
+of ``CORRELATION`` (largest: 4.3), and by 30 of them with 1.5 times the tension (measured once, no stored run)."""
 DRAWN, STARTS, STEP = 2048, 4, 1e-4
 
 SLIDING_SCATTER: Final = 0.02
@@ -52,7 +51,7 @@ Z90: Final = 1.645
 
 
 class Case(NamedTuple):
-    """A log to fit: its name, that of its tube (logs of one tube share a friction), scene and metres."""
+    """A log to fit: name, name of its tube (logs of one tube share a friction), scene and metres."""
 
     name: str
     tube: str
@@ -61,9 +60,9 @@ class Case(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Draws (tubes, n, 4) in the order of ``UNKNOWNS``; all but the friction are the same for all tubes.
+    """Draws (tubes, n, 4) in the order of ``UNKNOWNS``; all except the friction are shared by the tubes.
 
-    ``misfit`` is each case's ``Likelihood.misfit`` at the draw that fits best.
+    ``misfit`` is the ``Likelihood.misfit`` of each case at the best draw.
     """
 
     draws: FloatArray
@@ -72,7 +71,7 @@ class Posterior(NamedTuple):
 
 
 class Likelihood:
-    """Likelihood of some cases under a response; ``tube_indices`` are each case's in ``tubes``, the names."""
+    """Likelihood of cases under a response; ``tube_indices`` are the indices of the cases in ``tubes``, the names."""
 
     def __init__(self, response: Response, cases: Sequence[Case]) -> None:
         self.response, self.cases = response, cases
@@ -92,7 +91,7 @@ class Likelihood:
         self.settled: list[FloatArray] = []
 
     def deviations(self, number: int, table: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Deviations (n, m, c) of a case at (n, 4) in standard deviations, and those [decades]."""
+        """Deviations (n, m, c) of a case at (n, 4) in standard deviations, and the standard deviations [decades]."""
         case, chosen = self.cases[number], self.chosen[number]
         mean, spread = self.response.predict(table, case.metres, case.scene)
         quiet = FEED_NOISE * np.minimum(FLOORS / 10.0**mean, 1.0)
@@ -102,8 +101,8 @@ class Likelihood:
     def settle(self, draws: FloatArray) -> None:
         """Fix the scatter of every metre at its geometric mean over draws (tubes, n, 4).
 
-        The predicted scatter is then only a weight. If it were free, unknowns with little scatter would be likely for
-        that alone: logs deviate less than the wandering insertions of the training.
+        The predicted scatter is then only a weight. A free scatter would favour unknowns with little scatter, since
+        logs deviate less than the insertions of the training, which vary feed and air at random.
         """
         self.settled = [
             np.exp(np.log(self.deviations(number, draws[tube])[1]).mean(axis=0))
@@ -142,7 +141,7 @@ class Likelihood:
 def sample_posterior(
     response: Response, cases: Sequence[Case], prior: Prior, seed: int = 0, progress: bool = False
 ) -> Posterior:
-    """Posterior of the frictions of all tubes and of the unknowns that they share; ``seed`` is that of the walkers.
+    """Sample the posterior of the frictions of all tubes and of the shared unknowns; ``seed`` is that of the walkers.
 
     Raises:
         ValueError: a log has too few metres, or no channel.
@@ -151,9 +150,9 @@ def sample_posterior(
 
     for case in cases:
         if not case.metres.measured:
-            raise ValueError(f"{case.name}: measures none of {', '.join(CHANNELS)}, so it tells nothing")
+            raise ValueError(f"{case.name}: has none of the channels {', '.join(CHANNELS)}")
         if len(case.metres) < LEAST_METRES:
-            raise ValueError(f"{case.name}: {len(case.metres)} metres were fed, and at least {LEAST_METRES} are needed")
+            raise ValueError(f"{case.name}: {len(case.metres)} metres of insertion, at least {LEAST_METRES} are needed")
     likelihood = Likelihood(response, cases)
     size = (tubes := len(likelihood.tubes)) + len(prior.shared)
     rng = np.random.default_rng([seed, size])
@@ -162,7 +161,7 @@ def sample_posterior(
         return np.asarray(likelihood.logarithm(prior.values(normal, tubes)) - 0.5 * (normal**2).sum(axis=1))
 
     walkers = max(WALKERS, 4 * size)
-    # the scatter is settled where draws from the prior are likely, beginning with all of them
+    # the scatter is fixed at likely draws from the prior, starting with all draws
     drawn, chosen = prior.values(rng.normal(size=(FIRST, size)), tubes), np.arange(LEAST)
     for _ in range(SETTLED):
         likelihood.settle(drawn[:, chosen])
@@ -188,7 +187,7 @@ def sample_posterior(
 
 
 def _shares(logarithm: FloatArray, least: int) -> FloatArray:
-    """Weights by a likelihood, tempered so that the effective number of draws is at least ``least``."""
+    """Weights from a likelihood, tempered so that the effective number of draws is at least ``least``."""
     cold = 1.0
     for _ in range(20):
         weights = np.exp(cold * (logarithm - logarithm.max()))
@@ -206,10 +205,10 @@ class Gain(NamedTuple):
 
 
 def fit_gain(likelihood: Likelihood, number: int, prior: Prior) -> Gain | None:
-    """Best gain of one log's tension gauge, with its unknowns free within the prior; None without a tension.
+    """Fit the gain of one log's tension gauge, with its unknowns free within the prior; None without a tension.
 
-    The level of the tension gives only friction and pull of the air together. Its initial bend gives the friction
-    whatever the gain is, and so, through the vibration, do the accelerations. A gain is what is left over.
+    The level of the tension depends on friction and drag together. The initial curvature of the tension and the
+    accelerations determine the friction for any gain, so the remaining difference in level is the gain.
     """
     if TENSION not in likelihood.blocks[number]:
         return None
@@ -229,7 +228,7 @@ def fit_gain(likelihood: Likelihood, number: int, prior: Prior) -> Gain | None:
 
 
 class GainLikelihood:
-    """Negative log-likelihood of a log over coordinates of the prior, at the best gain or at none."""
+    """Negative log-likelihood of a log over coordinates of the prior, at the best gain or without a gain."""
 
     def __init__(self, likelihood: Likelihood, number: int, prior: Prior, free: bool) -> None:
         self.likelihood, self.number, self.prior, self.free = likelihood, number, prior, free
@@ -239,19 +238,19 @@ class GainLikelihood:
         self.factor = np.linalg.cholesky(correlation + CORRELATION[1] ** 2 * np.eye(len(length)))
 
     def logarithm(self, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) log-likelihood at (n, d), and logarithm of the gain there; the likelihood is a parabola in it."""
+        """(n,) log-likelihood at (n, d), and the best logarithm of the gain; the likelihood is quadratic in it."""
         table = self.prior.values(normal, 1)[0]
         deviations, spread = self.likelihood.deviations(self.number, table)
         total = self.likelihood.block(self.number, VIBRATION, deviations, spread)
-        own = spread[..., self.column].T
+        scatter = spread[..., self.column].T
         white, of_gain = (
             solve_triangular(self.factor, values, lower=True, check_finite=False)
-            for values in (deviations[..., self.column].T, 1.0 / (own * np.log(10.0)))
+            for values in (deviations[..., self.column].T, 1.0 / (scatter * np.log(10.0)))
         )
         slope, bend = (white * of_gain).sum(axis=0), (of_gain**2).sum(axis=0)
         gain = np.clip(slope / bend, -MOST, MOST) * self.free
         square = (white**2).sum(axis=0) - 2.0 * gain * slope + gain**2 * bend
-        return total - 0.5 * square - np.log(own).sum(axis=0), gain
+        return total - 0.5 * square - np.log(scatter).sum(axis=0), gain
 
     def __call__(self, normal: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at (d,), by central differences."""
@@ -269,10 +268,11 @@ class Sliding(NamedTuple):
 
 
 def fit_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
-    """Friction and drag of one tube by the closed form of steady sliding; None without a tension.
+    """Fit friction and drag of one tube by the closed form of steady sliding; None without a tension.
 
     Least squares of the logarithm of the tension over the metres of the tube's logs, with drag near its prior. The
-    interval includes the correlation of neighbouring metres and ``SLIDING_SCATTER``, for the motion is not quite steady.
+    interval includes the correlation of neighbouring metres and ``SLIDING_SCATTER``, since the motion is not quite
+    steady.
     """
     with_tension = [case for case in cases if "root_tension" in case.metres.measured]
     if not with_tension:

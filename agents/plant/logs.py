@@ -16,10 +16,10 @@ from agents.plant.cleaning import (
     Bounds,
     Repairs,
     clean,
-    flatten_standstills,
+    find_standstills,
     group_means,
     outside,
-    thinned_rows,
+    thin_rows,
 )
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
 from agents.plant.reader import IntArray, read_channels
@@ -132,9 +132,9 @@ def read_log(
     if table.steps:  # it is clean already
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
-        length, ends = flatten_standstills(whole.time, whole.length, whole.band, share)
+        length, ends = find_standstills(whole.time, whole.length, whole.band, share)
         band = np.minimum(whole.band[0], length), np.maximum(whole.band[1], length)
-        rows = thinned_rows(whole.time, length, band, ends, share, bounds.every)
+        rows = thin_rows(whole.time, length, band, ends, share, bounds.every)
     if len(rows) > MOST_POINTS:
         raise FileError(table.path, f"{len(rows)} rows are left, more than {MOST_POINTS}: raise --every or --tolerance")
     time, rounded = whole.time[rows], np.round(length[rows], DIGITS)

@@ -32,7 +32,7 @@ Seeds = Callable[[int], Sequence[int]]
 @pytest.fixture(params=[(200, 200)])
 def short(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Few steps: enough for a mean and an interval."""
-    for name, steps in zip(("BURN", "STEPS"), request.param, strict=True):
+    for name, steps in zip(("BURN_IN", "STEPS"), request.param, strict=True):
         monkeypatch.setattr(inference, name, steps)
 
 
@@ -196,9 +196,9 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Se
 
 def test_too_short_or_silent_a_log_is_refused() -> None:
     """Before anything is sampled, by its name."""
-    with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8 are needed"):
+    with pytest.raises(ValueError, match="log: 5 metres of insertion, at least 8 are needed"):
         sample_posterior(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
-    with pytest.raises(ValueError, match="log: measures none of root_tension, radial_acceleration_rms"):
+    with pytest.raises(ValueError, match="log: has none of the channels root_tension, radial_acceleration_rms"):
         sample_posterior(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
 
 
@@ -319,7 +319,7 @@ def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
     }  # fmt: skip
     three, two = (Plant(tube={"helix_diameter": diameters}) for diameters in ((1.0, 1.2, 1.4), (1.0, 1.2)))
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"paths": []}, "logs: give one log at least"),
+        ({"paths": []}, "logs: at least one is needed"),
         ({"helix_diameters": [1.0, 1.2, 1.4]}, "--helix-diameters: 3 for 2 logs"),
         ({"helix_diameters": [0.1]}, "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
         ({"tubes": ["a"]}, "--tubes: 1 names for 2 logs"),

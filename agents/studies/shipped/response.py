@@ -162,10 +162,10 @@ def insert(
         assert window is not None
         after = np.minimum(window.inserted_length, config.scene.tube.helix_length)
         measured = [np.hypot(window.statistics[name], floor) for name, floor in RECORDED.values()]
-        felt[0] = window.statistics["tension_mean_n"]  # which may push
+        measured[0] = window.statistics["tension_mean_n"]  # which may push
         for k in np.flatnonzero(active & ~window.diverged).tolist():
             fed = (after[k] - length[k]) / config.period
-            rows[k].append((time[k], length[k], fed, window.air_supply_rate[k], *(column[k] for column in felt)))
+            rows[k].append((time[k], length[k], fed, window.air_supply_rate[k], *(column[k] for column in measured)))
         length, time = np.where(active, after, length), time + config.period * active
     tables = (np.array(listed, dtype=float).reshape(-1, 4 + len(RECORDED)) for listed in rows)
     return [
