@@ -162,7 +162,7 @@ CHANGED = [
     ("air", "p", "no column is known as air_supply; found: 'time [s]'"),
     ("length [m];feed", "p [m];q", "no column is known as feed_speed or inserted_length"),
     ("3;5.60", "3;5.10", "line 5, column 'length [m]': the probe moves back to 5.1 m from 5.4 m"),
-    ("3;5.60", "3;9.60", "lines 4 to 5: the inserted length leaps from 5.4 to 9.6 m, at 4.2 m/s"),
+    ("3;5.60", "3;9.60", "lines 4 to 5: the inserted length jumps from 5.4 to 9.6 m, at 4.2 m/s"),
     ("63.0", "6300.0", "line 2, column 'air [m3/h]': air_supply = 6300 m3/h is outside the accepted range 0 to "),
     ("5.20", '"5.20', "line 3: not CSV: unexpected end of data"),
 ]

@@ -160,7 +160,7 @@ def test_speed_alone_is_integrated_and_speed_beside_the_encoder_compared(tmp_pat
     assert log.inserted_length == pytest.approx(5.0 + 0.2 * log.time, abs=TOLERANCE)
     (note,) = log.notes
     assert "The speed column and the encoder disagree" in note
-    assert note.endswith("the encoder is taken.")
+    assert note.endswith("the encoder is used.")
 
 
 def test_channels_are_averaged_over_their_interval(tmp_path):
@@ -184,7 +184,7 @@ def test_the_shipped_log_is_shown_and_made_a_schedule(tmp_path, monkeypatch, cap
     assert max(map(len, printed.splitlines())) <= 80
     unwrapped = " ".join(printed.split())
     for text in (
-        "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "leaves the task's range of 0.02 to 0.4 m/s",
+        "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "is outside the task's range 0.02 to 0.4 m/s",
         "written: output/example-rig-clean.csv, plots/rig.png",
     ):  # fmt: skip
         assert text in unwrapped
@@ -210,7 +210,7 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
     for output in ("rig.csv", "./rig.csv", "link.csv"):
         refused(["log", "rig.csv", "--output", output], f"'{Path(output)}' is the log itself")
     refused(["log", "rig.csv", "--output", "rig.txt"], "output = 'rig.txt' is not a CSV file")
-    refused(["log", "rig.csv", "--plot", "rig.exe"], "plot = 'rig.exe' is not a picture")
+    refused(["log", "rig.csv", "--plot", "rig.exe"], "plot = 'rig.exe' is not a figure")
     refused(["log", "nowhere.csv"], "logs that ship, by name: example-rig")
     refused(["log", "example-rig", "--gap", "0"], "gap = 0.0 s is outside the accepted range 0.001 to 3600 s")
     refused(["log", "example-rig", "--air-supply", "nan"], "air_supply_rate = nan m3/s is outside the accepted range")
