@@ -110,13 +110,14 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
             if excess[k := int(excess.argmax())] > 0.0:
                 notes = (
                     f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m up to"
-                    f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %; the encoder is used.",
+                    f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %;"
+                    " the encoder is used.",
                 )
     assert length is not None  # the log has one of both
     high = np.maximum.accumulate(length)
     backward, most = high - length, POSITIONS["inserted_length_m"][1]
-    if (excess := backward > bounds.backward).any():
-        row = int(excess.argmax())
+    if (moving_back := backward > bounds.backward).any():
+        row = int(moving_back.argmax())
         problem = (
             f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the {bounds.backward:g} m"
         )

@@ -219,7 +219,7 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
 def test_what_a_file_says_does_not_reach_the_terminal_raw(refused, capsys):
     name, formula = "rig\x1b[31m\n.csv", RIG.replace("v;", "=cmd|' /C calc'!A0;")
     Path(name).write_text(formula.replace("Zeit", "Zeit\u202e"))
-    refused(["log", name], "no column is known as time")
+    refused(["log", name], "no column for time")
     Path(name).write_text(formula)
     assert main(["log", name, "--output", "clean.csv"]) == 0
     printed = capsys.readouterr().out
