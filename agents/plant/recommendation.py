@@ -44,17 +44,17 @@ SAFE_LENGTHS: Final = 23
 STEP: Final = 0.02
 FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
 """Of a law's rows, up to 0.34."""
-OF_A_LAW: Final = 16
+DRAWS_PER_ROW: Final = 16
 """Draws of one helix diameter for a row of a law."""
-SMOOTH: Final = 0.5
+CHANGE_WEIGHT: Final = 0.5
 """Cost of a change of the feed by a factor of e, or of the air over its range, from one knot to the next."""
 MARGIN: Final = 1.5
 """Root tension over what the task needs that is kept ..."""
-SURE: Final = 0.95
+CONFIDENCE: Final = 0.95
 """... in this share of the draws."""
 NAME: Final = "recommended"
 LAW: Final = "recommended-law"
-OURS: Final = ("best-schedule", "tension-scheduled")
+BASELINES: Final = ("best-schedule", "tension-scheduled")
 """Policies that a recommendation is always compared with."""
 
 
@@ -63,7 +63,7 @@ class Optimum(NamedTuple):
 
     schedule: Schedule
     reward: float  # mean of an insertion
-    tension: float  # of the root, which SURE of the draws exceed where lost drive counts [N]
+    tension: float  # of the root, which CONFIDENCE of the draws exceed where lost drive counts [N]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Confirmation:
     """How a recommendation is simulated."""
 
     folder: Path  # of the episodes and the report
-    own: tuple[str, ...] = ()  # schedules to compare with, as evaluate takes them
+    schedules: tuple[str, ...] = ()  # schedules to compare with, as evaluate takes them
     limit: int = 24  # tubes; 0: all
     fidelity: str = "standard"
 
@@ -97,12 +97,12 @@ def recommend(
     Raises:
         ValueError: the plant, or a schedule to compare with, is not valid; nothing was written.
     """
-    seen = case_of(plant, "train")
-    unseen = case_of(plant, "test", confirmation.limit) if confirmation else seen
-    for text in beyond(seen.contexts, response, seen.config):
+    case = case_of(plant, "train")
+    test_case = case_of(plant, "test", confirmation.limit) if confirmation else case
+    for text in outside_training(case.contexts, response, case.config):
         warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
-    specs = (*(confirmation.own if confirmation else ()), *OURS)
-    if seen.config.returns:
+    specs = (*(confirmation.schedules if confirmation else ()), *BASELINES)
+    if case.config.returns:
         print(
             f"{output.stem} is for the way in, and drawn back as fast as the device can;"
             " probe-env study best-round-trip searches feed and air of both ways"
@@ -110,35 +110,37 @@ def recommend(
     if confirmation:
         with warnings.catch_warnings():  # what cannot be compared is refused before the search; warnings come with it
             warnings.simplefilter("ignore")
-            plan_of(specs, unseen, 1, confirmation.fidelity)
-    optimum = recommended(seen.contexts, response, seen.config)
+            plan_of(specs, test_case, 1, confirmation.fidelity)
+    optimum = optimal_schedule(case.contexts, response, case.config)
     write_atomically(output, optimum.schedule.to_csv())
     record = {
         "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
         "calibrated": plant is not None and plant.posterior is not None,
-        "draws": len(seen.contexts),
+        "draws": len(case.contexts),
         "expected_reward": optimum.reward,
         "least_root_tension_n": optimum.tension,
     }
     write_json(output.with_suffix(".json"), record | origin())
     named = [f"{NAME}={output}"]
     if law:
-        feedback = recommended_law(seen.contexts, response, seen.config)
+        feedback = optimal_law(case.contexts, response, case.config)
         write_atomically(law, feedback.model_dump_json(indent=1))
         named.append(f"{LAW}={law}")
     print(
-        f"{output}: expected reward {optimum.reward:.1f} over {len(seen.contexts)} draws of what is known,"
+        f"{output}: expected reward {optimum.reward:.1f} over {len(case.contexts)} draws of what is known,"
         f" root tension at least {optimum.tension:.2g} N in 95 % of them"
     )
     if confirmation:
-        print(f"simulated on {len(unseen.contexts)} other draws at {confirmation.fidelity}:")
-        plan = plan_of((*named, *specs), unseen, 1, confirmation.fidelity)
-        own = [name_and_spec(spec)[0] for spec in confirmation.own] or [NAME]  # judged in the report's first line
-        evaluate_plan(plan, confirmation.folder, against=NAME, workers=workers, own=own)
+        print(f"simulated on {len(test_case.contexts)} other draws at {confirmation.fidelity}:")
+        plan = plan_of((*named, *specs), test_case, 1, confirmation.fidelity)
+        names = [name_and_spec(spec)[0] for spec in confirmation.schedules] or [
+            NAME
+        ]  # judged in the report's first line
+        evaluate_plan(plan, confirmation.folder, against=NAME, workers=workers, own=names)
     return optimum
 
 
-def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
+def optimal_schedule(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
     """The schedule with the best mean expected reward over some tubes, which are equally likely.
 
     Raises:
@@ -152,28 +154,28 @@ def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig
     feed, air = _grid(config)
     shape = len(lengths), len(feed)
     metres = Metres(np.repeat(lengths, shape[1]), np.tile(feed, shape[0]), np.tile(air, shape[0]), {})
-    stands_for = np.gradient(lengths)
-    stands_for[[0, -1]] *= 0.5  # half a spacing at the ends
+    spacing = np.gradient(lengths)
+    spacing[[0, -1]] *= 0.5  # half a spacing at the ends
     cost = expected_costs(tubes, response, config, metres).mean(axis=0).reshape(shape)
-    taut = np.quantile(tensions(tubes, config, metres), 1.0 - SURE, axis=0).reshape(shape)
-    too_slack = slack(config, taut / MARGIN, lengths[:, None])
+    tension = np.quantile(tensions(tubes, config, metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
+    too_slack = slack(config, tension / MARGIN, lengths[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
-        at = f"{taut[hopeless][0].max():.3g} N of root tension at {lengths[hopeless][0]:g} m in {SURE:.0%} of the draws"
+        at = f"{tension[hopeless][0].max():.3g} N of root tension at {lengths[hopeless][0]:g} m in {CONFIDENCE:.0%} of the draws"
         needed = f"{MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
         problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
         raise ValueError(f"{problem} {at}, and {needed}")
     logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
-    change = SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
-    path = cheapest_path(np.where(too_slack, np.inf, cost * stands_for[:, None]), change)
+    change = CHANGE_WEIGHT * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
+    path = cheapest_path(np.where(too_slack, np.inf, cost * spacing[:, None]), change)
     position, feeds_of, airs_of = (tuple(values.tolist()) for values in (lengths, feed[path], air[path]))
     schedule = Schedule("inserted_length", "linear", position, feeds_of, airs_of)
     on_path = range(len(path)), path
-    gained = float((metre_reward(config, cost) * stands_for[:, None])[on_path].sum())
-    return Optimum(schedule, gained, float(taut[on_path][drive_counts(config, lengths)].min(initial=np.inf)))
+    reward = float((metre_reward(config, cost) * spacing[:, None])[on_path].sum())
+    return Optimum(schedule, reward, float(tension[on_path][drive_counts(config, lengths)].min(initial=np.inf)))
 
 
-def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
+def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
     """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
@@ -182,9 +184,9 @@ def recommended_law(tubes: Sequence[Context], response: Response, config: TaskCo
     tables: list[OfDiameter] = []
     lengths: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
-        alike = [tube for tube in tubes if tube.helix_diameter == diameter][:OF_A_LAW]
-        drawn = ([tube.model_copy(update={"friction": mu}) for tube in alike] for mu in inside)
-        rows = [recommended(contexts, response, config).schedule for contexts in drawn]
+        samples = [tube for tube in tubes if tube.helix_diameter == diameter][:DRAWS_PER_ROW]
+        drawn = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
+        rows = [optimal_schedule(contexts, response, config).schedule for contexts in drawn]
         lengths = rows[0].position
         columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
         tables.append(OfDiameter(helix_diameter=diameter, **columns))
@@ -212,7 +214,7 @@ def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> Fl
     return np.array(rows)
 
 
-def beyond(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
+def outside_training(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
     """What of a task's tubes is outside the training ranges of the response, one text each."""
     nothing, lines = np.zeros(0), dict[str, None]()
     for tube in {tube.helix_diameter: tube for tube in tubes}.values():
@@ -282,24 +284,26 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
     whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
     # bounds are what the device gives, so that no air between them is rounded beyond them
     airs = np.unique(np.round(3600.0 * config.given(np.full_like(whole, fastest), whole)[:, 1], 9))
-    pulls, enough = pulled(config, tubes, airs, fastest), MARGIN * config.required_tension
+    pulls, enough = least_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
     if not (pulls >= enough).any():
         problem = f"air_supply_rates up to {most:.4g} m3/h: even the most pulls with {pulls.max():.3g} N only"
         needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
         raise ValueError(f"{problem} where it pulls least, and {needed}")
-    bearable = buckling_load(config.scene.probe) / MARGIN
-    borne = min(bisect_right(airs, bearable, key=partial(pressed, config, tube, feed=slowest)) for tube in tubes)
-    if borne == 0:
-        greatest = max(pressed(config, tube, airs[0], slowest) for tube in tubes)
+    safe_load = buckling_load(config.scene.probe) / MARGIN
+    safe_count = min(
+        bisect_right(airs, safe_load, key=partial(root_compression, config, tube, feed=slowest)) for tube in tubes
+    )
+    if safe_count == 0:
+        greatest = max(root_compression(config, tube, airs[0], slowest) for tube in tubes)
         problem = (
             f"air_supply_rates from {least:.4g} m3/h: even the least presses with {greatest:.3g} N on the way back"
         )
-        limit = f"{bearable:.3g} N between two floats (its buckling load over {MARGIN:g})"
+        limit = f"{safe_load:.3g} N between two floats (its buckling load over {MARGIN:g})"
         raise ValueError(f"{problem}, and the cable bears {limit}")
-    return float(airs[pulls >= enough].min()), float(airs[borne - 1])
+    return float(airs[pulls >= enough].min()), float(airs[safe_count - 1])
 
 
-def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
+def least_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
     """(a,) smallest root tension of the insertion [N] over tubes and lengths at which the drive counts, by air."""
     lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_LENGTHS)
     lengths = lengths[drive_counts(config, lengths)]
@@ -308,7 +312,7 @@ def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed:
     return np.asarray(tension.min(axis=0).reshape(len(airs), -1).min(axis=1, initial=np.inf))
 
 
-def pressed(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
+def root_compression(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
     """Root compression on withdrawal [N] with all of the cable inserted; it grows with the air [m3/h]."""
     scene = config.scene
     drawn = {

@@ -180,13 +180,13 @@ def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
 
 def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
     """What the calibrated response recommends for a plant, searched on training tubes."""
-    from agents.plant.recommendation import recommended, recommended_law
+    from agents.plant.recommendation import optimal_law, optimal_schedule
     from agents.plant.response import stored_response
 
     tubes, response = case_of(plant, "train").contexts, stored_response()
     if name == "recommended":
-        return Scheduled(config, recommended(tubes, response, config).schedule)
-    return LawPolicy(config, law=recommended_law(tubes, response, config))
+        return Scheduled(config, optimal_schedule(tubes, response, config).schedule)
+    return LawPolicy(config, law=optimal_law(tubes, response, config))
 
 
 def _folder(values: Changes) -> str:

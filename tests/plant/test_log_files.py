@@ -151,7 +151,7 @@ CHANGED = [
     ("2;5.40;0.20;63.0", HEAD, "line 4, column 'time [s]': 'time [s]' is not a finite"),
     ("5.40", "5,40", "line 4, column 'length [m]': '5,40' has another decimal sign"),
     ("\n2;", "\n0.5;", "line 4, column 'time [s]': the time '0.5' is 0.5 s before the row"),
-    ("\n3;", "\n3e9;", "line 5, column 'time [s]': 3e+09 s are more than the 100000 s"),
+    ("\n3;", "\n3e9;", "line 5, column 'time [s]': 3e+09 s are more than 100000 s"),
     ("\n3;", "\n9;", "lines 4 to 5: no rows for 7 s, more than the 5 s"),
     ("m/s", "furlongs/s?", "column 'feed [furlongs/s?]': 'furlongs/s?' is not a unit"),
     ("m/s", "wubbles", "column 'feed [wubbles]': the unit 'wubbles' is unknown"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.plan import Plan, run_plan
-from agents.plant.recommendation import recommended, recommended_law
+from agents.plant.recommendation import optimal_law, optimal_schedule
 from agents.plant.response import stored_response
 from agents.policies.catalogue import named_policies
 from agents.policies.law import Law, LawPolicy
@@ -76,10 +76,10 @@ def test_its_rows_are_recommendations() -> None:
     """A row is what is recommended for draws with its friction; the frictions reach around those of the draws."""
     config, response = Plant().configured(), stored_response()
     tubes = [Context(friction=mu) for mu in (0.13, 0.17)]
-    law = recommended_law(tubes, response, config)
+    law = optimal_law(tubes, response, config)
     assert law.friction == (0.12, 0.14, 0.16, 0.18)
     alike = [tube.model_copy(update={"friction": 0.14}) for tube in tubes]
-    assert law.tables[0].feed_speed[1] == recommended(alike, response, config).schedule.feed_speed
+    assert law.tables[0].feed_speed[1] == optimal_schedule(alike, response, config).schedule.feed_speed
     assert law.scene == config.scene
     assert Law.model_validate_json(law.model_dump_json()) == law
 
