@@ -93,11 +93,15 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
 def test_plants_without_an_answer_are_refused() -> None:
     """In one line with the field and its value: too little air, or a vibration that the response does not have."""
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
-    with pytest.raises(ValueError, match=r"air_supply_rates = \(0.002, 0.004\) m3/s: even .* and 7.5 N are needed"):
+    with pytest.raises(
+        ValueError, match=r"air_supply_rates = \(0.002, 0.004\) m3/s: the most air .* and 7.5 N are needed"
+    ):
         optimal_schedule([Context(friction=0.3)], RESPONSE, weak.configured())
     loud = Plant(task={"vibration_measure": "acceleration"}).configured()
     assert optimal_schedule(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0
-    with pytest.raises(ValueError, match=r"task.vibration_measure = 'velocity': recommendations know displacement and"):
+    with pytest.raises(
+        ValueError, match=r"task.vibration_measure = 'velocity': recommendations support displacement and"
+    ):
         optimal_schedule(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
 
 
@@ -122,8 +126,8 @@ def test_air_is_safe_in_every_tube() -> None:
 
 def test_a_device_without_safe_air_is_refused() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"required_tension": 50.0}, "even the most pulls with .* N only where it pulls least, and 75 N are needed"),
-        ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "even the least presses with .* N on the way back, and"),
+        ({"required_tension": 50.0}, "the most air pulls with only .* N in the worst tube, and 75 N are needed"),
+        ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "the least air compresses with .* N; the limit is"),
     ]
     for update, message in cases:
         with pytest.raises(ValueError, match=message):
@@ -135,7 +139,7 @@ def test_what_is_outside_the_training_ranges_is_reported() -> None:
     assert outside_training(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
     texts = "; ".join(outside_training([Context(friction=0.4)], RESPONSE, odd))
-    for text in ("floats 0.009 to 0.009 m, beyond", "a probe of another line_density", "friction 0.4 to 0.4, beyond"):
+    for text in ("floats 0.009 to 0.009 m, beyond", "probe with different line_density", "friction 0.4 to 0.4, beyond"):
         assert text in texts
 
 
@@ -167,10 +171,10 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
     assert "expected reward" in printed
-    assert "way in" not in printed
+    assert "withdrawal" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0
-    assert "my is for the way in, and drawn back as fast as the device can" in capsys.readouterr().out
+    assert "my is for the insertion; the withdrawal is at the fastest feed" in capsys.readouterr().out
 
 
 def test_what_is_refused_writes_nothing(
