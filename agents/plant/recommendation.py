@@ -129,7 +129,7 @@ def recommend(
     seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
     print(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
-        f" ({len(case.contexts)} samples); drive safe: root tension at least {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
+        f" ({len(case.contexts)} samples); drive safe: root tension above {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )
     if confirmation:
         print(f"simulated in {len(test_case.contexts)} other samples at {confirmation.fidelity}:")
