@@ -25,19 +25,21 @@ TABLE_STEP: Final = 2.5
 """Step of the length in a table [m]."""
 DESCRIPTIONS: Final = {
     "average": ("s", "time constant of the averages of friction and noise"),
-    "onset_length": ("m", "onset L0 = onset_length (mu / 0.175)^-onset_friction (D / 1.5 m)^onset_diameter"),
-    "onset_friction": ("", "exponent of L0"),
-    "onset_diameter": ("", "exponent of L0"),
-    "slow_feed": ("m/s", "feed beyond L0 = slow_feed (L' / 30 m)^-slow_length ..."),
-    "slow_length": ("", "exponent of the feed"),
-    "slow_friction": ("", "... (mu / 0.175)^-slow_friction ..."),
-    "slow_diameter": ("", "... (D / 1.5 m)^slow_diameter"),
-    "quiet": ("m", "effective length L' = L (noise / quiet)^shift"),
-    "shift": ("", "exponent of L'"),
-    "aim": ("m", "target noise beyond L0: d(ln feed)/dt = ln(aim / noise) / time"),
-    "time": ("s", "time constant of the trim"),
+    "onset_length": ("m", "L0 at mu = 0.175 and D = 1.5 m"),
+    "onset_friction": ("", "L0 ~ mu^-onset_friction"),
+    "onset_diameter": ("", "L0 ~ D^onset_diameter"),
+    "slow_feed": ("m/s", "u at L' = 30 m, mu = 0.175, D = 1.5 m"),
+    "slow_length": ("", "u ~ L'^-slow_length"),
+    "slow_friction": ("", "u ~ mu^-slow_friction"),
+    "slow_diameter": ("", "u ~ D^slow_diameter"),
+    "quiet": ("m", "noise v at which L' = L"),
+    "shift": ("", "L' = L (v / quiet)^shift"),
+    "aim": ("m", "target of v beyond L0"),
+    "time": ("s", "d(ln u)/dt = ln(aim / v) / time"),
 }
-"""Constant of the law, then of the trim -> unit and formula; mu: friction, D: helix diameter, L: inserted length."""
+"""Constant of the law, then of the trim -> unit and formula.
+
+mu: friction, D: helix diameter, L: inserted length, L0: onset, u: feed beyond L0, v: noise."""
 PLANT_DATA: Final = {
     "AIR_SPEED": "m/s of wind per m3/s of supply",
     "DRAG": "N s2/m3, floats per metre",
@@ -95,7 +97,8 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
     """Print the constants of the law and of a trim."""
     values = constants.model_dump() | (trim.model_dump() if trim else {})
     rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in values.items()]
-    print_table("The law's constants", ("constant", "value", "unit", ""), rows, left=4)
+    symbols = "mu friction, D helix diameter, L inserted length, L0 onset, u feed beyond L0, v noise"
+    print_table(f"The law's constants ({symbols})", ("constant", "value", "unit", ""), rows, left=4)
 
 
 def write_law(
