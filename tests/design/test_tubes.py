@@ -60,7 +60,7 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     assert "of mine, not of table 2" in refused(capsys, *run[:1], "improved", *run[3:-1])
     assert "of mine, not of table 2" in refused(capsys, "design", "--trials", "2", "--limit", "1", "--output", "out")
     (tmp_path / "mine.toml").write_text(OWN.replace("0.22", "0.23"))
-    assert "of mine, as its file was then, not of mine" in refused(capsys, *run, "mine.toml")
+    assert "of mine before its file changed, not of mine" in refused(capsys, *run, "mine.toml")
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
     assert main(["compare", "original", "--limit", "1", "--output", "study"]) == 0
     mine = ("compare", "own.toml", "--limit", "1", "--output", "study", "--tube", "mine.toml")
