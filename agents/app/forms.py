@@ -207,7 +207,7 @@ class TubeForm:
         self._write(path)
         self.open(path)
 
-    def stored(self, folder: Path) -> Path | None:
+    def file_for_run(self, folder: Path) -> Path | None:
         """File for a run: the opened one, or a copy with the changes in a folder; None: the study's tubes."""
         if self.is_study or not self.changed:
             return self.path

@@ -114,11 +114,11 @@ class RunRequest(Stored):
 class Command(NamedTuple):
     """Command to the worker while it simulates.
 
-    The values of "pace" are periods per second, 0 for no limit; of "watch" the index of a probe; of "hand" feed speed
-    [m/s] and air supply [m3/s]. "look" asks for slow motion of what comes next.
+    The values of "pace" are periods per second, 0 for no limit; of "watch" the index of a probe; of "setting" feed speed
+    [m/s] and air supply [m3/s]. "slow motion" asks for slow motion of the next period.
     """
 
-    name: Literal["go", "pause", "step", "stop", "pace", "watch", "look", "hand"]
+    name: Literal["continue", "pause", "step", "stop", "pace", "watch", "slow motion", "setting"]
     values: tuple[float, ...] = ()
 
 
@@ -152,7 +152,7 @@ class Frame:
     rows: tuple[tuple[Unit, FloatArray], ...]  # (p, columns) periods of each episode since the last frame
     shape: ProbeShape | None  # None: no episode has begun
     done: int  # number of finished episodes
-    paused: bool  # whether the worker waits for "go"
+    paused: bool  # whether the worker waits for "continue"
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class Run:
 
     @property
     def paused(self) -> bool:
-        """Whether it is running and waits for "go"."""
+        """Whether it is running and waits for "continue"."""
         return self.state == "running" and self.frame is not None and self.frame.paused
 
     def trace(self, unit: Unit) -> dict[str, FloatArray]:
@@ -327,15 +327,15 @@ def flaw_signal(sensor: Sensor, shape: ProbeShape, before: float, depth: float) 
     if len(time) < MIN_SAMPLES or feed == 0.0:
         return None
     speeds = np.full(len(time), feed)
-    passage = Passage(time - time[0], feed * time, speeds, shape.signal_radial, shape.spectrum[None], len(time))
+    recording = Passage(time - time[0], feed * time, speeds, shape.signal_radial, shape.spectrum[None], len(time))
     flaw = Flaw(-feed * before, depth)
-    voltages = channels(sensor, passage, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
-    near = np.abs(passage.place - flaw.place) <= 0.5 * sensor.flaw_width
-    response = filtered(sensor, passage, along(sensor, voltages))
-    groove = snr_of_groove(sensor, np.array([feed]), passage.spectrum)
+    voltages = channels(sensor, recording, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
+    near = np.abs(recording.place - flaw.place) <= 0.5 * sensor.flaw_width
+    response = filtered(sensor, recording, along(sensor, voltages))
+    groove = snr_of_groove(sensor, np.array([feed]), recording.spectrum)
     snr = float(snr_at(sensor, groove, np.array([depth]))[0, 0])
     highest = float(response[near].max()) if near.any() else 0.0
-    return FlawSignal(time, smoothed(passage, voltages), near, snr, highest, threshold(sensor, shape.helix_length))
+    return FlawSignal(time, smoothed(recording, voltages), near, snr, highest, threshold(sensor, shape.helix_length))
 
 
 def start_worker() -> tuple[subprocess.Popen[bytes], Connection]:

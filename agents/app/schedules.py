@@ -47,7 +47,7 @@ def points_of(schedule: Schedule) -> Points:
     return {LENGTH: list(schedule.position), FEED: list(schedule.feed_speed), AIR: air}
 
 
-def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
+def sorted_points(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
     """Points in order, within the ranges of feed and air; ``MISSING`` values are interpolated."""
     columns = np.array([pd.to_numeric(pd.Series(points[name]), errors="coerce") for name in NAMES], dtype=float)
     columns[~np.isfinite(columns)] = MISSING

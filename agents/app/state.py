@@ -75,7 +75,7 @@ class Session:
             schedule_of(self.points, self.interpolation)
         elif not policies:
             raise ValueError("policies = none: at least one is needed")
-        tube = self.tube.stored(self.app.output / "tubes")
+        tube = self.tube.file_for_run(self.app.output / "tubes")
         name = MANUAL if options.get("manual") else self.name if with_schedule else policies[0]
         folder = new_folder(self.app.output, name)
         specs = [spec for spec in policies if not (with_schedule and spec == self.name)]

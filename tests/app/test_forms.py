@@ -86,11 +86,11 @@ def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     form = TubeForm()
     form.open(EXAMPLE)
     assert not form.changed
-    assert form.stored(tmp_path) == EXAMPLE
+    assert form.file_for_run(tmp_path) == EXAMPLE
     form.change(FIELDS["tube.helix_length"], "30")
-    stored = form.stored(tmp_path)
+    stored = form.file_for_run(tmp_path)
     assert Plant.from_toml(stored) == form.plant
-    assert form.stored(tmp_path) == stored  # the same tube, the same file
+    assert form.file_for_run(tmp_path) == stored  # the same tube, the same file
     form.save(tmp_path / "mine.toml")
     example = tomllib.loads(EXAMPLE.read_text())
     saved = tomllib.loads((tmp_path / "mine.toml").read_text())
@@ -130,13 +130,13 @@ def test_points_are_a_schedule_file_and_refused_as_one():
 
 def test_points_are_tidied_after_a_drag():
     config = TaskConfig()
-    tidy = schedules.tidied(
+    tidy = schedules.sorted_points(
         {LENGTH: [20.0, 5.0, 12.5], FEED: [0.1, 9.0, MISSING], AIR: [100.0, float("nan"), 90.0]}, config
     )
     assert tidy[LENGTH] == [5.0, 12.5, 20.0]
     assert tidy[FEED][1] == config.feed_speeds[1]  # the middle of 9 and 0.1 is out of range
     assert tidy[AIR] == [90.0, 90.0, 100.0]
-    tidy = schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)
+    tidy = schedules.sorted_points({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)
     assert np.diff(tidy[LENGTH]).min() > 0.0
 
 

@@ -71,7 +71,7 @@ class RunScreen(ui.Screen):
 
     def toggle(self) -> None:
         """Pause or continue."""
-        self.send(Command("go" if self.session.run is not None and self.session.run.paused else "pause"))
+        self.send(Command("continue" if self.session.run is not None and self.session.run.paused else "pause"))
 
     def refresh(self) -> None:
         """Label the button by what it does."""
@@ -102,7 +102,7 @@ class InsertionScreen(RunScreen):
         self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
         start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
         step = ui.button("step", lambda: self.send(Command("step")), 70)
-        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
+        look = ui.button("slow motion", lambda: self.send(Command("slow motion")), 120)
         self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
         self.table = ui.Text()
         self._listed: Any = None

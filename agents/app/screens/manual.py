@@ -91,7 +91,7 @@ class ManualScreen(RunScreen):
         self.send(self._setting())
 
     def _setting(self) -> Command:
-        return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))
+        return Command("setting", (float(self.feed.value), float(self.air.value) / HOUR))
 
 
 def _score(name: str, trace: dict[str, Any] | None) -> str:

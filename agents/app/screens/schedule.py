@@ -118,7 +118,7 @@ class ScheduleScreen(ui.Screen):
 
     def _moving(self) -> None:
         if not self._busy:
-            self._predict(schedules.tidied(self.moving.data, self.case.config))
+            self._predict(schedules.sorted_points(self.moving.data, self.case.config))
 
     def _moved(self) -> None:
         """Points have been moved, added or typed."""
@@ -130,7 +130,7 @@ class ScheduleScreen(ui.Screen):
                 order = sorted(range(len(points[LENGTH])), key=lambda k: points[LENGTH][k])
                 ordered = {name: [values[k] for k in order] for name, values in points.items()}
                 schedules.schedule_of(ordered, self.session.interpolation)
-            self.guarded(lambda: self._put(schedules.tidied(points, self.case.config)))()
+            self.guarded(lambda: self._put(schedules.sorted_points(points, self.case.config)))()
         except ValueError as error:
             self._put(self.session.points)
             self.problem.text = ui.alert(error)
