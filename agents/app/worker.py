@@ -1,6 +1,6 @@
-"""The worker process: ``probe-env evaluate`` that can be watched, slowed down, paused and stopped.
+"""Worker process: ``probe-env evaluate`` that can be watched, slowed down, paused and stopped.
 
-It ends when the pipe to the server closes; everything that was finished is then in its folder.
+It ends when the pipe to the server closes; finished insertions are then stored.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class StoppedError(Exception):
 
 
 def serve(descriptor: int) -> None:
-    """Run the requests that come through the pipe until it closes."""
+    """Run requests from the pipe until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(descriptor)
     with suppress(EOFError, OSError):
-        # simulated once, so that the first run begins without loading kernels
+        # load the kernels before the first run
         episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
         episodes.reset([0], {0: np.random.default_rng(0)})
         gc.freeze()  # a collection of all loaded modules takes 0.2 s
@@ -101,7 +101,7 @@ def shape_of(runner: RolloutRunner, k: int) -> ProbeShape:
 
 
 class _RequestRunner:
-    """Plays one request and obeys the commands sent meanwhile."""
+    """Runs one request and executes commands during the run."""
 
     def __init__(self, pipe: Connection, request: RunRequest) -> None:
         self.pipe, self.request = pipe, request
@@ -111,7 +111,7 @@ class _RequestRunner:
         self.manual: ManualPolicy | None = None
 
     def run(self) -> None:
-        """Play the missing episodes and report how the run ended."""
+        """Simulate the missing episodes and report the end of the run."""
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
@@ -136,7 +136,7 @@ class _RequestRunner:
             self.pipe.send(RunEnded("failed", refusal(error)))
 
     def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
-        """The lines of the episodes; obeys commands and sends frames in between."""
+        """Yield the journal lines of the episodes; executes commands and sends frames in between."""
         self.manual = next((p for p in plan.policies.values() if isinstance(p, ManualPolicy)), None)
         runner = RolloutRunner(plan, missing, BATCH, None)
         self.due = time.monotonic()
@@ -153,7 +153,7 @@ class _RequestRunner:
                 self._show(runner)
 
     def _receive(self, runner: RolloutRunner) -> None:
-        """Obey commands; wait while paused, or as long as the pace asks for."""
+        """Execute commands; wait while paused or to limit the pace."""
         while True:
             self.due = max(self.due, time.monotonic() - 1.0)  # does not catch up after a wait
             left = None if self.paused else max(self.due - time.monotonic(), 0.0) if self.pace else 0.0
@@ -166,7 +166,7 @@ class _RequestRunner:
             self.due += 1.0 / self.pace
 
     def _execute(self, command: Command, runner: RolloutRunner) -> bool:
-        """Obey a command; returns whether to simulate a period at once."""
+        """Execute a command; returns whether to simulate a period immediately."""
         match command.name:
             case "continue":
                 self.paused, self.due = False, time.monotonic()
@@ -202,7 +202,7 @@ class _RequestRunner:
         self.rows, self.shown_at = {}, time.monotonic()
 
     def _slow_motion(self, runner: RolloutRunner) -> None:
-        """Send slow motion of the watched probe, simulated on a copy: the run itself does not change."""
+        """Send slow motion of the watched probe, simulated on a copy, so that the run does not change."""
         if not runner.decided:
             runner.decide()
         k, episodes = self.watched, runner.episodes
@@ -213,6 +213,6 @@ class _RequestRunner:
         radial = window.radial[:, k] if window and window.radial is not None else np.zeros(0)
         watch = Watch(simulator, length, axial, radial)
         feed, air = episodes.config.targets(runner.actions, allow_standstill=True)[k] * episodes.direction[k]
-        with suppress(SimulationError):  # what was seen until it diverged is shown
+        with suppress(SimulationError):  # the motion before divergence is sent
             watch.follow(simulator, float(feed), float(air), duration)
         self.pipe.send(watch.motion())

@@ -26,7 +26,7 @@ AXES: Final = {
 MIN_RMS: Final = 1e-4
 """Lower end of the logarithmic axis [mm]."""
 TIP_LENGTH: Final = 10.0
-"""Part of the probe that is shown, behind the tip [m]."""
+"""Length behind the tip in the drawing [m]."""
 SLOWED: Final = 8.0
 FLOAT_COLUMNS: Final = ("position", "low", "high", "colour")
 PLAY_JS: Final = """
@@ -213,7 +213,7 @@ class FlawChart:
         return plot
 
     def _dragged(self) -> None:
-        if len(self.flaw.data["time"]):  # the tool removes the diamond on backspace: it is drawn again
+        if len(self.flaw.data["time"]):  # the tool removes the diamond on backspace; _draw restores it
             self.before.value = float(np.clip(-self.flaw.data["time"][0], 0.0, 1.0))
         self._draw()
 

@@ -1,4 +1,4 @@
-"""Screen of the manual drive: feed and air by hand, next to a policy in the same tube."""
+"""Screen of the manual drive: feed and air by sliders, next to a policy in the same tube."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from agents.policies.catalogue import NAMES
 from agents.records.shipped import shipped_agents
 
 INTRO: Final = (
-    "<h2>Manual drive</h2><p class='quiet'>Feed fast where there is no vibration and slowly where there is, with no"
-    " more air than necessary; the policy drives in the same tube. Arrow keys move the sliders, the space bar"
-    " pauses.</p>"
+    "<h2>Manual drive</h2><p class='quiet'>Feed fast without vibration and slowly with vibration, with no more air than"
+    " necessary. The policy drives in the same tube. Arrow keys move the sliders, the space bar pauses.</p>"
 )
 STATES: Final = {
     "finished": "<p class='big'><b>Finished</b> and stored: see <b>Compare</b>.</p>",
     "stopped": "<p>Stopped.</p>",
-    "waiting": "<p>Waiting for the run before it.</p>",
+    "waiting": "<p>Waiting for the previous run.</p>",
 }
 
 

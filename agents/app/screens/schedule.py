@@ -28,9 +28,9 @@ if (!window.points_timer) copy();
 """
 """Sends points while they are dragged, at most every 20 ms; Bokeh sends them only when they are dropped."""
 INTRO: Final = (
-    "<h2>Schedule</h2><p class='quiet'>A cable with floats is blown into a helical tube. Beyond some length it"
-    " vibrates. Choose the feed speed and the air supply: drag the points, tap to add one, or type into the table. The"
-    " lowest chart is the prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
+    "<h2>Schedule</h2><p class='quiet'>Choose feed speed and air so that the probe does not vibrate: drag the points,"
+    " tap to add one, or type into the table. The lowest chart is the prediction of the vibration map. Run the schedule"
+    " under <b>Insertion</b>.</p>"
 )
 
 
@@ -121,7 +121,7 @@ class ScheduleScreen(ui.Screen):
             self._predict(schedules.sorted_points(self.moving.data, self.case.config))
 
     def _moved(self) -> None:
-        """Points have been moved, added or typed."""
+        """Validate points that were moved, added or typed."""
         if self._busy:
             return
         points = {name: list(self.points.data[name]) for name in NAMES}
