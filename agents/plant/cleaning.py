@@ -59,7 +59,7 @@ class Repairs:
     gaps: int = 0  # in time, interpolated
     longest_gap: float = 0.0  # [s]
     missing: int = 0  # values, interpolated
-    backward: int = 0  # rows at which the encoder is behind an earlier row
+    backward: int = 0  # rows with a smaller encoder length than an earlier row
     most_backward: float = 0.0  # [m]
 
 

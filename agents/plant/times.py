@@ -76,8 +76,8 @@ def seconds(cells: Any) -> FloatArray:
     if matches(cells, _CLOCK).any():
         check(cells, missing | matches(cells, _OF_A_DAY), _LIKE)
         clocks = np.where(missing, np.nan, pd.to_timedelta(texts.mask(missing)).dt.total_seconds())
-        known = clocks[~missing]
-        clocks[~missing] += DAY * np.cumsum(np.diff(known, prepend=known[0]) < -0.5 * DAY)  # midnights
+        present = clocks[~missing]
+        clocks[~missing] += DAY * np.cumsum(np.diff(present, prepend=present[0]) < -0.5 * DAY)  # midnights
         return clocks
     iso = pc.replace_substring_regex(cells, _GERMAN, r"\3-\2-\1T")
     check(cells, missing | matches(iso, _ISO), _LIKE)

@@ -211,8 +211,8 @@ class InsertionPlanner(ModelPredictivePolicy):
             pairs = zip(copies.context, inserted, strict=True)
             rest = np.array([remaining_reward(tube, at, self.config, self.vibration) for tube, at in pairs])
         # a slack cable will lose the drive, which the map does not include
-        lost = -uninspected_weight(self.config) * (copies.helix_length - inserted)
-        return np.where(copies.running, np.where(is_slack(copies), lost, rest), 0.0)
+        lost_drive = -uninspected_weight(self.config) * (copies.helix_length - inserted)
+        return np.where(copies.running, np.where(is_slack(copies), lost_drive, rest), 0.0)
 
 
 @dataclass
@@ -361,6 +361,6 @@ def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> Flo
     refund = spent["vibration"] if config.inspects == "best" else 0.0
     left = np.where(inserting, length - passes.start, to_pass)
     metres = uninspected if config.inspects == "best" else left
-    worth = config.progress_weight * metres + refund - spent["time"] - spent["air"]
-    lost = -uninspected_weight(config) * (uninspected + left)
-    return np.where(episodes.running, np.where(is_slack(episodes), lost, worth), 0.0)
+    reward = config.progress_weight * metres + refund - spent["time"] - spent["air"]
+    lost_drive = -uninspected_weight(config) * (uninspected + left)
+    return np.where(episodes.running, np.where(is_slack(episodes), lost_drive, reward), 0.0)

@@ -123,7 +123,7 @@ class Training(Model):
                 text = f"learning.{name} = {value!r} is outside the accepted range {low:.16g} to {high:.16g}{note}"
                 raise PydanticCustomError("limits", "{text}", {"text": text})
         if self.imitation is not None and self.algorithm != "ppo":
-            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
+            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (not {self.algorithm!r})")
         if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
             raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be one or more different numbers")
         if self.phases == 0 and self.imitation is None:
@@ -179,8 +179,8 @@ class Training(Model):
     @property
     def vibration(self) -> VibrationMap | None:
         """Vibration map of the plant, for the teacher and for fidelity "surrogate"; None: the shipped one."""
-        beside = self.environment.map_beside
-        return None if beside is None else map_of(Path(beside), self.environment.tube)
+        file = self.environment.map_beside
+        return None if file is None else map_of(Path(file), self.environment.tube)
 
     @property
     def teacher(self) -> Policy | None:

@@ -189,7 +189,7 @@ def test_invalid_input_is_refused_at_its_field(page, tmp_path):
         fill(page, "open a schedule", text)
         page.get_by_role("alert").filter(has_text=message).wait_for()
     screen(page, 1)
-    page.get_by_text("Your own tube").wait_for()
+    page.get_by_text("Your tube").wait_for()
     for label, text, message in INVALID:
         before = page.get_by_label(label, exact=True).locator("visible=true").input_value()
         fill(page, label, text)

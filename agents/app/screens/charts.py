@@ -34,7 +34,7 @@ clearInterval(window.slow_motion);
 let k = 0;
 window.slow_motion = setInterval(() => {
     if (k >= film.data.low.length) { clearInterval(window.slow_motion); return; }
-    shown.data = Object.fromEntries(Object.entries(film.data).map(([name, frames]) => [name, frames[k]]));
+    floats.data = Object.fromEntries(Object.entries(film.data).map(([name, frames]) => [name, frames[k]]));
     k += 1;
 }, period);
 """
@@ -153,7 +153,7 @@ class SlowMotion:
         self.tube, self.film = TubeChart("from the tip [m]", 210), empty_source(FLOAT_COLUMNS)
         self.caption = ui.Text()
         replay = models.Button(label="play again", width=120)
-        arguments = {"film": self.film, "shown": self.tube.floats, "period": FRAME_PERIOD * SLOWED * 1e3}
+        arguments = {"film": self.film, "floats": self.tube.floats, "period": FRAME_PERIOD * SLOWED * 1e3}
         play = models.CustomJS(args=arguments, code=PLAY_JS)
         self.film.js_on_change("data", play)
         replay.js_on_event("button_click", play)

@@ -134,7 +134,7 @@ class TubeScreen(ui.Screen):
         else:
             source = f"from <code>{escape(str(tube.path))}</code>" if tube.path else "not saved yet"
             changes = ", with unsaved changes" if tube.changed and tube.path else ""
-            text = f"Your own tube, {source}{changes}. Uncertain values are sampled for every tube."
+            text = f"Your tube, {source}{changes}. Uncertain values are sampled for every tube."
         length, diameter = tube.plant.scene.tube.helix_length, tube.plant.scene.tube.helix_diameter
         self.summary.text = f"<p>{text} {length:g} m, {length / (np.pi * diameter):.1f} turns of {diameter:g} m.</p>"
         self._draw_section(tube.plant)
