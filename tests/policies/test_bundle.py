@@ -78,7 +78,7 @@ def test_an_agent_remembers_by_its_state_forgets_in_a_new_episode_and_picks_what
 def test_another_task_is_refused(tmp_path):
     saved(tmp_path / "agent.safetensors")
     for config, message in (
-        ({"observe_root_tension": False}, "observations = root_tension are not shown"),
+        ({"observe_root_tension": False}, "observations = root_tension are not observed"),
         ({"period": 2.0}, "period = 2.0 differs from 1.0"),
         ({"growing": False, "period": 0.1}, "growing = False"),
     ):

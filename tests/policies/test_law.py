@@ -53,7 +53,7 @@ def test_what_is_no_law_is_refused_in_one_line(tmp_path: Path) -> None:
     failures = []
     for change, problem in (
         ({"friction": [0.2, 0.1]}, "friction must ascend"),
-        ({"friction": [0.1, 0.15, 0.2]}, "tables.0.feed_speed: must be 3 rows of 2"),
+        ({"friction": [0.1, 0.15, 0.2]}, "tables.0.feed_speed: must have 3 rows"),
         ({"inserted_length": [5.0]}, "inserted_length"),
         ({"tables": []}, "tables"),
         ({"extra": 1}, "extra"),

@@ -156,7 +156,7 @@ def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeyp
         with pytest.raises(ValueError, match=rf"^policy = '{given}'.*{re.escape(message)}"):
             make_policy(given, CONFIG, classes=True)
     sys.modules.pop("own_policies_here")
-    with pytest.raises(ValueError, match="a file may not ask for that"):
+    with pytest.raises(ValueError, match="specs from a file must not do"):
         make_policy(spec, CONFIG)
     with pytest.raises(ValueError, match=r"imitation\.teacher: policy = 'own_.*:Mine': a class imports code"):
         Training.model_validate({"imitation": {"teacher": spec}})

@@ -146,7 +146,7 @@ def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match="the shield needs the root tension"):
         make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
     for passes in ("in", "both"):
-        with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
+        with pytest.raises(ValueError, match="'shielded:planner': the shield needs a policy that acts on observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).full_observation)
     with pytest.raises(ValueError, match="'reference': superelement does not simulate the way back; give one of stan"):
         resolve_fidelity("reference", both_ways=True)
