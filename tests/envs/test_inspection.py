@@ -30,7 +30,7 @@ def at(end):
     zero = np.zeros(1)
     return StepRecord(
         stepped=ONE, good=ONE, before=ONE, after=np.array([end]), helix_length=np.array([9.0]), air=zero, seconds=zero,
-        action_change=zero, buckling_load=zero, window=None, readings={},
+        action_change=zero, buckling_load=zero, window=None, signals={},
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ def measured(friction, config=CONFIG):
     sliding = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "helix_diameter": 1.2}
     sliding = {name: value * one for name, value in sliding.items()}
     names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "friction", "drag_factor",
-             "contact_stiffness", "remaining_length", "feed_action", "air_action")  # fmt: skip
+             "contact_stiffness", "remaining_length", "previous_feed_action", "previous_air_action")  # fmt: skip
     probe = {name: getattr(scene.probe, name) * one for name in config.observations if hasattr(scene.probe, name)}
     tension = sliding_tension(np.asarray(friction), sliding, scene)
     values = dict.fromkeys(names, one) | sliding | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one}
