@@ -113,12 +113,10 @@ class View(Model):
         averages = np.where(new[:, None], repeated, before + gains * (repeated - before)).astype(np.float32)
         if self.guide is None:
             return np.concatenate([visible, averages], axis=1), averages
-        guide_memory = None if memory is None else (memory[:, width:],)
-        guide, (guide_memory,) = _guide(config, self.guide).predict(np.asarray(rows), guide_memory, new)
-        correctable = self.agent_actions(config, guide)
-        return np.concatenate([visible, averages, correctable], axis=1), np.concatenate(
-            [averages, guide_memory], axis=1
-        )
+        guide_state = None if memory is None else (memory[:, width:],)
+        guide, (of_guide,) = _guide(config, self.guide).predict(np.asarray(rows), guide_state, new)
+        guided = self.agent_actions(config, guide)
+        return np.concatenate([visible, averages, guided], axis=1), np.concatenate([averages, of_guide], axis=1)
 
     def guided(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32] | None:
         """(N, 2) actions of the guide in the agent's encoding, from features (N, size); None without a guide."""

@@ -84,7 +84,7 @@ def test_another_task_is_refused(tmp_path):
     ):
         with pytest.raises(ValueError, match=f"agent.safetensors: {message}"):
             load_bundle(tmp_path / "agent.safetensors", TaskConfig(**config))
-    with pytest.raises(ValueError, match="observations = moon are not shown"):
+    with pytest.raises(ValueError, match="observations = moon are not observed"):
         View(observations=("moon",)).columns(TASK)
     with pytest.raises(FileNotFoundError):
         load_bundle(tmp_path / "nowhere.safetensors")

@@ -110,7 +110,7 @@ def test_the_file_says_both_ways(tmp_path: Path) -> None:
     for length in (5.0, 33.0, 60.0):
         for schedule, numbers in ((forth, (0.3, 70.0)), (back, (0.15, 90.0))):
             assert [float(v) for v in schedule.at(length)] == pytest.approx([numbers[0], numbers[1] / 3600.0])
-        assert np.allclose(played.back.at(length), back.at(length), rtol=1e-12)
+        assert np.allclose(played.withdrawal.at(length), back.at(length), rtol=1e-12)
 
 
 def test_what_is_tried_is_what_the_device_can_do() -> None:

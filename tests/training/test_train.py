@@ -140,8 +140,8 @@ def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
     before = (run / "seed-0" / CHECKPOINT).read_bytes()
     other = PPO | {"learning": {"n_steps": 16, "batch_size": 16}}
     for settings, resume, message in (
-        (ONE, False, "give --resume"),
-        (ONE | {"seeds": (7, 0)}, False, "give --resume"),
+        (ONE, False, "continue it with --resume"),
+        (ONE | {"seeds": (7, 0)}, False, "continue it with --resume"),
         (other, True, r"other settings \(learning\)"),
     ):
         with pytest.raises(ValueError, match=message):

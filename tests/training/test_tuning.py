@@ -263,7 +263,7 @@ BROKEN = {
     "learning.gamma = { low = 0.9 }": "learning.gamma: high: Field required",
     "learning.gamma = { low = 0.9, high = 1.0, step = 2 }": "learning.gamma: step: there is no such field",
     "learning.ent_coef = { low = 0.0, high = 0.1, log = true }": "learning.ent_coef: low = 0.0 is not above 0, as log",
-    "learning.gamma = [0.9]": "learning.gamma: (0.9,) is neither two or more choices",
+    "learning.gamma = [0.9]": "learning.gamma: (0.9,) is neither two or more different choices",
     "learning.gamma = [0.9, 0.9]": "learning.gamma: (0.9, 0.9) is neither",
     "learning.n_epochs = { low = 0.5, high = 2.5 }": f"learning.n_epochs: learning.n_epochs = 0.5 {RANGE} 1 to 1000",
     "learning.momentum = [0.1, 0.2]": "learning.momentum: learning.momentum is not one of ppo's: learning_rate",
