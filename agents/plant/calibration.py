@@ -174,8 +174,7 @@ def read_cases(
             raise ValueError(f"--tubes: {name!r} has helix diameters of {listed} m: a tube has one")
     files = [file_or_shipped("logs", path) for path in paths]
     labels = [name_of(file) for file in files]
-    if len(set(labels)) < len(labels):
-        labels = [str(path) for path in paths]
+    labels = labels if len(set(labels)) == len(labels) else [str(path) for path in paths]
     cases = []
     for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})

@@ -189,7 +189,7 @@ def _bridged(
     return np.asarray(np.interp(time, time[valid], column[valid]))
 
 
-def find_standstills(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
+def standstills_of(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
     """The non-decreasing length (n,) with constant standstills, and the first and last rows of the standstills.
 
     In a standstill the probe moves slower than ``STANDSTILL`` for ``DWELL``, and for at least half of that time its

@@ -207,8 +207,7 @@ class Gain(NamedTuple):
 def fit_gain(likelihood: Likelihood, number: int, prior: Prior) -> Gain | None:
     """Fit the gain of one log's tension gauge, with its unknowns free within the prior; None without a tension.
 
-    The level of the tension depends on friction and drag together. The initial curvature of the tension and the
-    accelerations determine the friction for any gain, so the remaining difference in level is the gain.
+    The initial curvature of the tension and the accelerations give the friction for any gain; the level, the gain.
     """
     if TENSION not in likelihood.blocks[number]:
         return None

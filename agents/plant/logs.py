@@ -10,17 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agents.plant.cleaning import (
-    DIGITS,
-    DWELL,
-    Bounds,
-    Repairs,
-    clean,
-    find_standstills,
-    group_means,
-    outside,
-    thin_rows,
-)
+from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, clean, group_means, outside, standstills_of, thin_rows
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
 from agents.plant.reader import IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
@@ -132,7 +122,7 @@ def read_log(
     if table.steps:  # already a clean file
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
-        length, ends = find_standstills(whole.time, whole.length, whole.band, share)
+        length, ends = standstills_of(whole.time, whole.length, whole.band, share)
         band = np.minimum(whole.band[0], length), np.maximum(whole.band[1], length)
         rows = thin_rows(whole.time, length, band, ends, share, bounds.every)
     if len(rows) > MOST_POINTS:

@@ -37,9 +37,8 @@ DESCRIPTIONS: Final = {
     "aim": ("m", "target of v beyond L0"),
     "time": ("s", "d(ln u)/dt = ln(aim / v) / time"),
 }
-"""Constant of the law, then of the trim -> unit and formula.
-
-mu: friction, D: helix diameter, L: inserted length, L0: onset, u: feed beyond L0, v: noise."""
+"""Constant of the law, then of the trim -> unit and formula in ``SYMBOLS``."""
+SYMBOLS: Final = "mu friction, D helix diameter, L inserted length, L0 onset, u feed beyond L0, v noise"
 PLANT_DATA: Final = {
     "AIR_SPEED": "m/s of wind per m3/s of supply",
     "DRAG": "N s2/m3, floats per metre",
@@ -97,8 +96,7 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
     """Print the constants of the law and of a trim."""
     values = constants.model_dump() | (trim.model_dump() if trim else {})
     rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in values.items()]
-    symbols = "mu friction, D helix diameter, L inserted length, L0 onset, u feed beyond L0, v noise"
-    print_table(f"The law's constants ({symbols})", ("constant", "value", "unit", ""), rows, left=4)
+    print_table(f"The law's constants ({SYMBOLS})", ("constant", "value", "unit", ""), rows, left=4)
 
 
 def write_law(

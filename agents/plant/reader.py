@@ -1,7 +1,6 @@
 """Reads log files: text with any separator and encoding, or an Excel sheet, as columns in SI units.
 
-``_decoded`` or ``_sheet_lines`` turn a file into lines, ``_table_of`` finds the header and splits the lines, and
-``read_channels`` converts the columns to quantities.
+``_decoded`` or ``_sheet_lines`` give lines, ``_table_of`` splits them, ``read_channels`` converts the columns.
 """
 
 from __future__ import annotations

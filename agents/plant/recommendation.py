@@ -267,8 +267,7 @@ def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
 def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
     """Least air for insertion and most for withdrawal [m3/h]: whole numbers, or steps of the device.
 
-    Too little air does not pull the probe in; too much buckles the cable in the withdrawal. The closed forms of steady
-    sliding include neither vibration nor changes of feed and air, hence ``MARGIN``.
+    Too little air loses the drive; too much buckles the cable in the withdrawal. ``MARGIN`` is for vibration.
 
     Args:
         config: task: range of the air, required tension, probe and bore.

@@ -1,8 +1,7 @@
 """Expected measurements per metre of insertion: a small network of feed, air, tube and unknown parameters.
 
-It is trained on simulated insertions and predicts the root tension relative to the closed form of steady sliding, and
-the other channels directly, with their scatter and its correlation over metres and channels. The motion is chaotic, so
-logs are compared with this scatter.
+Trained on simulated insertions. It predicts the root tension relative to steady sliding, the other channels directly,
+with their scatter (the motion is chaotic) and its correlation over metres and channels.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """A trained agent as one safetensors file: weights, and metadata that describe its network, view and task.
 
-Loading builds the network from the validated description and fills in the weights; no code in the file is run. A zip
-file of Stable-Baselines3 holds a pickle, which can run any code, so commands accept bundles only.
+Loading runs no code of the file. A zip file of Stable-Baselines3 holds a pickle, which can run any code.
 """
 
 from __future__ import annotations

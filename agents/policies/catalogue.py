@@ -115,9 +115,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return _round_trip(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
         if spec.removeprefix(PREFIX) in PLANNERS:
-            raise ValueError(
-                f"policy = {spec!r}: the shield needs a policy that acts on observations; a planner simulates"
-            )
+            raise ValueError(f"policy = {spec!r}: the shield needs a policy that acts on observations, not a planner")
         return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
     spec = policy_file(OLD_NAMES.get(spec, spec))
     suffix = Path(spec).suffix
@@ -191,9 +189,8 @@ def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, c
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, withdrawal", back, config)
-    return RoundTripPolicy(
-        config, make_policy(spec, insertion_task(config), vibration, classes), back or fastest_withdrawal(config)
-    )
+    insertion = make_policy(spec, insertion_task(config), vibration, classes)
+    return RoundTripPolicy(config, insertion, back or fastest_withdrawal(config))
 
 
 def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:

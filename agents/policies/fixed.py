@@ -125,9 +125,8 @@ class Scheduled(FixedPolicy):
 class Replayed(FixedPolicy):
     """A schedule over time, such as a log: the inserted length follows that of the schedule.
 
-    Feeds below half of the slowest feed are standstills, so slower feeds become stops and starts. Deviations by ramps
-    and by the feed range are corrected in the next period. The schedule begins at its start length, or at the length at
-    the start of the episode. After its end the last feed continues.
+    Feeds below half of the slowest feed are standstills. Deviations are corrected in the next period. The schedule
+    begins at its start length, or at the length at the start of the episode. After its end the last feed continues.
     """
 
     schedule: Schedule

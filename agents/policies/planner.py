@@ -1,9 +1,8 @@
 """Model-predictive control on copies of the simulator: an upper bound for feedback, no controller for a rig.
 
-Every few control periods, candidates of feed and air are simulated on copies of the running episodes. The candidate
-with the largest sum of simulated reward and expected remaining reward is applied. Noise on the state and an estimated
-tube remove information that a rig does not have. ``InsertionPlanner`` takes the remaining reward from the vibration
-map; ``InspectionPlanner`` is for both passes.
+Every few control periods, candidates of feed and air are simulated on copies of the running episodes; the one with the
+largest sum of simulated and expected remaining reward is applied. Noise on the state and an estimated tube remove
+information that a rig does not have.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 The best schedules of the vibration map have this form. Onset and slow feed depend on the friction, estimated from the
 root tension, and on the helix diameter; measured noise changes the effective length.
 
-``PlcIntegral`` adds integral action: beyond the onset, the feed is trimmed until the noise equals a target. The feed at
-which a probe starts to vibrate differs between tubes, but its ratio to the law's feed varies little along a tube. The
-feed decreases faster than it increases, since vibration costs more than time.
+``PlcIntegral`` adds integral action: beyond the onset, the feed is trimmed until the noise equals a target. The feed
+decreases faster than it increases, since vibration costs more than time.
 """
 
 from __future__ import annotations

@@ -31,11 +31,9 @@ def guide_of(guide: Any) -> Any:
 class View(Model):
     """Some of the task's observations with running averages, and a logarithmic feed action.
 
-    ``friction_estimate`` adds the friction estimated from the root tension (steady sliding). Running averages let the
-    agent estimate friction from noisy observations. Feed speed spans a factor of 20, so equal steps of an action are
-    equal ratios of speed. The air action spans the task's range, but not below ``least_air_supply_rate`` [m3/s]: too
-    little air loses the drive, which is too rare in training to be learnt. Without ``logarithmic_feed`` the feed action
-    is that of the task.
+    ``friction_estimate`` adds the friction estimated from the root tension. Equal steps of the feed action are equal
+    ratios of speed; without ``logarithmic_feed`` it is the task's action. The air action spans the task's range above
+    ``least_air_supply_rate`` [m3/s]: less air loses the drive, which is too rare in training to be learnt.
 
     With a ``guide``, the ten constants of a law, the features include the law's action, and the agent's action is added
     to it. Action 0 then equals the law.

@@ -53,10 +53,9 @@ class _Wrapper(ABC):
 class Shielded(_Wrapper):
     """A policy whose feed and air maintain a margin of drive; within the margin its actions are unchanged.
 
-    The friction is estimated from the root tension (closed form of steady sliding); it gives the tension at the
-    requested feed and air, which is proportional to the square of the wind relative to the probe,
-    w = Q / (a - A_c) - u. The range of Q changes w by about 70 m/s, that of u by 0.4 m/s, so the shield increases the
-    air and reduces the feed only if that is not enough.
+    The friction estimated from the root tension gives the tension at the requested feed and air, proportional to the
+    square of the wind w = Q / (a - A_c) - u. The range of Q changes w by about 70 m/s, that of u by 0.4 m/s, so the
+    shield increases the air and reduces the feed only if that is not enough.
 
     Attributes:
         config: task that it acts in.

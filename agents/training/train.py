@@ -329,8 +329,7 @@ def _validate(
 def imitate(model: PPO, env: ViewVecEnv, teacher: Policy, settings: Imitation, report: Callable[[int], Any]) -> None:
     """Warm start of PPO: the network imitates a teacher (DAgger: Ross, Gordon, Bagnell 2011).
 
-    The teacher acts in the first round, the network in the others, so it learns the teacher's actions in the states
-    that it visits; the critic learns the return. Actor and critic are trained in place.
+    The teacher acts in the first round, the network in the others; the critic learns the return.
 
     Args:
         model: PPO on ``env``.

@@ -1,8 +1,7 @@
 """Searches the hyperparameters of an agent: Optuna's TPE over the space of a training file, with a median pruner.
 
-A trial is a training with fewer phases; its value is the best validation reward. Trials are appended to a journal,
-trainings have checkpoints, and the sampler is seeded by the number of finished trials: an interrupted search continues,
-also in the middle of a training, to the same result.
+A trial is a training with fewer phases; its value is the best validation reward. Trials are stored in a journal, and
+the sampler is seeded by the number of finished trials, so an interrupted search continues to the same result.
 """
 
 from __future__ import annotations

@@ -176,10 +176,8 @@ def test_text_has_no_exponents_and_a_table_says_what_the_law_does():
 
 
 def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):
-    assert (
-        make_policy("plc-proportional", CONFIG).describe()
-        == {"policy": "PlcProportional"} | read_constants().model_dump()
-    )
+    described = {"policy": "PlcProportional"} | read_constants().model_dump()
+    assert make_policy("plc-proportional", CONFIG).describe() == described
     assert make_policy("plc-integral", CONFIG).describe()["aim"] == read_trim().aim
     for old, new in OLD_NAMES.items():
         assert make_policy(old, CONFIG).describe() == make_policy(new, CONFIG).describe()
