@@ -60,11 +60,11 @@ def shown(inspects, way_in, way_back):
 
 def test_a_metre_counts_for_what_the_task_says():
     for inspects, expected in (
-        ("in", [4.0, 0.5 + 2.0 + 4.0 + 9.0, 1.0, 15.5]),
+        ("in", [4.0, 0.5 + 0.9 + 4.0 + 9.0, 2.0, 14.4]),
         ("back", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
-        ("best", [4.0, 0.2 + 2.0 + 0.6 + 9.0, 2.0, 11.8]),
+        ("best", [4.0, 0.2 + 0.9 + 0.6 + 9.0, 3.0, 10.7]),
     ):
-        assert shown(inspects, (0.5, 2.0, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
+        assert shown(inspects, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
 
 
 def test_a_metre_may_be_cut_anywhere():
