@@ -123,7 +123,8 @@ def read_episodes(path: Path) -> pd.DataFrame:
         FileNotFoundError: no such file.
         FileError: it is damaged.
     """
-    return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+    table = (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+    return table.rename(columns={"agent": "training_seed"})  # its name before version 0.1.0
 
 
 def gathered(

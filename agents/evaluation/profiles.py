@@ -38,8 +38,8 @@ def traces(
         limit_mm: of the radial rms [mm]; None: the limit is one of another measure.
     """
     order = list(dict.fromkeys(table["policy"]))  # the colours of the other pictures
-    seeds = profile.drop_duplicates(["policy", "context", "seed", "agent"])[["policy", "context", "seed", "agent"]]
-    first = seeds.sort_values(["agent", "seed"], kind="stable").drop_duplicates(["policy", "context"])
+    seeds = profile.drop_duplicates(["policy", "context", "seed", "training_seed"])[["policy", "context", "seed", "training_seed"]]
+    first = seeds.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
     metres = profile.merge(first).dropna(subset=["inserted_length"])
     width = 1 + len(metres) // MOST_METRES
     binned = metres.assign(
@@ -154,7 +154,7 @@ def _schedule(given: Description) -> Schedule:
 def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, Schedule]:
     part = table[table["policy"] == policy].sort_values("reward", kind="stable")
     episode = part.iloc[(len(part) - 1) // 2]
-    case, names = ["policy", "context", "seed", "agent"], ["inserted_length", "feed_speed", "air_supply_rate"]
+    case, names = ["policy", "context", "seed", "training_seed"], ["inserted_length", "feed_speed", "air_supply_rate"]
     metres = profile[(profile[case] == episode[case]).all(axis=1)].dropna(subset=names).iloc[:MOST_POINTS]
     if metres.empty:
         return {}

@@ -114,11 +114,10 @@ def mean_interval(values: np.ndarray) -> Interval:
 
 
 def grouped(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with the training seeds of a method under one name: NAME@K becomes NAME, column ``agent`` has K."""
+    """The table with the training seeds of a method under one name: NAME@K becomes NAME and ``training_seed`` K."""
     parts = {name: method_and_seed(name) for name in table["policy"].unique()}
-    return table.assign(
-        agent=table["policy"].map(lambda name: parts[name][1]), policy=table["policy"].map(lambda name: parts[name][0])
-    )
+    names, seeds = (table["policy"].map({name: part[k] for name, part in parts.items()}) for k in (0, 1))
+    return table.assign(training_seed=seeds, policy=names)
 
 
 def method_and_seed(policy: str) -> tuple[str, int]:

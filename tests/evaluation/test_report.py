@@ -230,7 +230,7 @@ def test_schedules_of_both_ways_have_their_way_back(tmp_path):
     }
     described = {name: policy.describe() for name, policy in played.items()}
     described |= {"agent": {"policy": "Agent"}, "shielded-mine": {"policy": "Shielded", "of": {"policy": "Privileged"}}}
-    episode = {"context": 0, "seed": 0, "agent": 0}
+    episode = {"context": 0, "seed": 0, "training_seed": 0}
     rows = [dict.fromkeys(CORE, 1.0) | episode | {"policy": name, "reward": -k} for k, name in enumerate(described)]
     fed = episode | {"feed_speed": 0.2, "air_supply_rate": 0.02}
     profile = [fed | {"policy": name, "inserted_length": metre} for name in described for metre in (10.0, 11.0)]

@@ -131,7 +131,7 @@ def test_summary_endings_and_training_seeds():
     )
     assert endings(table).loc["A"].tolist() == [39, 1, 0, 40]
     table = grouped(pd.DataFrame({"policy": ["ppo@2", "a@b", "ppo"]}))
-    assert table.to_dict("list") == {"policy": ["ppo", "a@b", "ppo"], "agent": [2, 0, 0]}
+    assert table.to_dict("list") == {"policy": ["ppo", "a@b", "ppo"], "training_seed": [2, 0, 0]}
 
 
 def test_a_strained_cable_is_named():

@@ -61,7 +61,8 @@ def test_kpis_newer_than_a_table_are_neither_demanded_nor_shown(tmp_path, monkey
     """One that a table has is shown and checked; those of ``CORE`` are demanded."""
     path, table = tmp_path / "episodes.csv", pd.read_csv(ROOT / "results" / "evaluation" / "episodes.csv")
     table = table[table["policy"] == table["policy"][0]].iloc[:4]
-    table.to_csv(path, index=False)
+    table.assign(agent=2).to_csv(path, index=False)
+    assert read_episodes(path)["training_seed"].eq(2).all()  # stored before the column was renamed
     monkeypatch.setitem(KPIS, "jolts_per_m", ("jolts", 1.0, "1/m"))
     monkeypatch.setitem(EPISODES_NEWER, "jolts_per_m", "number")
     assert set(shown_of(read_episodes(path))) == set(KPIS) & set(table.columns) | {"a90_95_percent_wall"}
