@@ -89,19 +89,19 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         plant, update = plant_at(tube), _under("plant", study.set | changes)
         if update:
             plant = (plant or Plant()).model_copy(update=update)
-        place = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
-        unvaried = _changed(place.config.full_observation, study.set)
+        case = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
+        unvaried = _changed(case.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
         if update := _under("fidelity", study.set | changes):
             accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
         known = config if study.policies_know == "varied task" else unvaried
-        policies, members = _policies(study, known, place, plant)
+        policies, members = _policies(study, known, case, plant)
     except (ValueError, TypeError) as error:
         problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
         raise ValueError(f"{where}: {problem}" if where else problem) from error
-    plan = Plan(policies, place.contexts, study.seeds, config, accuracy)
+    plan = Plan(policies, case.contexts, study.seeds, config, accuracy)
     values = {"fidelity": fidelity} | {name: _value(name, changes, config, plan.fidelity) for name in study.varied}
     return Setting(values, plan, members, _folder(values))
 
@@ -140,7 +140,7 @@ def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) 
 
 
 def _policies(
-    study: Study, config: TaskConfig, place: EvaluationCase, plant: Plant | None
+    study: Study, config: TaskConfig, case: EvaluationCase, plant: Plant | None
 ) -> tuple[dict[str, Policy], dict[str, Changes]]:
     """Policies by the names that the plan gives them, and their columns."""
     policies: dict[str, Policy] = {}
@@ -149,7 +149,7 @@ def _policies(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
             recommended = {spec: _recommended(spec, config, plant)} if spec in RECOMMENDED else {}
-            base = recommended or named_policies([spec], config, place.vibration)
+            base = recommended or named_policies([spec], config, case.vibration)
         for name, policy in base.items():
             member = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
             if member in policies:

@@ -118,8 +118,8 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
 
     Steps [m3/h] of a coarse supply do not round air out of what is safe.
     """
-    place = both_ways(case_of(PLANT, "train", 6), "best")
-    config, space = place.config, ranges(place.config, place.contexts)
+    case = both_ways(case_of(PLANT, "train", 6), "best")
+    config, space = case.config, ranges(case.config, case.contexts)
     given = as_given(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
     assert [given[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])
     first = starts(config, space)

@@ -134,10 +134,10 @@ def run(request: Request) -> Numbers:
 
 
 def _tried(
-    trials: int, space: Space, place: EvaluationCase, played: Path, workers: Workers
+    trials: int, space: Space, case: EvaluationCase, played: Path, workers: Workers
 ) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
-    config, rows, commits = place.config.full_observation, [], []
+    config, rows, commits = case.config.full_observation, [], []
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -152,7 +152,7 @@ def _tried(
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
         trial = study.ask(drawn)
         numbers = as_given(config, trial.params)
-        plan = _plan({"trial": policy_of(config, numbers)}, place)
+        plan = _plan({"trial": policy_of(config, numbers)}, case)
         table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
         means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
         study.tell(trial, means["reward"])
@@ -161,6 +161,6 @@ def _tried(
     return pd.DataFrame(rows), commits
 
 
-def _plan(policies: Mapping[str, Policy], place: EvaluationCase) -> Plan:
+def _plan(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
     fidelity = resolve_fidelity(FIDELITY, both_ways=True)
-    return Plan(policies, place.contexts, config=place.config.full_observation, fidelity=fidelity)
+    return Plan(policies, case.contexts, config=case.config.full_observation, fidelity=fidelity)
