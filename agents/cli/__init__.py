@@ -1,4 +1,4 @@
-"""The ``probe-env`` command: errors and interrupts end it with one line.
+"""The ``probe-env`` command: an error or an interrupt ends it with one line.
 
 The packages of the commands take seconds to load; they are loaded after the signal handlers are set.
 """
@@ -28,6 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    from difflib import get_close_matches
+
     from agents.cli.registry import COMMANDS, first_page
 
     name = arguments[0] if arguments else ""
@@ -40,7 +42,9 @@ def _run(arguments: Sequence[str]) -> int:
         print(f"probe-env {version('probe-env')}")
         return 0
     if name not in COMMANDS:
-        return _fail(f"command = {name!r} is not one of {', '.join(COMMANDS)}; see probe-env --help")
+        closest = get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {closest[0]}?" if closest else f"the commands are {', '.join(COMMANDS)}."
+        return _fail(f"there is no command {name!r}: {hint} See probe-env --help")
     from agents.cli.extras import extra_with
     from agents.terminal.refusals import refusal
     from probe_env import SimulationError
@@ -66,7 +70,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> None:
     import warnings
     from importlib import import_module
 
-    from agents.cli.parsing import parsed, positional
+    from agents.cli.parsing import parse, positional
     from agents.cli.registry import COMMANDS
     from agents.terminal.notices import said_when_compiling
     from probe_env.files import one_line
@@ -78,7 +82,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> None:
     module, _, kind = COMMANDS[name][0].partition(":")
     command_class: Any = getattr(import_module(f"agents.cli.{module}"), kind)
     default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
-    command = parsed(name, command_class, arguments, default)
+    command = parse(name, command_class, arguments, default)
     with said_when_compiling():
         command.run()
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from agents.cli.parsing import File
 from agents.evaluation.workers import Workers
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ class Compare:
     Example: probe-env compare original improved my-design.toml --limit 6
     """
 
-    designs: tyro.conf.Positional[tuple[Path, ...]]
+    designs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DESIGN ...")]]
     """Design files (.toml) or names of shipped designs (original, improved, ...)."""
     feed: str = "constant"
     """Schedule over inserted length: constant, best-constant, best-schedule, example or a file. With --full, any
@@ -34,7 +35,7 @@ class Compare:
     """Shipped list of tubes."""
     limit: int = 0
     """Number of tubes, the first of the list; 0: all."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list; its probe has what a design file leaves out."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
@@ -97,7 +98,7 @@ class DesignSearch:
     """Shipped list of tubes."""
     limit: int = 6
     """Number of tubes, the first of the list; 0: all."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list; floats are limited by its bore."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""

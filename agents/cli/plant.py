@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 
@@ -19,21 +20,21 @@ class ReadLog:
     Example: probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png
     """
 
-    file: tyro.conf.Positional[Path]
+    file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="LOG")]]
     """Log file, or the name of a shipped log: example-rig."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Quantities:
     time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
     radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms. Can be repeated."""
-    output: Path | None = None
+    output: File = None
     """Clean file (.csv); default: output/NAME-clean.csv."""
-    plot: Path | None = None
+    plot: File = None
     """Figure of all channels over time and length (.png, .pdf or .svg)."""
-    sheet: str | None = None
+    sheet: Annotated[str | None, hide_default()] = None
     """Sheet of an Excel workbook; default: the first."""
     decimal: Literal["auto", "point", "comma"] = "auto"
     """Decimal sign; auto: from the file."""
-    air_supply: float | None = None
+    air_supply: Annotated[float | None, hide_default()] = None
     """Air supply, for a log without this column [m3/h]."""
     start_length: float = 5.0
     """Inserted length at the start, for a log without an encoder [m]."""
@@ -80,16 +81,16 @@ class Calibrate:
     Example: probe-env calibrate rig.csv --tube mine.toml --output output/calibration
     """
 
-    logs: tyro.conf.Positional[tuple[Path, ...]]
+    logs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG ...")]]
     """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig. Each needs root tension,
     radial or axial acceleration, or eddy-current noise."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml), with prior knowledge; default: the study's plant, without."""
     output: Path = Path("output/calibration")
     """Folder of calibration.json, corner.png and bands.png."""
-    helix_diameters: tuple[float, ...] = ()
+    helix_diameters: Annotated[tuple[float, ...], hide_default("FLOAT ...")] = ()
     """Helix diameter of the tube of each log [m], or one for all; needed if the tube file lists several."""
-    tubes: tuple[str, ...] = ()
+    tubes: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """Quantities of columns with unknown headings, see `probe-env log --help`."""
@@ -129,16 +130,16 @@ class Recommend:
     Example: probe-env recommend my-schedule.csv --tube mine.toml --output output/mine.csv
     """
 
-    schedules: tyro.conf.Positional[tuple[str, ...]] = ()
+    schedules: tyro.conf.Positional[Annotated[tuple[str, ...], hide_default("[SCHEDULE ...]")]] = ()
     """Schedules (.csv) to compare with; best-schedule and tension-scheduled are always compared."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml), with the posterior of a calibration if there is one; default: the study's plant."""
     output: Path = Path("output/recommended.csv")
     """Schedule file; a description is written next to it (.json)."""
-    policy: Path | None = None
+    policy: File = None
     """Also write a feedback law (.json): a table over helix diameter, friction and inserted length, where the friction
     is estimated from the root tension."""
-    folder: Path | None = None
+    folder: File = None
     """Folder of the simulated episodes and the report; default: NAME-confirmed next to the output."""
     limit: int = 24
     """Number of simulated tubes; 0: all."""
@@ -172,13 +173,13 @@ class Plc:
     Example: probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml
     """
 
-    st: Path | None = None
+    st: File = None
     """File of the law as IEC 61131-3 structured text."""
-    csv: Path | None = None
+    csv: File = None
     """File of the law as a table over helix diameter, friction and length."""
     trimmed: bool = False
     """Add integral action on the noise, as in the policy plc-integral; needs --st."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
 
     def run(self) -> None:
@@ -205,7 +206,7 @@ class App:
     Example: probe-env app --tube mine.toml
     """
 
-    tube: Path | None = None
+    tube: File = None
     """Tube file (tube.toml) to open; default: the study's tubes."""
     port: int = 5006
     """Port of the server; 0: any free port."""

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.records.shipped import file_or_shipped
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, SOLVERS, method_named
@@ -22,14 +23,14 @@ class Simulate:
     Example: probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2
     """
 
-    scene_file: tyro.conf.Positional[Path]
+    scene_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
     """Scene file (TOML), or the name of a shipped scene: fig11_l10, ...; the --scene options change single fields."""
     scene: Scene = field(default_factory=Scene)
     method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
     """newmark and wilson: the study's methods; imex: the fast scheme; superelement: a converged mesh condensed to the
     floats; imex32 and superelement32: in single precision; implicit: stable with any step; explicit: central
     differences."""
-    time_step: float | None = None
+    time_step: Annotated[float | None, hide_default()] = None
     """Time step [s]; default: the usual one of the method."""
     nodes_per_pitch: int = 4
     """Nodes per float pitch."""
@@ -40,9 +41,9 @@ class Simulate:
     -0.0175 --scene.couple tangent."""
     duration: float = 8.0
     """Simulated time [s]."""
-    statistics_from: float | None = None
+    statistics_from: Annotated[float | None, hide_default()] = None
     """Start of the statistics [s]; default: after a quarter of the duration."""
-    output: Path | None = None
+    output: File = None
     """Folder; default: output/NAME."""
 
     @classmethod

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 
@@ -21,22 +22,22 @@ class Study:
     Example: probe-env study robustness --limit 2
     """
 
-    study: tyro.conf.Positional[str] = ""
+    study: tyro.conf.Positional[Annotated[str, hide_default("[STUDY]")]] = ""
     """Study file (.toml), or the name of a shipped study."""
     list: bool = False
     """List the shipped studies and their questions."""
-    limit: int | None = None
+    limit: Annotated[int | None, hide_default()] = None
     """Number of tubes; 0: all. For claims: 1 or more runs five cases. For response: number of groups of insertions.
     Default: as in the study."""
-    policies: tuple[str, ...] = ()
+    policies: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Policies instead of the study's, as in `evaluate`; the reference policies stay."""
-    fidelity: tuple[str, ...] = ()
+    fidelity: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Fidelities instead of the study's."""
-    tube: Path | None = None
-    """Your plant (tube.toml)."""
-    trials: int | None = None
+    tube: File = None
+    """Your plant (tube.toml); default: as in the study."""
+    trials: Annotated[int | None, hide_default()] = None
     """For shipped data: number of schedules or laws, or insertions per tube; claims: runs per case."""
-    output: Path | None = None
+    output: File = None
     """Folder; stored episodes are not run again. Default: output/NAME."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 

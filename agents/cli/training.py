@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 
@@ -20,14 +21,14 @@ class Train:
 
     config_file: tyro.conf.Positional[Path]
     """Training file (TOML), or the name of a shipped one: ppo, student, ppo-any-probe, both-ways."""
-    output: Path | None = None
+    output: File = None
     """Folder of the runs seed-K; default: output/train/NAME."""
-    seeds: tuple[int, ...] = ()
+    seeds: Annotated[tuple[int, ...], hide_default("SEED ...")] = ()
     """Training seeds; default: as in the file."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     resume: bool = False
     """Continue from the last checkpoints in the folder."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml); default: as in the file."""
 
     def run(self) -> None:
@@ -60,9 +61,9 @@ class Tune:
     its algorithm. Its first seed is trained."""
     trials: int = 40
     """Number of trainings, including those that are stopped early."""
-    phases: int | None = None
+    phases: Annotated[int | None, hide_default()] = None
     """Phases of a training after its warm start; default: half of the file's."""
-    output: Path | None = None
+    output: File = None
     """Folder of the search; an interrupted search continues. Default: output/tune/NAME."""
     seed: int = 0
     """Seed of the search."""

@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
+import tyro
 from tqdm import tqdm
 
 Backend = Literal["local", "ray"]
@@ -42,7 +43,7 @@ class Workers:
 
     jobs: int = 1
     backend: Backend = "local"
-    address: str | None = None
+    address: Annotated[str | None, tyro.conf.arg(help_behavior_hint="")] = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.jobs <= 100_000:

@@ -20,7 +20,9 @@ def test_the_first_page_has_every_command_once(capsys):
     assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
     assert max(map(len, first_page().splitlines())) <= 80
     assert main(["simulat"]) == 2
-    assert "command = 'simulat' is not one of simulate, evaluate" in capsys.readouterr().err
+    assert "no command 'simulat': did you mean simulate?" in capsys.readouterr().err
+    assert main(["zzz"]) == 2
+    assert "no command 'zzz': the commands are simulate, evaluate" in capsys.readouterr().err
 
 
 def test_every_help_has_an_example_and_units(capsys, monkeypatch):
@@ -50,10 +52,10 @@ def test_what_is_not_understood_is_one_line(capsys, monkeypatch):
     for arguments, message in (
         ("evaluate --limi 3", "Unrecognized options: --limi, 3; Perhaps you meant: --limit INT"),
         ("evaluate --zzzz", "Unrecognized options: --zzzz"),
-        ("evaluate --limit x", "Error parsing --limit: invalid literal for int() with base 10: 'x'"),
+        ("evaluate --limit x", "Error parsing --limit: 'x' is not a whole number"),
         ("evaluate pi --limit", "Missing value for argument '--limit'. Expected 1 values."),
         ("evaluate --contexts tset", "invalid choice 'tset' for argument '--contexts'. Expected one of ('train', "),
-        ("simulate", "Missing from probe-env simulate: PATH Scene file (TOML)"),
+        ("simulate", "Missing from probe-env simulate: SCENE Scene file (TOML)"),
         ("simulate fig11_l10 fig11_l20", "Unrecognized options: fig11_l20"),
         ("simulate fig11_l10 --scene.air.drag 1", "Perhaps you meant: --scene.air.drag-coefficient"),
         (
