@@ -73,7 +73,7 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
     """Film an episode under a policy, a frame every ``every`` control periods.
 
     Returns:
-        the episode's KPIs.
+        the episode's KPIs without the detection curve.
 
     Raises:
         ValueError: an argument is not valid; nothing was written.
@@ -94,8 +94,7 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
             bar.update()
     episode.env.close()
     _write_film(output, frames, FRAMES_PER_SECOND)
-    kpis: dict[str, float] = episode.info["episode_kpis"]
-    return kpis
+    return {name: value for name, value in episode.info["episode_kpis"].items() if not name.startswith("pod_")}
 
 
 def render_strip(
