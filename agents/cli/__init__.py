@@ -46,7 +46,7 @@ def _run(arguments: Sequence[str]) -> int:
         hint = f"did you mean {closest[0]}?" if closest else f"the commands are {', '.join(COMMANDS)}."
         return _fail(f"there is no command {name!r}: {hint} See probe-env --help")
     from agents.cli.extras import extra_with
-    from agents.terminal.refusals import refusal
+    from agents.terminal.errors import format_error
     from probe_env import SimulationError
 
     try:
@@ -61,7 +61,7 @@ def _run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         raise
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
-        return _fail(refusal(error))
+        return _fail(format_error(error))
     return 0
 
 
