@@ -72,7 +72,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> None:
 
     from agents.cli.parsing import parse, positional
     from agents.cli.registry import COMMANDS
-    from agents.terminal.notices import said_when_compiling
+    from agents.terminal.notices import announce_compilation
     from probe_env.files import one_line
 
     warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
@@ -83,7 +83,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> None:
     command_class: Any = getattr(import_module(f"agents.cli.{module}"), kind)
     default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
     command = parse(name, command_class, arguments, default)
-    with said_when_compiling():
+    with announce_compilation():
         command.run()
 
 

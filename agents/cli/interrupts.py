@@ -37,7 +37,7 @@ def signal_handlers() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread can set handlers
         return
-    work.forget()
+    work.reset()
     received: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:

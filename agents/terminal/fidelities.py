@@ -10,7 +10,7 @@ from probe_env.fidelity import Fidelity
 from probe_env.settings import explain
 
 
-def fidelity_given(text: str, field: str = "fidelity") -> str | Fidelity:
+def parse_fidelity(text: str, field: str = "fidelity") -> str | Fidelity:
     """The settings in braces, as errors write them; anything else is a name.
 
     Args:

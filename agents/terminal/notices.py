@@ -14,11 +14,11 @@ from tqdm import tqdm
 class _Once(event.Listener):
     """Says that kernels are compiled, at the first one that is not in numba's cache."""
 
-    said = False
+    announced = False
 
     def on_start(self, event: Any) -> None:
-        if not self.said:
-            self.said = True
+        if not self.announced:
+            self.announced = True
             tqdm.write("compiling kernels, which are kept for later runs", file=sys.stderr)
 
     def on_end(self, event: Any) -> None:
@@ -26,7 +26,7 @@ class _Once(event.Listener):
 
 
 @contextmanager
-def said_when_compiling() -> Iterator[None]:
+def announce_compilation() -> Iterator[None]:
     """Say so when a kernel has to be compiled while it is entered: that takes seconds to a minute."""
     with event.install_listener("numba:compile", _Once()):
         yield

@@ -48,7 +48,7 @@ _current: list[Work] = []
 _files: list[Path] = []
 
 
-def forget() -> None:
+def reset() -> None:
     """A new command begins: nothing is stored yet."""
     _current.clear()
     _files.clear()

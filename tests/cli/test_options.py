@@ -7,7 +7,7 @@ import pytest
 from agents.cli import main
 from agents.cli.parsing import positional
 from agents.cli.registry import COMMANDS, GROUPS, first_page
-from agents.terminal.fidelities import fidelity_given
+from agents.terminal.fidelities import parse_fidelity
 from probe_env import Fidelity
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.methods import METHODS
@@ -86,9 +86,9 @@ def test_the_scene_is_found_among_the_options():
 
 def test_a_fidelity_is_a_name_or_settings():
     settings = Fidelity(method="superelement32", time_step=1e-4, time_lapse=4.0)
-    assert fidelity_given("fast") == "fast"
-    assert resolve_fidelity(fidelity_given(str(settings.model_dump()))) == settings
-    assert fidelity_given(" {'method': 'imex'}") == Fidelity(method="imex")
+    assert parse_fidelity("fast") == "fast"
+    assert resolve_fidelity(parse_fidelity(str(settings.model_dump()))) == settings
+    assert parse_fidelity(" {'method': 'imex'}") == Fidelity(method="imex")
     for text, message in (
         ("{'method'", "fidelity = \"{'method'\" is neither a name nor settings"),
         ("{'method': open('x')}", "is neither a name nor settings"),
@@ -96,4 +96,4 @@ def test_a_fidelity_is_a_name_or_settings():
         ("{'method': 'euler'}", "fidelity.method"),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
-            fidelity_given(text)
+            parse_fidelity(text)
