@@ -54,13 +54,13 @@ class Evaluate:
 
     def run(self) -> None:
         """Run what is missing, print, write the report; of a stored evaluation the report alone."""
-        from agents.evaluation.folder import holds_evaluation
+        from agents.evaluation.folder import is_evaluation
         from agents.evaluation.run import evaluate, report_again
         from agents.terminal.fidelities import parse_fidelity
 
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
         named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix  # a folder, and no damaged policy file
-        if folder.parts and (named or holds_evaluation(folder)):
+        if folder.parts and (named or is_evaluation(folder)):
             print(f"written: {report_again(folder, self.against)}")
             return
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}

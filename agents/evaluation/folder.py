@@ -19,7 +19,7 @@ import pandas as pd
 from pydantic import FiniteFloat, NonNegativeInt, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
+from agents.evaluation.kpis import PROFILE_COLUMNS, CORE, CORE_FAILURES, COST_KPIS, PROFILE_COLUMNS_NEWER, KPIS
 from agents.evaluation.statistics import grouped
 from agents.records.atomic import write_atomically
 from agents.records.models import Journal, Key, Record, Stored, read_json, require
@@ -42,9 +42,9 @@ EPISODES: Final[Columns] = {
 """Columns of every ``episodes.csv`` and ``episodes.parquet``."""
 EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
 """Columns that tables of older versions lack."""
-PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **CASE}
+PROFILE: Final[Columns] = {**dict.fromkeys(PROFILE_COLUMNS, "maybe"), **CASE}
 """Columns of ``profile.parquet``, a row for each metre; NaN where a probe diverged."""
-PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
+PROFILE_NEWER: Final[Columns] = dict.fromkeys(PROFILE_COLUMNS_NEWER, "maybe")
 """Columns that profiles of older versions lack."""
 Unit = tuple[str, int, int]
 """Policy name, context number and seed of an episode."""
@@ -64,7 +64,7 @@ class Episode(Stored):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         require("kpis", self.kpis, (*CORE, "complete", *CORE_FAILURES))
-        require("profile", self.profile, CARRIED)
+        require("profile", self.profile, PROFILE_COLUMNS)
         require("probe", self.probe or RANGES, RANGES)
         if len({len(values) for values in self.profile.values()}) > 1:
             raise PydanticCustomError("profile", "profile: its columns are not of one length")
@@ -81,13 +81,13 @@ class Setting(Stored):
     commit: str = ""
 
 
-class Evaluated(Record):
+class EvaluationManifest(Record):
     """``manifest.json`` of an evaluation."""
 
     policies: dict[str, dict[str, Any]]
 
 
-class Unfinished(Evaluated):
+class UnfinishedEvaluation(EvaluationManifest):
     """``unfinished.json``: the planned episodes, until the tables are written."""
 
     contexts: tuple[Context, ...]
@@ -104,7 +104,7 @@ class Unfinished(Evaluated):
         return self
 
 
-class Compared(Stored):
+class ReportSettings(Stored):
     """``report.json``: the policy that others are compared with, and those that are files of the user."""
 
     against: str
@@ -127,7 +127,7 @@ def read_episodes(path: Path) -> pd.DataFrame:
     return table.rename(columns={"agent": "training_seed"})  # its name before version 0.1.0
 
 
-def gathered(
+def collect_tables(
     planned: Sequence[Planned], contexts: Sequence[Context], done: Mapping[str, dict[str, Any]]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """KPIs with a row for each episode, and profiles with a row for each metre.
@@ -181,13 +181,13 @@ class Evaluation:
     table: pd.DataFrame
     profile: pd.DataFrame
     setting: Setting
-    record: Evaluated
+    record: EvaluationManifest
     against: str
     own: tuple[str, ...]
     missing: Missing | None
 
 
-def holds_evaluation(folder: Path) -> bool:
+def is_evaluation(folder: Path) -> bool:
     """Whether a path is the folder of an evaluation, finished or not."""
     return folder.is_dir() and any((folder / name).exists() for name in ("setting.json", UNFINISHED))
 
@@ -207,14 +207,14 @@ def read_evaluation(folder: Path) -> Evaluation:
     table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
-    against, own = _compared(folder, table, strict=True)
-    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Evaluated)
+    against, own = _report_settings(folder, table, strict=True)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], EvaluationManifest)
     return Evaluation(table, profile, setting, record, against, own, None)
 
 
-def _compared(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
+def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
     path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
-    compared = read_json(path, Compared) if path.exists() else Compared(against="")
+    compared = read_json(path, ReportSettings) if path.exists() else ReportSettings(against="")
     own = tuple(name for name in compared.own if name in policies)
     if compared.against in policies:
         return compared.against, own
@@ -224,14 +224,14 @@ def _compared(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tup
 
 
 def _interrupted(folder: Path) -> Evaluation:
-    plan, setting = read_json(folder / UNFINISHED, Unfinished), read_json(folder / "setting.json", Setting)
+    plan, setting = read_json(folder / UNFINISHED, UnfinishedEvaluation), read_json(folder / "setting.json", Setting)
     journal = episodes_of(folder)
     done = journal.read()
     stored = [episode for episode in plan.episodes if episode[0] in done]
     if not stored:
         raise FileError(journal.path, f"no episode of the evaluation is stored yet: `{plan.command}` goes on")
     chosen = comparable(stored)
-    table, profile = gathered(chosen, plan.contexts, done)
+    table, profile = collect_tables(chosen, plan.contexts, done)
     check_table(journal.path, table, EPISODES, EPISODES_NEWER)
     check_table(journal.path, profile, PROFILE)
     table, profile = grouped(table), grouped(profile)
@@ -239,7 +239,7 @@ def _interrupted(folder: Path) -> Evaluation:
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
     gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
     missing = Missing(len(stored), len(plan.episodes), gaps)
-    return Evaluation(table, profile, setting, plan, *_compared(folder, table, strict=False), missing)
+    return Evaluation(table, profile, setting, plan, *_report_settings(folder, table, strict=False), missing)
 
 
 def comparable(stored: Sequence[Planned]) -> list[Planned]:

@@ -48,9 +48,9 @@ OF_DESIGNS: Final[Kpis] = {
     **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }
 """KPIs of designs, in the order in which tables show them."""
-CARRIED: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+PROFILE_COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 """Columns of an episode's profile, SI units."""
-HEARD: Final = ("noise_rms_m",)
+PROFILE_COLUMNS_NEWER: Final = ("noise_rms_m",)
 """Further columns of newer profiles: noise in the band of a flaw, as radial rms [m]."""
 SCORED_PASSES: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "best": "the better of both"}
 """Values of ``TaskConfig.inspects`` -> label."""
@@ -67,7 +67,7 @@ def kpis_of(columns: Iterable[str], known: Kpis = KPIS) -> Kpis:
     return {name: shown for name, shown in known.items() if name in names}
 
 
-def shown_of(columns: Iterable[str]) -> Kpis:
+def displayed_kpis(columns: Iterable[str]) -> Kpis:
     """KPIs of a policy that a table of episodes with these columns gives, with those over all tubes."""
     kpis = kpis_of(columns)
     return kpis | (OVER_TUBES if "a90_percent_wall" in kpis else {})

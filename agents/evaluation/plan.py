@@ -19,9 +19,9 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import FILES, UNFINISHED, Setting, episodes_of, gathered, write_tables
+from agents.evaluation.folder import FILES, UNFINISHED, Setting, episodes_of, collect_tables, write_tables
 from agents.evaluation.folder import Unit as Unit
-from agents.evaluation.kpis import CARRIED, HEARD
+from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
 from agents.records.manifest import commit, origin, write_json, write_manifest
@@ -40,7 +40,7 @@ from probe_env.files import FileError
 
 BATCH: Final = 16
 """Episodes side by side."""
-COLUMNS: Final = (*CARRIED, *HEARD)
+COLUMNS: Final = (*PROFILE_COLUMNS, *PROFILE_COLUMNS_NEWER)
 """Columns of a profile."""
 
 
@@ -127,7 +127,7 @@ def run_plan(
     """
     if output is None:
         lines = _lines(plan, deque(plan.units()), batch, threads, workers)
-        return gathered(plan.planned(), plan.contexts, {record["key"]: record for record in map(json.loads, lines)})[0]
+        return collect_tables(plan.planned(), plan.contexts, {record["key"]: record for record in map(json.loads, lines)})[0]
     journal, done = episodes_of(output), stored_episodes(plan, output)
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
@@ -143,7 +143,7 @@ def run_plan(
                 append(line)
                 bar.update()
         done = journal.read()
-    table, profile = gathered(plan.planned(), plan.contexts, done)
+    table, profile = collect_tables(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
     files, policies = (*FILES, "setting.json"), plan.described()["policies"]
     write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
@@ -197,7 +197,7 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.floa
 
     ``inserted_length`` becomes the middle of the metre, ``time`` that of its last period.
     """
-    squared = ["radial_rms_m", *HEARD]
+    squared = ["radial_rms_m", *PROFILE_COLUMNS_NEWER]
     if not profile:
         return {name: np.zeros(0) for name in COLUMNS}
     periods = pd.DataFrame(profile, columns=list(COLUMNS))

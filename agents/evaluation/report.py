@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
-from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, label_of, shown_of
+from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, label_of, displayed_kpis
 from agents.evaluation.profiles import Description, deciding, downloads, traces
 from agents.evaluation.statistics import (
     Interval,
@@ -274,7 +274,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
     best = next((name for name in order if name not in informed), order[0])
     for policy in order:
         cells = []
-        for kpi, (_, factor, _) in shown_of(table.columns).items():
+        for kpi, (_, factor, _) in displayed_kpis(table.columns).items():
             row = values[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
         against = Cell("best")
@@ -288,7 +288,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
         note = "yours" if policy in own else "oracle" if policy in informed else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
-    names = [units[kpi] for kpi in shown_of(table.columns)]
+    names = [units[kpi] for kpi in displayed_kpis(table.columns)]
     return ["policy", names[0], f"reward against {best}", *names[1:], "how it ended"], rows
 
 

@@ -10,8 +10,8 @@ from typing import Literal
 import pandas as pd
 from pydantic import ValidationError
 
-from agents.evaluation.folder import holds_evaluation, read_evaluation
-from agents.evaluation.kpis import SCORED_PASSES, shown_of
+from agents.evaluation.folder import is_evaluation, read_evaluation
+from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
@@ -164,7 +164,7 @@ def report_again(folder: Path, against: str | None = None) -> Path:
         FileNotFoundError: no evaluation is stored there.
         ValueError: a file is damaged, or there is no such policy to compare with.
     """
-    if not holds_evaluation(folder):
+    if not is_evaluation(folder):
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(folder / "setting.json"))
     if against is not None:
         done = read_evaluation(folder)
@@ -177,7 +177,7 @@ def report_again(folder: Path, against: str | None = None) -> Path:
 
 def print_summary(table: pd.DataFrame, against: str) -> None:
     """Print KPIs with intervals, how episodes ended and the comparison with a policy."""
-    shown, rows = shown_of(table.columns), []
+    shown, rows = displayed_kpis(table.columns), []
     for policy, part in summarise(table).groupby("policy", sort=False):
         figures, cells = part.set_index("kpi"), [str(policy)]
         for kpi, (_, factor, _) in shown.items():

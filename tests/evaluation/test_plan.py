@@ -14,7 +14,7 @@ from plans import CONFIG, make_plan
 
 from agents.evaluation import evaluate
 from agents.evaluation.folder import episodes_of
-from agents.evaluation.kpis import CARRIED
+from agents.evaluation.kpis import PROFILE_COLUMNS
 from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.cases import case_of
@@ -62,7 +62,7 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
     runner, lengths, rows = RolloutRunner(plan, deque(plan.units()), 1, 1), [], []
     while not runner.over:
         if list(runner.step()):
-            rows = [row[CARRIED.index("inserted_length")] for row in runner.profile[0]]
+            rows = [row[PROFILE_COLUMNS.index("inserted_length")] for row in runner.profile[0]]
         lengths.append(runner.last.infos[0]["inserted_length"])
     assert rows == lengths[: int(np.argmax(lengths)) + 1]
     assert rows[-1] == pytest.approx(8.0, abs=0.05)

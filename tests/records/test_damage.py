@@ -15,7 +15,7 @@ from plans import make_plan
 from poisons import ANYWHERE, FAST, JSON, failures_of
 from safetensors.numpy import load, save
 
-from agents.evaluation.folder import PROFILE, Compared, Episode, Evaluated, Setting, Unfinished, read_episodes
+from agents.evaluation.folder import PROFILE, ReportSettings, Episode, EvaluationManifest, Setting, UnfinishedEvaluation, read_episodes
 from agents.evaluation.kpis import CORE
 from agents.evaluation.run import evaluate_plan
 from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
@@ -118,8 +118,8 @@ def test_json_files(stored):
             planned | {"episodes": [["", *rest]]},
         ],
     }
-    for file, model in (("setting.json", Setting), ("manifest.json", Evaluated), ("unfinished.json", Unfinished),
-                        ("report.json", Compared)):  # fmt: skip
+    for file, model in (("setting.json", Setting), ("manifest.json", EvaluationManifest), ("unfinished.json", UnfinishedEvaluation),
+                        ("report.json", ReportSettings)):  # fmt: skip
         damages = JSON | {str(content): text(json.dumps(content)) for content in others.get(file, ())}
         read_json(stored / file, model)
         assert failures_of(stored / file, damages, lambda path, model=model: read_json(path, model)) == [], file

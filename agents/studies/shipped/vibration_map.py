@@ -11,7 +11,7 @@ from typing import ClassVar, Final
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.folder import PROFILE, PROFILE_HEARD
+from agents.evaluation.folder import PROFILE, PROFILE_NEWER
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.cases import plant_at
 from agents.policies.fixed import FixedPolicy
@@ -68,7 +68,7 @@ def fit_map(
     """Fit by the likelihood of the metres on all but the first ``HELD_OUT`` tubes, and say how well it tells those.
 
     Args:
-        profile: metres of episodes, with columns of ``evaluate.CARRIED``, ``CONTEXT`` and ``context``.
+        profile: metres of episodes, with columns of ``evaluate.PROFILE_COLUMNS``, ``CONTEXT`` and ``context``.
         seed: of the network's start.
         scene: of a custom plant; default: table 2's.
         measure: of vibration, one of ``PROFILED``.
@@ -110,7 +110,7 @@ def run(request: Request) -> Path:
     fast = resolve_fidelity("fast", config.scene)
     plan = Plan({"wandering": Wandering(config)}, contexts, seeds, config, fast)
     episodes = run_plan(plan, request.output, workers=request.workers)
-    profile = read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_HEARD)
+    profile = read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_NEWER)
     tubes = pd.DataFrame([tube.model_dump() for tube in contexts])[list(CONTEXT)]
     profile[list(CONTEXT)] = tubes.to_numpy()[profile["context"]]
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
