@@ -81,13 +81,13 @@ class Setting(Stored):
     commit: str = ""
 
 
-class EvaluationManifest(Record):
+class Manifest(Record):
     """``manifest.json`` of an evaluation."""
 
     policies: dict[str, dict[str, Any]]
 
 
-class UnfinishedEvaluation(EvaluationManifest):
+class Unfinished(Manifest):
     """``unfinished.json``: the planned episodes, until the tables are written."""
 
     contexts: tuple[Context, ...]
@@ -181,7 +181,7 @@ class Evaluation:
     table: pd.DataFrame
     profile: pd.DataFrame
     setting: Setting
-    record: EvaluationManifest
+    record: Manifest
     against: str
     own: tuple[str, ...]
     missing: Missing | None
@@ -208,7 +208,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
     against, own = _report_settings(folder, table, strict=True)
-    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], EvaluationManifest)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Manifest)
     return Evaluation(table, profile, setting, record, against, own, None)
 
 
@@ -224,7 +224,7 @@ def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[s
 
 
 def _interrupted(folder: Path) -> Evaluation:
-    plan, setting = read_json(folder / UNFINISHED, UnfinishedEvaluation), read_json(folder / "setting.json", Setting)
+    plan, setting = read_json(folder / UNFINISHED, Unfinished), read_json(folder / "setting.json", Setting)
     journal = episodes_of(folder)
     done = journal.read()
     stored = [episode for episode in plan.episodes if episode[0] in done]

@@ -127,7 +127,8 @@ def run_plan(
     """
     if output is None:
         lines = _lines(plan, deque(plan.units()), batch, threads, workers)
-        return collect_tables(plan.planned(), plan.contexts, {record["key"]: record for record in map(json.loads, lines)})[0]
+        done = {record["key"]: record for record in map(json.loads, lines)}
+        return collect_tables(plan.planned(), plan.contexts, done)[0]
     journal, done = episodes_of(output), stored_episodes(plan, output)
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)

@@ -15,7 +15,7 @@ from plans import make_plan
 from poisons import ANYWHERE, FAST, JSON, failures_of
 from safetensors.numpy import load, save
 
-from agents.evaluation.folder import PROFILE, ReportSettings, Episode, EvaluationManifest, Setting, UnfinishedEvaluation, read_episodes
+from agents.evaluation.folder import PROFILE, Episode, Manifest, ReportSettings, Setting, Unfinished, read_episodes
 from agents.evaluation.kpis import CORE
 from agents.evaluation.run import evaluate_plan
 from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
@@ -118,7 +118,7 @@ def test_json_files(stored):
             planned | {"episodes": [["", *rest]]},
         ],
     }
-    for file, model in (("setting.json", Setting), ("manifest.json", EvaluationManifest), ("unfinished.json", UnfinishedEvaluation),
+    for file, model in (("setting.json", Setting), ("manifest.json", Manifest), ("unfinished.json", Unfinished),
                         ("report.json", ReportSettings)):  # fmt: skip
         damages = JSON | {str(content): text(json.dumps(content)) for content in others.get(file, ())}
         read_json(stored / file, model)
