@@ -109,7 +109,7 @@ def downloads(
         described = policies.get(policy, {})
         back = described.get("back")
         known = back is not None or not returns
-        schedules = (_given(deciding(described)) or _fed(policy, table, profile)) if known else {}
+        schedules = (_given(inner_policy(described)) or _fed(policy, table, profile)) if known else {}
         for what, schedule in schedules.items():
             file = f"{_file_name(policy)}{'-' + _file_name(what) if len(schedules) > 1 else ''}.csv"
             address = f"data:text/csv;charset=utf-8,{quote(_csv(schedule, back))}"
@@ -163,7 +163,7 @@ def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, S
     return {f"as fed in tube {episode['context']}, its median": schedule}
 
 
-def deciding(description: Description) -> Description:
+def inner_policy(description: Description) -> Description:
     """The description of the policy that decides, inside those that shield it, round its feed or add a withdrawal."""
     inner = next((description[key] for key in ("forth", "of") if isinstance(description.get(key), Mapping)), None)
-    return description if inner is None else deciding(inner)
+    return description if inner is None else inner_policy(inner)

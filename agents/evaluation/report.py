@@ -17,7 +17,7 @@ from markupsafe import Markup
 from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
 from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, label_of, displayed_kpis
-from agents.evaluation.profiles import Description, deciding, downloads, traces
+from agents.evaluation.profiles import Description, inner_policy, downloads, traces
 from agents.evaluation.statistics import (
     Interval,
     bands,
@@ -27,9 +27,9 @@ from agents.evaluation.statistics import (
     method_and_seed,
     paired_difference,
     ranking,
-    sentences,
+    comparison_lines,
     short,
-    strained,
+    strain_lines,
     summarise,
 )
 from agents.policies.fixed import Replayed, Scheduled
@@ -89,22 +89,22 @@ def _read(name: str) -> str:
 
 
 def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
-    table, task, oracles, order = done.table, done.setting.task, informed(done), ranking(done.table)
+    table, task, oracles, order = done.table, done.setting.task, oracle_policies(done), ranking(done.table)
     described = descriptions(done)
-    kinds = {name: deciding(given).get("policy") for name, given in described.items()}
-    verdicts = [verdict(table, policy, oracles, limit_of(task)) for policy in done.own or (done.against,)]
+    kinds = {name: inner_policy(given).get("policy") for name, given in described.items()}
+    comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in done.own or (done.against,)]
     best = [name for name in order if name not in oracles]
-    drawn = list(dict.fromkeys([*(v.policy for v in verdicts), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
+    drawn = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
     return {
         "title": "Feed policies compared",
         "done": done,
-        "verdicts": verdicts,
+        "comparisons": comparisons,
         "own": {name: f"Your {'schedule' if kinds.get(name) in SCHEDULES else 'policy'}" for name in done.own},
         "facts": _facts(done),
         "ranked": ranked(table, summary, done.own, oracles),
         "oracles": [name for name in order if name in oracles],
-        "strained": strained(table),
-        "sentences": sentences(table, done.against),
+        "strain_lines": strain_lines(table),
+        "comparison_lines": comparison_lines(table, done.against),
         "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
         "downloads": downloads(described, table, done.profile, task.returns),
@@ -174,9 +174,9 @@ def descriptions(done: Evaluation) -> dict[str, Description]:
     return methods
 
 
-def informed(done: Evaluation) -> set[str]:
+def oracle_policies(done: Evaluation) -> set[str]:
     """Methods that are oracles: given the true tube parameters, which a rig cannot measure."""
-    return {name for name, given in descriptions(done).items() if deciding(given).get("policy") in ORACLES}
+    return {name for name, given in descriptions(done).items() if inner_policy(given).get("policy") in ORACLES}
 
 
 def limit_of(task: TaskConfig) -> str:
@@ -185,7 +185,7 @@ def limit_of(task: TaskConfig) -> str:
     return f"{task.limit * factor:.4g} {unit}"
 
 
-class Verdict(NamedTuple):
+class Comparison(NamedTuple):
     """A policy compared with the best other one: a line, and the figures behind it."""
 
     policy: str
@@ -193,23 +193,23 @@ class Verdict(NamedTuple):
     detail: str
 
 
-def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: str) -> Verdict:
+def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str], limit: str) -> Comparison:
     """A policy compared with the best of the others, oracles excluded.
 
     Args:
         table: episodes, all policies on the same tubes.
         policy: that is judged.
-        informed: the oracles.
+        oracles: the oracles.
         limit: the vibration limit with its unit.
     """
-    order = [name for name in ranking(table) if name == policy or name not in informed]
+    order = [name for name in ranking(table) if name == policy or name not in oracles]
     other = next((name for name in order if name != policy), None)
     tubes = table["context"].nunique()
     over = f"over {tubes} tube{'s' if tubes != 1 else ''}"
     time, share = _time_and_share(table, policy)
     if other is None:
         headline = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
-        return Verdict(policy, headline, f"Means {over}; nothing to compare it with.")
+        return Comparison(policy, headline, f"Means {over}; nothing to compare it with.")
     reward, *others = (paired_difference(table, policy, other, kpi) for kpi in
                        ("reward", "inspection_time_s", "share_within_limit"))  # fmt: skip
     unclear = reward.low <= 0.0 <= reward.high
@@ -226,7 +226,7 @@ def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: 
         few = ", too few for exact intervals" if tubes < FEW_TUBES else ""
         basis = f"Paired differences with 95 % bootstrap intervals {over}{few}"
     detail = f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. {basis}."
-    return Verdict(policy, headline, detail)
+    return Comparison(policy, headline, detail)
 
 
 def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
@@ -267,11 +267,11 @@ Table = tuple[list[str], list[Row]]
 """Header and rows."""
 
 
-def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
+def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], oracles: Collection[str]) -> Table:
     """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
     rows, ends, order = [], dict(endings(table).iterrows()), ranking(table)
-    best = next((name for name in order if name not in informed), order[0])
+    best = next((name for name in order if name not in oracles), order[0])
     for policy in order:
         cells = []
         for kpi, (_, factor, _) in displayed_kpis(table.columns).items():
@@ -285,7 +285,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
                 against = against._replace(text=f"{against.text} (unclear)")
         cells.insert(1, against)  # the first is the reward
         complete, _, reasons = ended(ends[policy]).partition(", ")
-        note = "yours" if policy in own else "oracle" if policy in informed else ""
+        note = "yours" if policy in own else "oracle" if policy in oracles else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
     names = [units[kpi] for kpi in displayed_kpis(table.columns)]
@@ -304,31 +304,31 @@ def ended(row: Mapping[str, int] | pd.Series) -> str:
     return ", ".join([f"{row['complete']} of {row['episodes']} complete", *parts])
 
 
-def by_diameter(table: pd.DataFrame, informed: Collection[str]) -> Table:
+def by_diameter(table: pd.DataFrame, oracles: Collection[str]) -> Table:
     """Mean time and length within the limit: a row for each policy, a column for each helix diameter."""
     groups = list(table.groupby("helix_diameter"))
     if len(groups) > MOST_DIAMETERS or table["helix_diameter"].min() <= 0.0:
         return [], []
     counts = [(diameter, part["context"].nunique()) for diameter, part in groups]
     names = [f"{diameter:g} m ({count} tube{'s' if count > 1 else ''})" for diameter, count in counts]
-    columns = [_best_marked(part, informed) for _, part in groups]
+    columns = [_best_marked(part, oracles) for _, part in groups]
     return ["policy", *names], [Row(policy, "", tuple(c[policy] for c in columns)) for policy in ranking(table)]
 
 
-def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
+def by_tube(table: pd.DataFrame, oracles: Collection[str]) -> Table:
     """A row for each tube: its parameters, then time and length within the limit of every policy."""
     order, rows = ranking(table), []
     known = TUBE if (table["helix_diameter"] > 0.0).all() else {}
     for number, part in table.groupby("context"):
         cells = [Cell(f"{part[name].iloc[0] * factor:.{digits}f}") for name, factor, digits, _ in known.values()]
-        column = _best_marked(part, informed)
+        column = _best_marked(part, oracles)
         rows.append(Row(f"{number}", "", (*cells, *(column[policy] for policy in order))))
     return ["tube", *known, *order], rows
 
 
-def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
+def _best_marked(part: pd.DataFrame, oracles: Collection[str]) -> dict[str, Cell]:
     cells, ends, order = {}, dict(endings(part).iterrows()), ranking(part)
-    best = next((name for name in order if name not in informed), "")
+    best = next((name for name in order if name not in oracles), "")
     for policy in order:
         time, share = _time_and_share(part, policy)
         count, complete = ends[policy]["episodes"], ends[policy]["complete"]

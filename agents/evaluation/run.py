@@ -18,11 +18,11 @@ from agents.evaluation.statistics import (
     Interval,
     endings,
     grouped,
-    in_words,
+    failure_text,
     method_and_seed,
-    sentences,
+    comparison_lines,
     short,
-    strained,
+    strain_lines,
     summarise,
 )
 from agents.evaluation.workers import HERE, Workers
@@ -188,6 +188,6 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
     print_table(title, header, rows)
     for name, row in endings(table).iterrows():
-        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
-    for line in (*strained(table), *sentences(table, against)):
+        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(failure_text(row))}")
+    for line in (*strain_lines(table), *comparison_lines(table, against)):
         print(line)

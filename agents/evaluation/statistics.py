@@ -76,7 +76,7 @@ def bootstrap_ends(
     return low, high
 
 
-def redrawn_means(values: FloatArray) -> FloatArray:
+def bootstrap_means(values: FloatArray) -> FloatArray:
     """(RESAMPLES, d) means of values (n, d) over resampled rows, with a fixed seed."""
     rng, count = np.random.default_rng(0), len(values)
     weights = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
@@ -200,12 +200,12 @@ def failures(table: pd.DataFrame) -> pd.Series:
     return table.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
 
 
-def in_words(counts: Mapping[str, int] | pd.Series) -> list[str]:
+def failure_text(counts: Mapping[str, int] | pd.Series) -> list[str]:
     """Counts of ``FAILURES`` with their labels."""
     return [f"{counts[name]} {label_of(name)}" for name in FAILURES]
 
 
-def sentences(table: pd.DataFrame, reference: str) -> list[str]:
+def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
     """A line for every other policy: time and length within the limit compared with the reference."""
     lines, led = [], {BEST, BAR} <= set(table["policy"])
     for policy in dict.fromkeys(table["policy"]):
@@ -213,7 +213,7 @@ def sentences(table: pd.DataFrame, reference: str) -> list[str]:
             continue
         time = paired_difference(table, policy, reference, "inspection_time_s")
         share = paired_difference(table, policy, reference, "share_within_limit")
-        longer = "as long as" if time.low == time.high == 0.0 else f"{_in_words(time, 1.0, ' s')} than"
+        longer = "as long as" if time.low == time.high == 0.0 else f"{_difference_text(time, 1.0, ' s')} than"
         of_lead = (
             f" It has {share_of_lead(table, policy).text(100.0)} % of the lead of {BEST} over {BAR}."
             if led and policy not in (BEST, BAR)
@@ -221,12 +221,12 @@ def sentences(table: pd.DataFrame, reference: str) -> list[str]:
         )
         lines.append(
             f"{policy} takes {longer} {reference} and keeps"
-            f" {_in_words(share, 100.0, ' % of the length')} within the limit.{of_lead}"
+            f" {_difference_text(share, 100.0, ' % of the length')} within the limit.{of_lead}"
         )
     return lines
 
 
-def _in_words(difference: Interval, factor: float, unit: str) -> str:
+def _difference_text(difference: Interval, factor: float, unit: str) -> str:
     """A difference such as "41 s less [38, 44]", or that its interval includes none."""
     low, high = difference.low * factor, difference.high * factor
     if low <= 0.0 <= high and low < high:
@@ -237,7 +237,7 @@ def _in_words(difference: Interval, factor: float, unit: str) -> str:
     return f"{short(abs(difference.mean * factor))}{unit} {word}{ends}"
 
 
-def strained(table: pd.DataFrame) -> list[str]:
+def strain_lines(table: pd.DataFrame) -> list[str]:
     """A line for every policy and cost of ``STRAINS`` that occurred in one of its episodes."""
     lines = []
     for policy in dict.fromkeys(table["policy"]):
@@ -263,7 +263,7 @@ def curves_by_tube(table: pd.DataFrame, policy: str) -> FloatArray:
 
 def a90_95(table: pd.DataFrame, policy: str) -> float:
     """Depth [% of the wall] found with probability 90 % at 95 % confidence (bootstrap over tubes)."""
-    return float(100.0 * np.percentile(depths_found(redrawn_means(curves_by_tube(table, policy)), 0.9), A90_BOUND))
+    return float(100.0 * np.percentile(depths_found(bootstrap_means(curves_by_tube(table, policy)), 0.9), A90_BOUND))
 
 
 def depths_of(table: pd.DataFrame) -> pd.DataFrame:
@@ -284,7 +284,7 @@ def difference_of_a90(first: FloatArray, second: FloatArray) -> Interval:
         second: (tubes, d) curves of the other policy in the same tubes.
     """
     mean, resampled = (
-        100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, redrawn_means)
+        100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, bootstrap_means)
     )
     low, high = np.percentile(resampled, PERCENTILES) if len(first) > 1 else (np.nan, np.nan)
     return Interval(float(mean[0]), float(low), float(high))
@@ -299,7 +299,7 @@ def bands(table: pd.DataFrame) -> pd.DataFrame:
     parts = []
     for policy in dict.fromkeys(table["policy"]):
         curves = curves_by_tube(table, policy)
-        low, high = np.percentile(redrawn_means(curves), PERCENTILES, axis=0)
+        low, high = np.percentile(bootstrap_means(curves), PERCENTILES, axis=0)
         columns = {"depth_percent_wall": 100.0 * DEPTHS, "pod": curves.mean(axis=0), "low": low, "high": high}
         parts.append(pd.DataFrame({"policy": policy, **columns}))
     return pd.concat(parts, ignore_index=True)

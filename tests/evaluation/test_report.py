@@ -19,7 +19,7 @@ from agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
 from agents.evaluation.kpis import CORE, KPIS
 from agents.evaluation.plan import COLUMNS, run_plan
 from agents.evaluation.profiles import downloads
-from agents.evaluation.report import informed, limit_of, verdict, write_report
+from agents.evaluation.report import limit_of, compare_with_best, write_report
 from agents.evaluation.run import evaluate_plan
 from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
@@ -48,11 +48,11 @@ TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0
 
 
 def headline(table, policy, oracles=(), limit="0.1 mm"):
-    return verdict(table, policy, oracles, limit).headline
+    return compare_with_best(table, policy, oracles, limit).headline
 
 
 def test_the_verdict_gives_the_differences_to_the_best():
-    one = verdict(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
+    one = compare_with_best(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
     assert one.headline == "worse than the best here, best: reward -8, time +61 s, length within 0.1 mm -5 %."
     assert "361 s against 300 s; 85 % of the length within 0.1 mm against 90 %" in one.detail
     best = headline(table_of(TIMES, SHARES, REWARDS), "best")
@@ -74,7 +74,7 @@ def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
     assert headline(table, "mine").endswith("; it did not complete 2 of 20 insertions.")
     assert "; mine did not complete 2 of 20" in headline(table, "best")
     for tubes, words in ((1, "1 tube, which says nothing about scatter"), (4, "4 tubes, too few for exact intervals")):
-        one = verdict(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
+        one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
         assert f"over {words}" in one.detail
         assert ("[" in one.headline) == ("95 %" in one.detail) == (tubes > 1)
     for task, words in (
@@ -252,7 +252,7 @@ def test_oracles_are_no_rivals():
     for passes in ("in", "both"):
         policies = named_policies(names, TaskConfig(passes=passes, privileged=True))
         record = SimpleNamespace(policies={name: policy.describe() for name, policy in policies.items()})
-        assert informed(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
+        assert oracle_policies(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
 
 
 def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(tmp_path, capsys):

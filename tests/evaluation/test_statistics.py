@@ -22,9 +22,9 @@ from agents.evaluation.statistics import (
     mean_interval,
     paired_difference,
     ratio_interval,
-    sentences,
+    comparison_lines,
     share_of_lead,
-    strained,
+    strain_lines,
     summarise,
 )
 from probe_env import Context
@@ -103,7 +103,7 @@ def test_sentences_give_difference_and_interval():
         (synthetic(41.0, contexts=1), r"A takes 4\d(\.\d)? s less than B"),  # one tube has no interval
         (synthetic(0.0), r".*no clearly different amount"),
     ):
-        (line,) = sentences(table, "B")
+        (line,) = comparison_lines(table, "B")
         assert re.match(words, line), line
 
 
@@ -115,7 +115,7 @@ def test_the_share_of_the_planners_lead():
     ]  # fmt: skip
     table = pd.DataFrame(rows)
     assert share_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
-    assert any("It has 50 [" in line for line in sentences(table, "best-schedule"))
+    assert any("It has 50 [" in line for line in comparison_lines(table, "best-schedule"))
     with pytest.raises(ValueError, match="same contexts"):
         share_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
@@ -137,12 +137,12 @@ def test_summary_endings_and_training_seeds():
 def test_a_strained_cable_is_named():
     rows = [("a", 0.0, 0.0), ("a", 2.0, 0.0), ("b", 0.0, 0.0), ("c", 1.0, 40.0)]
     table = pd.DataFrame(rows, columns=["policy", "cost_tension", "cost_buckling"])
-    assert strained(table) == [
+    assert strain_lines(table) == [
         "a: the root over the tension limit in 1 of 2 episodes, for 2 control periods at most",
         "c: the root over the tension limit in 1 of 1 episodes, for 1 control period at most",
         "c: the root pressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
     ]
-    assert strained(table[["policy"]]) == []
+    assert strain_lines(table[["policy"]]) == []
 
 
 def found(**snr):
