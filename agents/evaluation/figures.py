@@ -12,7 +12,7 @@ from agents.records.drawing import GREY, GRID, MM, colours, plain, save
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
-    """Inspection time against the share of length out of the limit of every policy, with both intervals."""
+    """Share of the length out of the limit over inspection time, with both intervals, one point per policy."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     rows = summary.set_index(["policy", "kpi"])
     for colour, policy in zip(cycle(colours()), dict.fromkeys(summary["policy"]), strict=False):
@@ -28,7 +28,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
 
 
 def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -> Path:
-    """Feed, air and vibration over the inserted length by policy, in bins of two metres; a line at the limit."""
+    """Feed, air and vibration over the inserted length, in bins of two metres, one line per policy."""
     figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
     binned = profile.assign(bin=(profile["inserted_length"] // 2.0) * 2.0 + 1.0)
     fields = (
@@ -55,7 +55,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
 
 
 def curves(bands: pd.DataFrame, path: Path) -> Path:
-    """Probability of detection over the depth of every policy, with 95 % bands over the tubes."""
+    """Probability of detection over the depth of a flaw, one curve per policy, with 95 % bands over the tubes."""
     figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
     for (policy, part), colour in zip(bands.groupby("policy", sort=False), cycle(colours()), strict=False):
         axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=plain(str(policy)))

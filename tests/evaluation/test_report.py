@@ -19,7 +19,7 @@ from agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
 from agents.evaluation.kpis import CORE, KPIS
 from agents.evaluation.plan import COLUMNS, run_plan
 from agents.evaluation.profiles import downloads
-from agents.evaluation.report import limit_of, compare_with_best, write_report
+from agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
 from agents.evaluation.run import evaluate_plan
 from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
@@ -297,7 +297,7 @@ def test_the_page_names_passes_and_strained_cables(stored):
     done = read_evaluation(stored)
     both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": BOTH_WAYS["fast"].model_dump()}
     facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
-    assert facts["passes"] == "in and back; counted is the way back"
+    assert facts["passes"] == "in and back; scored is the withdrawal"
     assert (facts["simulated with"], facts["insertions"]) == ("fast", "12, of 2 policies in the same 3 tubes")
 
 

@@ -197,7 +197,7 @@ def test_commands_name_the_damaged_file(stored, refused):
     refused(["evaluate", stored], "report.json: against = 'nobody' is not one of the policies")
     (stored / "report.json").unlink()
     for name, column, value, message in (
-        ("profile", "policy", "somebody", "profile.parquet: of policies that are not in episodes.parquet"),
+        ("profile", "policy", "somebody", "profile.parquet: has policies that are not in episodes.parquet"),
         ("episodes", "reward", float("nan"), "row 1: reward = nan is not finite"),
     ):
         path = stored / f"{name}.parquet"
