@@ -21,7 +21,12 @@ class Evaluate:
     Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
     """
 
-    policies: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]] = ("constant", "slow", "slow-down", "pi")
+    policies: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]] = (
+        "constant",
+        "slow",
+        "slow-down",
+        "pi",
+    )
     """Names of policies and trained agents (see `probe-env agents`; ppo@2 is training seed 2), schedule files (.csv,
     .toml), feedback laws (.json) or trained agents (.safetensors). NAME=FILE sets the name in tables, NAME@K=FILE also
     the training seed. shielded:POLICY raises the air supply where the drive would be too low."""

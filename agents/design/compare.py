@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from agents.design.trials import DesignTrials, claim, tube_column
 from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
-from agents.evaluation.statistics import Interval, failures, failure_text, mean_interval, short
+from agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
 from agents.policies.cases import TABLE_2
 from agents.policies.catalogue import domains_of, name_and_spec
 from agents.policies.policy import check_domains

@@ -19,7 +19,7 @@ import pandas as pd
 from pydantic import FiniteFloat, NonNegativeInt, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.evaluation.kpis import PROFILE_COLUMNS, CORE, CORE_FAILURES, COST_KPIS, PROFILE_COLUMNS_NEWER, KPIS
+from agents.evaluation.kpis import CORE, CORE_FAILURES, COST_KPIS, KPIS, PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.statistics import grouped
 from agents.records.atomic import write_atomically
 from agents.records.models import Journal, Key, Record, Stored, read_json, require

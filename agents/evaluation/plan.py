@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import FILES, UNFINISHED, Setting, episodes_of, collect_tables, write_tables
+from agents.evaluation.folder import FILES, UNFINISHED, Setting, collect_tables, episodes_of, write_tables
 from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.workers import HERE, Workers

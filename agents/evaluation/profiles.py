@@ -38,7 +38,9 @@ def traces(
         limit_mm: limit of the radial rms [mm]; None: the limit is of another measure.
     """
     order = list(dict.fromkeys(table["policy"]))  # the colours of the other pictures
-    seeds = profile.drop_duplicates(["policy", "context", "seed", "training_seed"])[["policy", "context", "seed", "training_seed"]]
+    seeds = profile.drop_duplicates(["policy", "context", "seed", "training_seed"])[
+        ["policy", "context", "seed", "training_seed"]
+    ]
     first = seeds.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
     metres = profile.merge(first).dropna(subset=["inserted_length"])
     width = 1 + len(metres) // MOST_METRES
@@ -134,7 +136,11 @@ def _csv(schedule: Schedule, withdrawal: Description | None) -> str:
     forth = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
     comment, header, *rows = forth.to_csv().splitlines()
     withdrawn = zip(rows, *back.at(position), strict=True)
-    lines = (comment, ",".join((header, *BACK.values())), *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in withdrawn))
+    lines = (
+        comment,
+        ",".join((header, *BACK.values())),
+        *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in withdrawn),
+    )
     return "\n".join(lines) + "\n"
 
 

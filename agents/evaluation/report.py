@@ -16,18 +16,18 @@ from markupsafe import Markup
 
 from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
-from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, label_of, displayed_kpis
-from agents.evaluation.profiles import Description, inner_policy, downloads, traces
+from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, displayed_kpis, label_of
+from agents.evaluation.profiles import Description, downloads, inner_policy, traces
 from agents.evaluation.statistics import (
     Interval,
     bands,
     by_context,
+    comparison_lines,
     endings,
     has_curves,
     method_and_seed,
     paired_difference,
     ranking,
-    comparison_lines,
     short,
     strain_lines,
     summarise,

@@ -16,11 +16,11 @@ from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
     Interval,
-    endings,
-    grouped,
-    failure_text,
-    method_and_seed,
     comparison_lines,
+    endings,
+    failure_text,
+    grouped,
+    method_and_seed,
     short,
     strain_lines,
     summarise,
