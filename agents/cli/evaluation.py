@@ -11,6 +11,7 @@ import tyro
 from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
+Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
 
 @dataclass(frozen=True)
 class Evaluate:
@@ -21,12 +22,7 @@ class Evaluate:
     Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
     """
 
-    policies: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]] = (
-        "constant",
-        "slow",
-        "slow-down",
-        "pi",
-    )
+    policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
     """Names of policies and trained agents (see `probe-env agents`; ppo@2 is training seed 2), schedule files (.csv,
     .toml), feedback laws (.json) or trained agents (.safetensors). NAME=FILE sets the name in tables, NAME@K=FILE also
     the training seed. shielded:POLICY raises the air supply where the drive would be too low."""

@@ -108,8 +108,8 @@ def run_plan(
 ) -> pd.DataFrame:
     """Run the episodes that a folder lacks; returns the table of all episodes of the plan.
 
-    Each episode is appended to ``episodes.jsonl`` when it ends; with workers, when its batch ends. At the end the tables ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written. Until then
-    ``unfinished.json`` lists the planned episodes.
+    Each episode is appended to ``episodes.jsonl`` when it ends; with workers, when its batch ends. ``unfinished.json``
+    lists the planned episodes until ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written.
 
     Args:
         plan: the evaluation.

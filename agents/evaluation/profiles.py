@@ -38,10 +38,8 @@ def traces(
         limit_mm: limit of the radial rms [mm]; None: the limit is of another measure.
     """
     order = list(dict.fromkeys(table["policy"]))  # the colours of the other pictures
-    seeds = profile.drop_duplicates(["policy", "context", "seed", "training_seed"])[
-        ["policy", "context", "seed", "training_seed"]
-    ]
-    first = seeds.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
+    first = profile[["policy", "context", "seed", "training_seed"]].drop_duplicates()
+    first = first.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
     metres = profile.merge(first).dropna(subset=["inserted_length"])
     width = 1 + len(metres) // MOST_METRES
     binned = metres.assign(
@@ -111,6 +109,7 @@ def downloads(
         described = policies.get(policy, {})
         back = described.get("back")
         fixed = back is not None or not returns
+        described = inner_policy(described)
         schedules = (_fixed_schedules(described) or _median_schedule(policy, table, profile)) if fixed else {}
         for what, schedule in schedules.items():
             file = f"{_file_name(policy)}{'-' + _file_name(what) if len(schedules) > 1 else ''}.csv"
@@ -135,20 +134,15 @@ def _csv(schedule: Schedule, withdrawal: Description | None) -> str:
     feed, air = (tuple(values.tolist()) for values in schedule.at(position))
     forth = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
     comment, header, *rows = forth.to_csv().splitlines()
-    withdrawn = zip(rows, *back.at(position), strict=True)
-    lines = (
-        comment,
-        ",".join((header, *BACK.values())),
-        *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in withdrawn),
-    )
+    table = zip(rows, *back.at(position), strict=True)
+    lines = (comment, ",".join((header, *BACK.values())), *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in table))
     return "\n".join(lines) + "\n"
 
 
-def _fixed_schedules(description: Description) -> dict[str, Schedule]:
-    described = inner_policy(description)
+def _fixed_schedules(described: Description) -> dict[str, Schedule]:
     listed = {f"helix of {d} m": s for d, s in described.get("schedules", {}).items()}
     if "schedule" in described:
-        listed = {"as it was given": described["schedule"]}
+        listed = {"unchanged": described["schedule"]}
     schedules = {what: _schedule(points) for what, points in listed.items()}
     return {what: schedule for what, schedule in schedules.items() if len(schedule.position) <= MOST_POINTS}
 
@@ -167,7 +161,7 @@ def _median_schedule(policy: str, table: pd.DataFrame, profile: pd.DataFrame) ->
         return {}
     length, feed, air = (tuple(metres[name].astype(float)) for name in names)
     schedule = Schedule("inserted_length", "linear", length, feed, air)
-    return {f"as fed in tube {episode['context']}, its median": schedule}
+    return {f"as run in tube {episode['context']} (median reward)": schedule}
 
 
 def inner_policy(description: Description) -> Description:

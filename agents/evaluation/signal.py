@@ -191,7 +191,7 @@ def insert(
     """
     if fidelity.time_lapse != 1.0:
         raise ValueError(
-            f"fidelity.time_lapse = {fidelity.time_lapse:g} skips metres of the signals: use standard, reference or other"
+            f"fidelity.time_lapse = {fidelity.time_lapse:g} skips metres of the tube: use standard, reference or other"
             " settings with a time-lapse of 1"
         )
     length = config.scene.tube.helix_length
