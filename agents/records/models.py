@@ -19,9 +19,9 @@ from pydantic_core import PydanticCustomError
 from probe_env.files import MEBI, FileError, as_text, open_regular, read_text
 from probe_env.settings import explain
 
-MOST_JSON: Final = 16 * MEBI
-MOST_JOURNAL: Final = 4096 * MEBI
-MOST_LINE: Final = 4 * MEBI
+MAX_JSON: Final = 16 * MEBI
+MAX_JOURNAL: Final = 4096 * MEBI
+MAX_LINE: Final = 4 * MEBI
 RESTORE: Final = "restore the file or choose another folder"
 
 
@@ -64,7 +64,7 @@ def read_json(path: Path, model: type[S]) -> S:
         FileNotFoundError: no such file.
         FileError: not JSON, or not what the model says.
     """
-    return valid(path, "", read_text(path, MOST_JSON), model)
+    return valid(path, "", read_text(path, MAX_JSON), model)
 
 
 def valid(path: Path, place: str, text: str, model: type[S]) -> S:
@@ -132,12 +132,12 @@ def complete(path: Path) -> None:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
-    with open_regular(path, MOST_JOURNAL) as file:
+    with open_regular(path, MAX_JOURNAL) as file:
         begin, number = 0, 0
-        while line := file.readline(MOST_LINE + 1):
+        while line := file.readline(MAX_LINE + 1):
             number += 1
-            if len(line) > MOST_LINE:
-                raise FileError(path, f"line {number}: longer than the {MOST_LINE} bytes of any record - {RESTORE}")
+            if len(line) > MAX_LINE:
+                raise FileError(path, f"line {number}: longer than the {MAX_LINE} bytes of any record - {RESTORE}")
             yield number, line, begin
             begin += len(line)
 

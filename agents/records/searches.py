@@ -17,7 +17,7 @@ from optuna.trial import TrialState
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 JOURNAL: Final = "study.jsonl"
-MOST_JOURNAL: Final = 1024 * MEBI
+MAX_JOURNAL: Final = 1024 * MEBI
 
 
 def open_study(
@@ -63,7 +63,7 @@ def _check_lines(path: Path) -> None:
     """Raise unless every line is a record; remove a last line that was cut off."""
     if not os.path.lexists(path):
         return
-    *lines, rest = read_bytes(path, MOST_JOURNAL).split(b"\n")
+    *lines, rest = read_bytes(path, MAX_JOURNAL).split(b"\n")
     if not all(b'"op_code"' in line and isinstance(json.loads(line), dict) for line in lines):
         raise ValueError("a line is no record of a trial")
     if lines and not lines[0].startswith(b'{"op_code":0,'):

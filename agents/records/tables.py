@@ -26,10 +26,10 @@ Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
 """A name (``agents.terminal.names``); any text; a whole number of 0 or more; a finite number; a number or nothing; a
 truth."""
 Columns = Mapping[str, Kind]
-MOST_CSV: Final = 64 * MEBI
-MOST_PARQUET: Final = 1024 * MEBI
-MOST_ROWS: Final = 20_000_000
-MOST_COLUMNS: Final = 1000
+MAX_CSV: Final = 64 * MEBI
+MAX_PARQUET: Final = 1024 * MEBI
+MAX_ROWS: Final = 20_000_000
+MAX_COLUMNS: Final = 1000
 CURVE: Final[Columns] = {
     **dict.fromkeys(("seed", "phase", "steps"), "count"),
     **dict.fromkeys(("reward", "inspection_time_s", "share_within_limit"), "number"),
@@ -55,7 +55,7 @@ def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd
         FileNotFoundError: no such file.
         FileError: not CSV, or a required column is missing or not of its kind.
     """
-    text = read_text(path, MOST_CSV)
+    text = read_text(path, MAX_CSV)
     header = next(filter(None, csv.reader(io.StringIO(text))), [])
     columns = _present(columns, newer, header)
     _check_header(path, header, columns)
@@ -83,7 +83,7 @@ def _parse(path: Path, text: str, header: Sequence[str], types: Mapping[str, Any
     try:
         return pa.csv.read_csv(
             io.BytesIO(text.encode()),
-            read_options=pa.csv.ReadOptions(use_threads=False, block_size=2 * MOST_CSV),
+            read_options=pa.csv.ReadOptions(use_threads=False, block_size=2 * MAX_CSV),
             parse_options=pa.csv.ParseOptions(newlines_in_values=True),
             convert_options=convert,
         )
@@ -107,14 +107,14 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.Dat
         FileNotFoundError: no such file.
         FileError: not Parquet, more rows than any table has, or a needed column is missing or not of its kind.
     """
-    content = read_bytes(path, MOST_PARQUET)
+    content = read_bytes(path, MAX_PARQUET)
     try:
         file = pq.ParquetFile(io.BytesIO(content))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
         columns = _present(columns, newer, names)
         _check_header(path, names, columns)
-        if not 0 < rows <= MOST_ROWS:
-            raise FileError(path, f"{rows} rows: a table has 1 to {MOST_ROWS} - {_HINT}")
+        if not 0 < rows <= MAX_ROWS:
+            raise FileError(path, f"{rows} rows: a table has 1 to {MAX_ROWS} - {_HINT}")
         table = file.read(columns=[name for name in names if name in columns])
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         if isinstance(error, FileError):
@@ -155,8 +155,8 @@ def check_table(path: Path, table: pd.DataFrame, columns: Columns, newer: Column
 
 
 def _check_header(path: Path, header: list[Any], columns: Columns) -> None:
-    if len(header) > MOST_COLUMNS:
-        raise FileError(path, f"{len(header)} columns are more than {MOST_COLUMNS} - {_HINT}")
+    if len(header) > MAX_COLUMNS:
+        raise FileError(path, f"{len(header)} columns are more than {MAX_COLUMNS} - {_HINT}")
     present = ", ".join(map(str, header)) or "none"
     for name in columns:
         if header.count(name) != 1:

@@ -149,7 +149,7 @@ def test_parquet_tables(stored, monkeypatch):
     for name, read in (("episodes", read_episodes), ("profile", lambda path: read_parquet(path, PROFILE))):
         read(stored / f"{name}.parquet")
         assert failures_of(stored / f"{name}.parquet", TABLES, read) == [], name
-    monkeypatch.setattr("agents.records.tables.MOST_ROWS", 3)
+    monkeypatch.setattr("agents.records.tables.MAX_ROWS", 3)
     with pytest.raises(FileError, match=r"episodes\.parquet: 4 rows: a table has 1 to 3"):
         read_episodes(stored / "episodes.parquet")
 
