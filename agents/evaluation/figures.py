@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from agents.records.drawing import GREY, GRID, MM, colours, plain, save
+from agents.records.drawing import GREY, GRID, MM, colours, escape_dollars, save
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
@@ -20,7 +20,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
         x, y = time["mean"], 100.0 * (1.0 - share["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
         along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
-        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=plain(policy))
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=escape_dollars(policy))
     axis.set(xlabel="inspection time [s]", ylabel="length out of the limit [%]", ylim=(0.0, None))
     axis.grid(**GRID)
     axis.legend(frameon=False)
@@ -40,7 +40,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
         groups = binned[binned["policy"] == policy].groupby("bin")
         for axis, (name, factor, label) in zip(axes, fields, strict=True):
             mean = groups[name].mean() * factor
-            axis.plot(mean.index, mean, color=colour, label=plain(policy))
+            axis.plot(mean.index, mean, color=colour, label=escape_dollars(policy))
             axis.set_ylabel(label)
         loud = groups["radial_rms_m"].quantile(0.9) * MM
         axes[2].plot(loud.index, loud, color=colour, linewidth=0.7)
@@ -58,7 +58,7 @@ def curves(bands: pd.DataFrame, path: Path) -> Path:
     """Probability of detection over the depth of a flaw, one curve per policy, with 95 % bands over the tubes."""
     figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
     for (policy, part), colour in zip(bands.groupby("policy", sort=False), cycle(colours()), strict=False):
-        axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=plain(str(policy)))
+        axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=escape_dollars(str(policy)))
         axis.fill_between(part["depth_percent_wall"], part["low"], part["high"], color=colour, alpha=0.15, linewidth=0)
     axis.axhline(0.9, color=GREY, linewidth=0.8, linestyle=":")
     axis.set(xscale="log", ylim=(0.0, 1.0), xlabel="depth [% of the wall]", ylabel="probability of detection")

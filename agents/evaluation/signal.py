@@ -21,7 +21,7 @@ from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import make_policy
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
-from agents.records.drawing import BLUE, GREY, GRID, MM, RED, plain, save
+from agents.records.drawing import BLUE, GREY, GRID, MM, RED, escape_dollars, save
 from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
 from probe_env import Context, Fidelity
@@ -344,7 +344,7 @@ def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str,
             axis.axvline(position, ymin=0.95, color=GREY, linewidth=0.8)
         for flaw in chart.flaws:
             axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
-    figure.suptitle(plain(title))
+    figure.suptitle(escape_dollars(title))
     save(figure, path)
 
 

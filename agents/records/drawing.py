@@ -32,7 +32,7 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> Path:
     return path
 
 
-def plain(name: str) -> str:
+def escape_dollars(name: str) -> str:
     """A name as it is: between dollar signs would be a formula."""
     return name.replace("$", r"\$")
 

@@ -128,12 +128,12 @@ def _processor() -> str:
 
 def write_json(path: Path, data: Any) -> None:
     """Write JSON atomically; NaN becomes null."""
-    write_atomically(path, json.dumps(_plain(data), indent=2, allow_nan=False) + "\n")
+    write_atomically(path, json.dumps(_escape_dollars(data), indent=2, allow_nan=False) + "\n")
 
 
-def _plain(data: Any) -> Any:
+def _escape_dollars(data: Any) -> Any:
     if isinstance(data, dict):
-        return {key: _plain(value) for key, value in data.items()}
+        return {key: _escape_dollars(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
-        return [_plain(value) for value in data]
+        return [_escape_dollars(value) for value in data]
     return None if isinstance(data, float) and data != data else data

@@ -73,7 +73,7 @@ def valid(path: Path, place: str, text: str, model: type[S]) -> S:
         return model.model_validate_json(text)
     except ValidationError as error:
         hint = RESTORE if not place else f"take the line out (what it held is run again), or {RESTORE}"
-        raise FileError(path, f"{place}{explain(error)} - {hint}") from error
+        raise FileError(path, f"{place}{exescape_dollars(error)} - {hint}") from error
 
 
 class Journal(Generic[S]):

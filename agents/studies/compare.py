@@ -24,7 +24,7 @@ from agents.evaluation.statistics import (
     short,
 )
 from agents.records.atomic import write_atomically
-from agents.records.drawing import BLUE, GREY, GRID, colours, plain, save
+from agents.records.drawing import BLUE, GREY, GRID, colours, escape_dollars, save
 from agents.records.manifest import write_manifest
 from agents.studies.run import Setting
 from agents.studies.spec import Changes, Study
@@ -210,9 +210,9 @@ def _forest(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
         if len(sizes) and np.median(sizes) < LINEAR_SHARE * sizes.max():
             axis.set_xscale("symlog", linthresh=float(max(np.median(sizes), LINEAR_SHARE**2 * sizes.max())))
         axis.axvline(0.0, color=GREY, linewidth=0.8)
-        axis.set_title(f"less {plain(str(rows['baseline'].iloc[0]))}", fontsize="medium")
+        axis.set_title(f"less {escape_dollars(str(rows['baseline'].iloc[0]))}", fontsize="medium")
         names = [", ".join(filter(None, map(_text, row))) for row in rows[list(shown)].itertuples(index=False)]
-        axis.set_yticks(range(len(rows)), map(plain, names), fontsize="small")
+        axis.set_yticks(range(len(rows)), map(escape_dollars, names), fontsize="small")
         axis.grid(**GRID)
     axes[0, 0].set_ylim(len(panels[0]) - 0.5, -0.5)
     figure.supxlabel(
@@ -234,7 +234,7 @@ def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
         ]
         x, y = (values[points[0][:, 0].argsort()].T for values in points)
         errors = (np.nan_to_num([mean - low, high - mean]) for mean, low, high in (x, y))
-        label = plain(", ".join(map(_text, name)))
+        label = escape_dollars(", ".join(map(_text, name)))
         axis.errorbar(x[0], y[0], xerr=next(errors), yerr=next(errors), fmt="o-", capsize=3, color=colour, label=label)
     axis.set(xlabel=_label_and_factor(study.figure[0])[0], ylabel=_label_and_factor(study.figure[1])[0])
     axis.grid(**GRID)
