@@ -111,7 +111,7 @@ def plan_of(
         check_tubes(plan.config, plan.contexts, plan.fidelity, plan.vibration)
     except ValueError as error:
         raise ValueError(
-            f"{case.tube.name}: {exescape_dollars(error) if isinstance(error, ValidationError) else error}"
+            f"{case.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
         ) from error
     return plan
 

@@ -98,7 +98,7 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         known = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, known, case, plant)
     except (ValueError, TypeError) as error:
-        problem = exescape_dollars(error) if isinstance(error, ValidationError) else str(error)
+        problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
         raise ValueError(f"{where}: {problem}" if where else problem) from error
     plan = Plan(policies, case.contexts, study.seeds, config, accuracy)

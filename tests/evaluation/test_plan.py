@@ -131,7 +131,7 @@ def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monke
         (make_plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), "time_limit"),
         (make_plan(probes="random"), "probes"),
     ):
-        with pytest.raises(ValueError, match=rf"evaluation holds episodes of another setting \({name} differ\)"):
+        with pytest.raises(ValueError, match=rf"evaluation has episodes with other settings \({name} differ\)"):
             run_plan(plan, stored, progress=False)
     for name, value in (("commit", "0123456789ab+changes"), ("version", "9.9")):
         with monkeypatch.context() as patch:

@@ -73,7 +73,7 @@ def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
     assert headline(table, "mine").endswith("; it did not complete 2 of 20 insertions.")
     assert "; mine did not complete 2 of 20" in headline(table, "best")
-    for tubes, words in ((1, "1 tube, which says nothing about scatter"), (4, "4 tubes, too few for exact intervals")):
+    for tubes, words in ((1, "1 tube, without an interval"), (4, "4 tubes, too few for exact intervals")):
         one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
         assert f"over {words}" in one.detail
         assert ("[" in one.headline) == ("95 %" in one.detail) == (tubes > 1)
@@ -291,7 +291,7 @@ def test_the_page_names_passes_and_strained_cables(stored):
     table["cost_tension"] = np.where((table["policy"] == "feed 1") & (table["context"] > 0), 3.0, 0.0)
     table.to_parquet(stored / "episodes.parquet")
     page = write_report(stored).read_text()
-    assert "<li>feed 1: the root over the tension limit in 4 of 6 episodes, for 3 control periods at most</li>" in page
+    assert "<li>feed 1: the root was over the tension limit in 4 of 6 episodes, for 3 control periods at most</li>" in page
     assert "feed 0: the root" not in page
     assert "<dt>passes</dt>" not in page
     done = read_evaluation(stored)

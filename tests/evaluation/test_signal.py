@@ -118,7 +118,7 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}
     said = capsys.readouterr().out
     assert "called: 2 of the 3 flaws passed" in said
-    assert "not passed: the flaw at 30 m; the sensor was from 2.50 to 4.5" in said
+    assert "not passed: the flaw at 30 m; the sensor moved from 2.50 to 4.5" in said
 
 
 def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):

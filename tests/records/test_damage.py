@@ -243,7 +243,7 @@ def test_a_study_is_continued_without_what_a_kill_left_unfinished(journal):
 
 def test_searches(journal):
     for directions, parameters in ((["maximize"], ["x"]), (["minimize"] * 3, ["x"]), (["minimize"], ["y"])):
-        with pytest.raises(FileError, match=r"study\.jsonl: .*study 'known' is of another search"):
+        with pytest.raises(FileError, match=r"study\.jsonl: .*study 'known' has other"):
             open_study(journal, "known", directions, parameters)
     whole = journal.read_bytes()
     damages = LINES | {
