@@ -177,7 +177,7 @@ def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
     assert load_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
         load_case(Path("nowhere.toml"), "test")
-    assert "tubes that ship, by name: example" in missing.value.hint
+    assert "shipped tubes: example" in missing.value.hint
 
 
 def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():

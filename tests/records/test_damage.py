@@ -150,7 +150,7 @@ def test_parquet_tables(stored, monkeypatch):
         read(stored / f"{name}.parquet")
         assert failures_of(stored / f"{name}.parquet", TABLES, read) == [], name
     monkeypatch.setattr("agents.records.tables.MAX_ROWS", 3)
-    with pytest.raises(FileError, match=r"episodes\.parquet: 4 rows: a table has 1 to 3"):
+    with pytest.raises(FileError, match=r"episodes\.parquet: 4 rows; accepted: 1 to 3"):
         read_episodes(stored / "episodes.parquet")
 
 
@@ -165,8 +165,8 @@ CSV = {
     f"{HEADER}\npi,1,1.5,1\n": "row 1: count = 1.5 is not a whole number of 0 or more",
     f"{HEADER}\npi,1,-1,1\n": "row 1: count = -1 is not a whole number of 0 or more",
     f"{HEADER}\npi,1,1,1\npi,1\n": "row 2: 2 values for 4 columns",
-    f"{HEADER},family\npi,1,1,1,pi\n": "column 'family' is there 2 times",
-    f"{HEADER},a,a\npi,1,1,1,1,1\n": "a column is there twice",
+    f"{HEADER},family\npi,1,1,1,pi\n": "column 'family' occurs 2 times",
+    f"{HEADER},a,a\npi,1,1,1,1,1\n": "a column occurs twice",
     f"{HEADER}\n=1+1,1,1,1\n": "column 'family': '=1+1' is not a name",
     f"{HEADER}\n,1,1,1\n": "column 'family': '' is not a name",
     f'{HEADER}\n"pi,1,1,1\n': "not CSV: a quote is not closed",
