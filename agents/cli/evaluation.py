@@ -13,6 +13,7 @@ from agents.evaluation.workers import Workers
 
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
 
+
 @dataclass(frozen=True)
 class Evaluate:
     """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report.

@@ -122,7 +122,7 @@ def run_plan(
         command: command line to store; default: the one of this process.
 
     Raises:
-        ValueError: the folder holds episodes of another setting, version or commit; nothing is changed.
+        ValueError: the folder holds episodes of other settings, version or commit; nothing is changed.
     """
     if output is None:
         lines = _lines(plan, deque(plan.units()), batch, threads, workers)

@@ -73,7 +73,7 @@ def validate(path: Path, prefix: str, text: str, model: type[S]) -> S:
         return model.model_validate_json(text)
     except ValidationError as error:
         hint = f"remove the line (its work is repeated), or {RESTORE}" if prefix else RESTORE
-        raise FileError(path, f"{place}{explain(error)} - {hint}") from error
+        raise FileError(path, f"{prefix}{explain(error)} - {hint}") from error
 
 
 class Journal(Generic[S]):

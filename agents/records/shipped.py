@@ -40,13 +40,8 @@ def shipped_folder(kind: Kind) -> Path:
     return PACKAGE.parent / ("results" if kind == "agents" else "configs") / kind
 
 
-<<<<<<< Updated upstream
 def ships(kind: Kind, path: str | Path) -> bool:
-    """Whether a path is in the folder of the shipped files of a kind, however it is written."""
-=======
-def is_shipped(kind: Kind, path: str | Path) -> bool:
     """Whether a path is in the folder of the shipped files of a kind."""
->>>>>>> Stashed changes
     return Path(path).resolve().is_relative_to(shipped_folder(kind).resolve())
 
 

@@ -23,7 +23,7 @@ from agents.terminal.names import name_problem
 from probe_env.files import MEBI, FileError, read_bytes, read_text
 
 Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
-"""A name (``agents.terminal.names``), any text, a whole number of 0 or more, a finite number, a number or NaN, a boolean."""
+"""A name (``agents.terminal.names``), any text, a whole number from 0, a finite number, a number or NaN, a boolean."""
 Columns = Mapping[str, Kind]
 MAX_CSV: Final = 64 * MEBI
 MAX_PARQUET: Final = 1024 * MEBI
