@@ -1,4 +1,4 @@
-"""What was refused or failed as the one line that the terminal and the app tell."""
+"""Formats errors for the terminal and the app."""
 
 from __future__ import annotations
 

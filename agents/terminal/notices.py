@@ -1,4 +1,4 @@
-"""What a command says of itself while it runs, above its progress bars."""
+"""Message about compilation, printed above the progress bars."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tqdm import tqdm
 
 
 class _Once(event.Listener):
-    """Says that kernels are compiled, at the first one that is not in numba's cache."""
+    """Prints a message at the first kernel that is not in numba's cache."""
 
     announced = False
 
     def on_start(self, event: Any) -> None:
         if not self.announced:
             self.announced = True
-            tqdm.write("compiling kernels, which are kept for later runs", file=sys.stderr)
+            tqdm.write("compiling kernels; later runs use the cache", file=sys.stderr)
 
     def on_end(self, event: Any) -> None:
         pass
@@ -27,6 +27,6 @@ class _Once(event.Listener):
 
 @contextmanager
 def announce_compilation() -> Iterator[None]:
-    """Say so when a kernel has to be compiled while it is entered: that takes seconds to a minute."""
+    """Context that prints a message when a kernel is compiled, which takes seconds to a minute."""
     with event.install_listener("numba:compile", _Once()):
         yield
