@@ -15,15 +15,15 @@ from agents.cli.interrupts import report, signal_handlers
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
-    if arguments is None:  # a process of its own, in which numpy is not loaded yet
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
+    if arguments is None:  # the command itself, before numpy is loaded
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are too small for threads
     with signal_handlers():
         try:
             return _run(sys.argv[1:] if arguments is None else list(arguments))
         except KeyboardInterrupt as error:
             return report(error)
-        except BrokenPipeError:  # the reader of a pipe, such as head, has ended
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+        except BrokenPipeError:  # the reader of the pipe, such as head, has ended
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discard further output
             return 1
 
 
@@ -76,7 +76,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> None:
     from probe_env.files import one_line
 
     warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
-    logger = logging.getLogger("probe_env")  # what "auto" picks and why, and how much there is to do
+    logger = logging.getLogger("probe_env")  # the choice of "auto", and the remaining work
     logger.handlers = [logging.StreamHandler(sys.stderr)]
     logger.setLevel(logging.INFO)
     module, _, kind = COMMANDS[name][0].partition(":")

@@ -36,7 +36,7 @@ class Compare:
     limit: int = 0
     """Number of tubes, the first of the list; 0: all."""
     tube: File = None
-    """Your plant (tube.toml). Its tubes replace the shipped list; its probe has what a design file leaves out."""
+    """Your plant (tube.toml). Its tubes replace the shipped list; its probe supplies fields that a design file lacks."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
     output: Path = Path("output/compare")
@@ -68,13 +68,13 @@ class Compare:
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
 
 
-def _design(path: Path, own: Probe) -> Design:
-    """The design of a file; fields that it leaves out are those of the plant's probe."""
+def _design(path: Path, probe: Probe) -> Design:
+    """The design of a file; missing fields are those of the plant's probe."""
     from probe_env import Design
     from probe_env.files import FileError
 
     try:
-        return Design.from_toml(path).completed(own)
+        return Design.from_toml(path).completed(probe)
     except FileError:
         raise
     except ValueError as error:

@@ -61,7 +61,7 @@ class Evaluate:
         from agents.terminal.fidelities import parse_fidelity
 
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
-        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix  # a folder, and no damaged policy file
+        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix
         if folder.parts and (named or is_evaluation(folder)):
             print(f"written: {report_again(folder, self.against)}")
             return
@@ -129,13 +129,13 @@ class Render:
         from agents.policies.cases import plant_at
 
         if self.at is not None and self.view != "strip":
-            raise ValueError(f"at = {self.at!r} m is of the strip: add --view strip")
-        of: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
+            raise ValueError(f"at = {self.at!r} m needs --view strip")
+        options: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
         if self.view == "strip":
-            of |= {"at": self.at, "length": self.length, "duration": self.duration}
-            figures = render_strip(self.env_id, self.output, self.policy, self.seed, **of)
+            options |= {"at": self.at, "length": self.length, "duration": self.duration}
+            figures = render_strip(self.env_id, self.output, self.policy, self.seed, **options)
         else:
-            figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **of)
+            figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **options)
         for name, value in figures.items():
             print(f"{name:40s} {value:.6g}")
         print(f"written: {self.output}")

@@ -1,4 +1,4 @@
-"""Parses the arguments of a command with tyro; every error is one line."""
+"""Parses the arguments of a command with tyro; an error is one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from probe_env.settings import explain
 
 OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.probe", "Contact": "--scene.contact",
                   "Air": "--scene.air"}  # fmt: skip
-"""Model -> prefix of the options that fill it."""
+"""Model -> prefix of its options."""
 
 
 def hide_default(metavar: str | None = None) -> Any:
@@ -33,10 +33,10 @@ def parse(name: str, kind: type[Any], arguments: Sequence[str], default: Any = N
     """The command with the options of its arguments.
 
     Args:
-        name: of the command.
-        kind: its dataclass.
-        arguments: after the name.
-        default: command whose fields are the defaults of the options.
+        name: name of the command.
+        kind: dataclass of the command.
+        arguments: command line after the name.
+        default: command with other defaults of the options.
     """
     settings: dict[str, Any] = {} if default is None else {"default": default}
     settings |= {"prog": f"probe-env {name}", "description": inspect.getdoc(kind), "config": (tyro.conf.DisallowNone,)}
@@ -56,7 +56,7 @@ def parse(name: str, kind: type[Any], arguments: Sequence[str], default: Any = N
 
 
 def _message(text: str) -> str:
-    """The error that tyro prints, in a box or between rules, as one line without title and help texts."""
+    """The error in tyro's box as one line, without title and help texts."""
     lines = "\n".join(line.strip("│ ") for line in text.splitlines())
     _, *parts = re.split(r"^(?:[╭╰].*|[─-]{3,})$", lines, flags=re.MULTILINE)
     sentences = [" ".join(part.split()) for part in parts]
@@ -67,7 +67,7 @@ def _message(text: str) -> str:
 
 
 def positional(arguments: Sequence[str]) -> str | None:
-    """The first argument that is neither an option nor the value of one, where every option has one value."""
+    """The first argument that is neither an option nor its value, if every option has one value."""
     rest = iter(arguments)
     for argument in rest:
         if argument == "--":

@@ -60,12 +60,12 @@ class ReadLog:
         output = self.output or Path("output") / f"{name_of(path)}-clean.csv"
         bounds = Bounds(self.gap, self.backward, self.start_length, self.tolerance, self.every)
         if output.suffix != ".csv":
-            raise ValueError(f"output = {str(output)!r} is not a CSV file (.csv), which schedules are")
+            raise ValueError(f"output = {str(output)!r} is not a CSV file (.csv)")
         if self.plot:
             check_picture(self.plot)
         for target in (output, self.plot):
             if target and (target.resolve() == path.resolve() or (target.exists() and target.samefile(path))):
-                raise ValueError(f"{str(target)!r} is the log itself, which stays as it is: name another file")
+                raise ValueError(f"{str(target)!r} is the log itself; choose another file")
         air = None if self.air_supply is None else self.air_supply / 3600.0
         log = read_log(path, self.columns, bounds=bounds, sheet=self.sheet, decimal=self.decimal, air_supply_rate=air)
         write_atomically(output, log.to_csv())
@@ -97,7 +97,7 @@ class Calibrate:
 
     def run(self) -> None:
         """Read, sample, store, print."""
-        for needed in ("emcee", "corner"):  # before half a minute of sampling
+        for needed in ("emcee", "corner"):  # fails before the sampling of half a minute
             import_module(needed)
 
         from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
@@ -156,12 +156,12 @@ class Recommend:
         from agents.policies.cases import plant_at
 
         if self.output.suffix != ".csv":
-            raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
+            raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv)")
         if self.policy and self.policy.suffix != ".json":
-            raise ValueError(f"policy = {str(self.policy)!r} is not a JSON file (.json), which feedback laws are")
+            raise ValueError(f"policy = {str(self.policy)!r} is not a JSON file (.json)")
         folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
         if self.schedules and not self.simulated:
-            raise ValueError("schedules: only a simulation compares with them; leave out --no-simulated")
+            raise ValueError("schedules need the simulation: remove --no-simulated")
         confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity) if self.simulated else None
         recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.policy, self.workers)
 
@@ -189,7 +189,7 @@ class Plc:
         from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:
-            raise ValueError("trimmed = True needs --st: a table has no memory to trim with")
+            raise ValueError("trimmed = True needs --st: a table has no memory for the integral action")
         constants = read_constants()
         case = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None

@@ -47,13 +47,13 @@ class Simulate:
     """Folder; default: output/NAME."""
 
     @classmethod
-    def of_scene(cls, given: str | None) -> Simulate | None:
-        """The command with the defaults of a scene file or shipped scene; None if none is given."""
-        if given is None:
+    def of_scene(cls, name: str | None) -> Simulate | None:
+        """The command with the defaults of a scene file or shipped scene; None without a name."""
+        if name is None:
             return None
-        path = file_or_shipped("scenes", given)
+        path = file_or_shipped("scenes", name)
         if path.suffix != ".toml":
-            raise ValueError(f"scene_file = {given!r} is not a scene file, which is TOML (.toml)")
+            raise ValueError(f"scene_file = {name!r} is not a TOML file (.toml)")
         return cls(path, Scene.from_toml(path))
 
     def run(self) -> None:
@@ -67,8 +67,8 @@ class Simulate:
         step = method.usual_step if self.time_step is None else self.time_step
         simulator = Simulator(self.scene, method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
         stable = simulator.stable_time_step
-        holds = f"known to hold up to {stable:.2g} s" if math.isfinite(stable) else "holds with any"
-        print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s ({holds})")
+        limit = "with any step" if math.isinf(stable) else f"up to {stable:.2g} s" if stable else "limit not known"
+        print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s (stable: {limit})")
         begin = 0.25 * self.duration if self.statistics_from is None else self.statistics_from
         statistics = simulate_scene(simulator, self.duration, begin, output, name)
         print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")

@@ -54,7 +54,7 @@ class Study:
             print_terms(files | {name: study.question for name, study in BUILT_IN.items()})
             return
         if not self.study:
-            raise ValueError("study: give a file or a name; probe-env study --list prints the names")
+            raise ValueError("study is missing: a file or a name from probe-env study --list")
         output = self.output or Path("output") / Path(self.study).stem
         if self.study in BUILT_IN and not Path(self.study).is_file():
             for name in ("policies", "fidelity"):

@@ -42,8 +42,8 @@ class Train:
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:
-            own = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
-            training = training.model_copy(update={"environment": own})
+            environment = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
+            training = training.model_copy(update={"environment": environment})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
         print(f"written: {output}/seed-*/ (agent.safetensors: the best by validation, learning.csv, run.json, logs)")
