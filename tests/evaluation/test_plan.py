@@ -136,7 +136,7 @@ def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monke
     for name, value in (("commit", "0123456789ab+changes"), ("version", "9.9")):
         with monkeypatch.context() as patch:
             patch.setattr(f"agents.evaluation.plan.{name}", lambda *_, value=value: value)
-            with pytest.raises(ValueError, match=rf"another setting \({name} differ; {name} .*, now {value[:3]}"):
+            with pytest.raises(ValueError, match=rf"other settings \({name} differ; {name} .*, now {value[:3]}"):
                 run_plan(make_plan(), stored, progress=False)
     assert {path: path.read_bytes() for path in stored.iterdir()} == before
     (stored / "setting.json").unlink()
