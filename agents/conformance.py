@@ -45,13 +45,25 @@ def check_vector_env(make: Make, make_single: MakeSingle, num_envs: int = 3, ste
     second_start, second = _run(make(num_envs), seed, actions)
     _compare(second_start, second, expected_start, expected, "a second run with the same seed differs")
     one_start, one = _run(make(1), seed, actions[:, :1])
-    _compare(one_start, one, expected_start[:1], [_take(o, [0]) for o in expected], "the result depends on the number of environments")
+    _compare(
+        one_start,
+        one,
+        expected_start[:1],
+        [_take(o, [0]) for o in expected],
+        "the result depends on the number of environments",
+    )
     env = make(num_envs)
     if isinstance(env, VectorEnv):  # accepts one seed per environment
         order = list(reversed(range(num_envs)))
         permuted_start, permuted = _run(env, [seeds[k] for k in order], actions[:, order])
         reordered = [_take(o, order) for o in expected]
-        _compare(permuted_start, permuted, expected_start[order], reordered, "the result depends on the order of the environments")
+        _compare(
+            permuted_start,
+            permuted,
+            expected_start[order],
+            reordered,
+            "the result depends on the order of the environments",
+        )
     # with autoreset disabled, an ended episode would need a reset
     _check_aliasing(make(num_envs), seed, actions[:1] if mode is AutoresetMode.DISABLED else actions)
 

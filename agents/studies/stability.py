@@ -80,7 +80,7 @@ DAMPING: Final = (0.0, 5e-5)  # [s]
 
 def run(request: Request) -> pd.DataFrame:
     """Run the map, one mass and passive chains; writes map.csv, steps.csv, one_mass.csv, energy.csv and map.png."""
-    request.without("tube", "limit", "trials")
+    request.reject("tube", "limit", "trials")
     output, table = request.output, run_map(cells(), request.workers.jobs)
     steps = by_step(table)
     tables = {"map": table, "steps": steps, "one_mass": run_one_mass(), "energy": run_energy()}

@@ -45,7 +45,7 @@ def run(request: Request) -> None:
     Raises:
         FileError: something stored in the folder is damaged or of another commit; nothing was run.
     """
-    request.without("tube", "limit", "trials")
+    request.reject("tube", "limit", "trials")
     for name, columns in TABLES.items():
         path = request.output / f"{name}.csv"
         if path.exists():

@@ -43,7 +43,7 @@ def run(request: Request) -> pd.DataFrame:
     Returns:
         the table of claims.
     """
-    request.without("tube")
+    request.reject("tube")
     members, output, duration = request.budget("trials", 1, 1000), request.output, cases.DURATION
     names = () if request.limit is None else SUBSET
     table = run_cases(output, members, names, request.workers.jobs)

@@ -104,7 +104,7 @@ def run(request: Request) -> None:
         ValueError: a budget out of range, or the map is of another vibration measure.
         FileError: a stored episode is damaged, or of another task; nothing was tried.
     """
-    request.without("limit")
+    request.reject("limit")
     trials = request.budget("trials", TRIALS)
     plant = plant_at(request.tube)
     vibration = map_of(request.tube, plant)

@@ -81,7 +81,7 @@ def run(request: Request) -> None:
     Raises:
         ValueError: the limit is out of range.
     """
-    request.without("tube")
+    request.reject("tube")
     most = SPLIT_SIZES["train"]
     limit, trim_limit = request.budget("limit", LIMIT, most), request.budget("limit", TRIM_LIMIT, most)
     search_law(TRIALS if request.trials is None else request.trials, GENERATIONS, limit, request)

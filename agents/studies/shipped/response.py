@@ -86,7 +86,7 @@ def run(request: Request) -> Response:
     """
     import_module("torch")  # for the network, which comes after hours of simulation
 
-    request.without("trials", "tube")
+    request.reject("trials", "tube")
     parts = list(make_bank(request.budget("limit", GROUPS, 256), request.output))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     response, quality = fit_response(bank)

@@ -101,7 +101,7 @@ def run(request: Request) -> Path:
     """Wander on training tubes (resumable), fit the map, store it in ``target_of``; ``trials``: insertions on each."""
     import_module("torch")  # for the fit, which comes after half an hour of simulation
 
-    request.without("limit")
+    request.reject("limit")
     seeds, target, plant = range(request.budget("trials", SEEDS, 100)), target_of(request), plant_at(request.tube)
     goes_on = {"lost_drive_periods": 1000}  # without drive: that is seen in the table
     config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)
