@@ -45,13 +45,7 @@ def check_vector_env(make: Make, make_single: MakeSingle, num_envs: int = 3, ste
     second_start, second = _run(make(num_envs), seed, actions)
     _compare(second_start, second, expected_start, expected, "a second run with the same seed differs")
     one_start, one = _run(make(1), seed, actions[:, :1])
-    _compare(
-        one_start,
-        one,
-        expected_start[:1],
-        [_take(o, [0]) for o in expected],
-        "the result depends on the number of environments",
-    )
+    _compare(one_start, one, expected_start[:1], [_take(o, [0]) for o in expected], "the result depends on num_envs")
     env = make(num_envs)
     if isinstance(env, VectorEnv):  # accepts one seed per environment
         order = list(reversed(range(num_envs)))

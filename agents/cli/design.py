@@ -36,7 +36,7 @@ class Compare:
     limit: int = 0
     """Number of tubes, the first of the list; 0: all."""
     tube: File = None
-    """Your plant (tube.toml). Its tubes replace the shipped list; its probe supplies fields that a design file lacks."""
+    """Your plant (tube.toml). Its tubes replace the shipped list; its probe supplies fields missing in a design."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
     output: Path = Path("output/compare")

@@ -72,7 +72,7 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
 
 
 def print_frame(title: str, table: pd.DataFrame, columns: Sequence[str] = (), texts: int = 1) -> None:
-    """Print columns (default: all) of a table, numbers with three digits; the first ``texts`` columns are aligned left."""
+    """Print columns (default: all) of a table, numbers with three digits; the first ``texts`` are aligned left."""
     chosen = list(columns or table.columns)
     rows = [
         [cell if isinstance(cell, str) else "-" if cell != cell else f"{cell:.3g}" for cell in row]

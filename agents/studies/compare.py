@@ -37,7 +37,7 @@ LINEAR_SHARE: Final = 0.02
 def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -> pd.DataFrame:
     """One row per policy, setting, metric and baseline.
 
-    Columns: those of policy and setting, then tubes, metric, mean, low, high, rank (among the policies of a setting, 1 is
+    Columns: those of policy and setting, then tubes, metric, mean, low, high, rank (among the policies of a setting, 1:
     the best), baseline, difference, difference_low and difference_high. ``a90_95_percent_wall`` has no interval; its
     difference is that of a90. With ``compare.upper`` also share_of_lead, share_low and share_high of the reward.
 

@@ -124,7 +124,7 @@ class Study(Model):
     def changed(
         self, limit: int | None, policies: tuple[str, ...], fidelity: tuple[str, ...], tube: Path | None
     ) -> Study:
-        """The same study with what is given instead of its own; policies that it compares with are kept.
+        """The study with other values; reference policies of the comparison remain.
 
         Raises:
             ValueError: a value is not valid.
@@ -132,8 +132,8 @@ class Study(Model):
         update: Changes = {} if limit is None else {"limit": limit}
         if policies:
             needed = [entry.get("policy") for entry in (*self.compare.baseline, self.compare.upper or {})]
-            kept = [entry for entry in self.policies if _name(entry) in needed and _name(entry) not in policies]
-            update["policies"] = (*kept, *policies)
+            references = [entry for entry in self.policies if _name(entry) in needed and _name(entry) not in policies]
+            update["policies"] = (*references, *policies)
         update |= {"fidelity": fidelity} if fidelity else {}
         update |= {"tube": str(tube)} if tube else {}
         with in_one_line():
@@ -151,14 +151,14 @@ class Study(Model):
                 yield change.get("fidelity", fidelity), rest
 
     def members(self) -> Iterator[tuple[str, Changes]]:
-        """Name of every policy and its parameters, those that are swept one after the other."""
+        """Name and parameters of every policy, with all combinations of lists."""
         for entry in self.policies:
             if isinstance(entry, str):
                 yield entry, {}
                 continue
-            swept = {k: v if isinstance(v, tuple) else (v,) for k, v in entry.items() if k != "name"}
-            for values in product(*swept.values()):
-                yield entry["name"], dict(zip(swept, values, strict=True))
+            lists = {k: v if isinstance(v, tuple) else (v,) for k, v in entry.items() if k != "name"}
+            for values in product(*lists.values()):
+                yield entry["name"], dict(zip(lists, values, strict=True))
 
 
 def _name(entry: str | Changes) -> str:
