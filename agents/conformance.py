@@ -51,13 +51,7 @@ def check_vector_env(make: Make, make_single: MakeSingle, num_envs: int = 3, ste
         order = list(reversed(range(num_envs)))
         permuted_start, permuted = _run(env, [seeds[k] for k in order], actions[:, order])
         reordered = [_take(o, order) for o in expected]
-        _compare(
-            permuted_start,
-            permuted,
-            expected_start[order],
-            reordered,
-            "the result depends on the order of the environments",
-        )
+        _compare(permuted_start, permuted, expected_start[order], reordered, "the result depends on the order")
     # with autoreset disabled, an ended episode would need a reset
     _check_aliasing(make(num_envs), seed, actions[:1] if mode is AutoresetMode.DISABLED else actions)
 

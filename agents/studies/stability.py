@@ -71,7 +71,7 @@ ROOM, FLOAT_RADIUS = 5.2e-3, 9.5e-3  # [m] of a float between the walls, and its
 OMEGA: Final = math.sqrt(STIFFNESS / (0.111 * 0.025))
 CHOSEN: Final = {"implicit": (2.5e-5, 1e-3), "explicit": (5e-6, 5.6e-6)}
 ENERGY_STEPS: Final = {name: CHOSEN.get(name, (method.usual_step, 1.8 / OMEGA)) for name, method in ON_NODES.items()}
-"""Steps [s]: the usual step and the limit, except for ``CHOSEN``: no limit for ``implicit``, rounded for ``explicit``."""
+"""Steps [s]: the usual step and the limit, except for ``CHOSEN`` (``implicit`` has no limit)."""
 DAMPING: Final = (0.0, 5e-5)  # [s]
 
 

@@ -27,7 +27,7 @@ OUTPUTS = tuple(FLOORS)
 RADIAL = ("radial_rms_m:ratio", "radial_rms_m:low", "radial_rms_m:high")
 KEYS = list(Setting().key)
 Row = Mapping[Any, Any]
-TIME_LAPSE_REFERENCE = Insertion("superelement32")
+NO_TIME_LAPSE = Insertion("superelement32")
 """Reference of insertions with time-lapse: method and step of ``fast``."""
 _SEGMENTS = np.arange(ensembles.START, ensembles.END, ensembles.SEGMENT) + 0.5 * ensembles.SEGMENT
 PITCH_SECONDS = float((_SEGMENTS / 0.1).sum() * ensembles.SEGMENT / ensembles.FEED_SPEED)
@@ -137,12 +137,12 @@ def insertion(
 
 
 def time_lapse(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Bias of time-lapse: insertions of ``TIME_LAPSE_REFERENCE``'s method and step over that without, in bands of 10 m.
+    """Bias of time-lapse: insertions of ``NO_TIME_LAPSE``'s method and step over that without, in bands of 10 m.
 
     Columns as those of ``insertion``.
     """
-    same = {name: value for name, value in TIME_LAPSE_REFERENCE.key.items() if name != "time_lapse"}
-    table = insertion(_rows(members, same), costs, TIME_LAPSE_REFERENCE, ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0)))
+    same = {name: value for name, value in NO_TIME_LAPSE.key.items() if name != "time_lapse"}
+    table = insertion(_rows(members, same), costs, NO_TIME_LAPSE, ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0)))
     return table[table["time_lapse"] > 1.0].reset_index(drop=True)
 
 
