@@ -41,10 +41,10 @@ TRIALS, LIMIT = 40, 12
 """Schedules tried, and training tubes of each."""
 COLUMNS: Final = (*FORTH.values(), *BACK.values())
 """What is searched: the columns of a schedule file."""
-DRAWN: Final = 5
+STARTUP_TRIALS: Final = 5
 """Trials that are drawn over the ranges before the process leads, those of ``starts`` among them."""
 KPIS: Final = ("reward", "inspection_time_s", "a90_percent_wall")
-BESIDE: Final = "fastest"
+BASELINE: Final = "fastest"
 
 SLOWEST: Final = 0.25
 """Share of the greatest feed: both ways slower than that take most of a shift's time limit."""
@@ -66,17 +66,17 @@ def starts(config: TaskConfig, space: Space) -> list[Numbers]:
     fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
     low, high = np.array(list(space.values())).T
     rows = np.clip([(fast, air, fast, air), (fast, air, 0.5 * fast, air)], low, high).tolist()
-    return [as_given(config, dict(zip(COLUMNS, row, strict=True))) for row in rows]
+    return [rounded_numbers(config, dict(zip(COLUMNS, row, strict=True))) for row in rows]
 
 
-def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
+def rounded_numbers(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     """To three digits of the feed and whole cubic metres an hour, as near as the device comes to that."""
-    given: dict[str, float] = {}
+    rounded: dict[str, float] = {}
     for columns in (FORTH, BACK):
-        wanted = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
-        feed, air = (float(value) for value in config.given(*wanted)[0])
-        given |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
-    return given
+        targets = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
+        feed, air = (float(value) for value in config.given(*targets)[0])
+        rounded |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
+    return rounded
 
 
 def policy_of(config: TaskConfig, numbers: Numbers) -> BothWays:
@@ -112,28 +112,28 @@ def run(request: Request) -> Numbers:
     config, output, played = train.config.full_observation, request.output, request.output / "simulated"
     space = ranges(config, load_case(request.tube, "train", 0, "both").contexts)
     print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
-    tried, commits = _tried(trials, space, train, played, request.workers)
+    tried, commits = _run_trials(trials, space, train, played, request.workers)
     row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
     best = {column: row[column] for column in COLUMNS}
-    compared = {NAME: best, BESIDE: starts(config, space)[0]}
+    compared = {NAME: best, BASELINE: starts(config, space)[0]}
     policies = {one: policy_of(config, numbers) for one, numbers in compared.items()}
     table = run_plan(_plan(policies, unseen), played / "validation", workers=request.workers)
     means = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
-    gain = paired_difference(table, NAME, BESIDE, "reward")
+    gain = paired_difference(table, NAME, BASELINE, "reward")
     record: dict[str, Any] = {"schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials}
     record |= {"reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts), "validated": means}
     record |= {"gain": asdict(gain)}
     write_atomically(output / f"{NAME}-trials.csv", tried.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / f"{NAME}.csv", csv_of(config, best))
     write_json(output / f"{NAME}.json", origin(commits=[*commits, *table["commit"]]) | record)
-    shown = pd.DataFrame([{"schedule": one} | dict(compared[one]) | means[one] for one in compared])
-    print_frame(f"In {len(unseen.contexts)} validation tubes", shown)
-    print(f"{NAME}: reward more than {BESIDE}: {gain.text()} (95 % interval)")
+    rows = pd.DataFrame([{"schedule": one} | dict(compared[one]) | means[one] for one in compared])
+    print_frame(f"In {len(unseen.contexts)} validation tubes", rows)
+    print(f"{NAME}: reward more than {BASELINE}: {gain.text()} (95 % interval)")
     print(f"written: {output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
     return best
 
 
-def _tried(
+def _run_trials(
     trials: int, space: Space, case: EvaluationCase, played: Path, workers: Workers
 ) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
@@ -141,17 +141,17 @@ def _tried(
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=DRAWN)
+        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=STARTUP_TRIALS)
     study = optuna.create_study(direction="maximize", sampler=sampler)  # in memory: equal rewards, equal trials
     for numbers in starts(config, space):
         study.enqueue_trial(dict(numbers))
     feeds = FORTH[FEED], BACK[FEED]
-    drawn: dict[str, optuna.distributions.BaseDistribution] = {}
+    distributions: dict[str, optuna.distributions.BaseDistribution] = {}
     for name in COLUMNS:
-        drawn[name] = optuna.distributions.FloatDistribution(*space[name], log=name in feeds)
+        distributions[name] = optuna.distributions.FloatDistribution(*space[name], log=name in feeds)
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
-        trial = study.ask(drawn)
-        numbers = as_given(config, trial.params)
+        trial = study.ask(distributions)
+        numbers = rounded_numbers(config, trial.params)
         plan = _plan({"trial": policy_of(config, numbers)}, case)
         table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
         means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
