@@ -137,12 +137,13 @@ def insertion(
 
 
 def time_lapse(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Bias of time-lapse: insertions of ``NO_TIME_LAPSE``'s method and step over that without, in bands of 10 m.
+    """Bias of time-lapse: ratios of insertions to ``NO_TIME_LAPSE``, in bands of 10 m.
 
     Columns as those of ``insertion``.
     """
     same = {name: value for name, value in NO_TIME_LAPSE.key.items() if name != "time_lapse"}
-    table = insertion(_rows(members, same), costs, NO_TIME_LAPSE, ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0)))
+    bands = tuple((start, start + 10.0) for start in (20.0, 30.0, 40.0, 50.0))
+    table = insertion(_rows(members, same), costs, NO_TIME_LAPSE, bands)
     return table[table["time_lapse"] > 1.0].reset_index(drop=True)
 
 
