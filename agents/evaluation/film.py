@@ -94,7 +94,7 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
             bar.update()
     episode.env.close()
     _write_film(output, frames, FRAMES_PER_SECOND)
-    return {name: value for name, value in episode.info["episode_kpis"].items() if not name.startswith("pod_")}
+    return {name: value for name, value in episode.info["episode_kpis"].items() if not name.startswith("pod")}
 
 
 def render_strip(

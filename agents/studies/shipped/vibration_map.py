@@ -116,9 +116,7 @@ def run(request: Request) -> Path:
     write_atomically(target, fitted.to_bytes())
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), origin(commits=episodes["commit"]) | setting | quality)
-    print(
-        f"map of {len(plan.units())} insertions explains {quality['explained_variance']:.3f} of the variance of log rms"
-    )
+    print(f"map of {len(plan.units())} insertions: explained variance of log rms {quality['explained_variance']:.3f}")
     print(f"written: {target}")
     return target
 
