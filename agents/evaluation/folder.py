@@ -174,7 +174,7 @@ class Evaluation:
         setting: common settings of all episodes.
         record: command, commit, machine, descriptions of the policies.
         against: reference policy of the comparison.
-        own: policies that are files of the user.
+        user_policies: policies that are files of the user.
         missing: episodes that an interrupted evaluation lacks; None: it is finished.
     """
 
@@ -183,7 +183,7 @@ class Evaluation:
     setting: Setting
     record: Manifest
     against: str
-    own: tuple[str, ...]
+    user_policies: tuple[str, ...]
     missing: Missing | None
 
 

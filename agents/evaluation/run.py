@@ -171,7 +171,7 @@ def report_again(folder: Path, against: str | None = None) -> Path:
         policies = list(dict.fromkeys(done.table["policy"]))
         if against not in policies:
             raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
-        write_json(folder / "report.json", {"against": against, "own": done.own})
+        write_json(folder / "report.json", {"against": against, "own": done.user_policies})
     return write_report(folder)
 
 
