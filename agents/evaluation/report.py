@@ -91,15 +91,16 @@ def _read(name: str) -> str:
 def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     table, task, oracles, order = done.table, done.setting.task, oracle_policies(done), ranking(done.table)
     described = descriptions(done)
-    kinds = {name: inner_policy(policy).get("policy") for name, policy in described.items()}
-    comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in done.user_policies or (done.against,)]
+    kinds = {name: inner_policy(policy).get("policy") in SCHEDULES for name, policy in described.items()}
+    subjects = done.user_policies or (done.against,)
+    comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in subjects]
     best = [name for name in order if name not in oracles]
     visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
     return {
         "title": "Feed policies compared",
         "done": done,
         "comparisons": comparisons,
-        "own": {name: f"Your {'schedule' if kinds.get(name) in SCHEDULES else 'policy'}" for name in done.user_policies},
+        "own": {name: f"Your {'schedule' if kinds.get(name) else 'policy'}" for name in done.user_policies},
         "facts": _facts(done),
         "ranked": ranked(table, summary, done.user_policies, oracles),
         "oracles": [name for name in order if name in oracles],
@@ -267,7 +268,7 @@ Table = tuple[list[str], list[Row]]
 """Header and rows."""
 
 
-def ranked(table: pd.DataFrame, summary: pd.DataFrame, user_policies: Collection[str], oracles: Collection[str]) -> Table:
+def ranked(table: pd.DataFrame, summary: pd.DataFrame, users: Collection[str], oracles: Collection[str]) -> Table:
     """One row per policy, best first: KPIs with intervals, reward against the best, and how episodes ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
     rows, ends, order = [], dict(endings(table).iterrows()), ranking(table)
@@ -285,7 +286,7 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, user_policies: Collection
                 against = against._replace(text=f"{against.text} (unclear)")
         cells.insert(1, against)  # the first is the reward
         complete, _, reasons = ended(ends[policy]).partition(", ")
-        note = "yours" if policy in user_policies else "oracle" if policy in oracles else ""
+        note = "yours" if policy in users else "oracle" if policy in oracles else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
     names = [units[kpi] for kpi in displayed_kpis(table.columns)]

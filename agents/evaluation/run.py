@@ -152,8 +152,8 @@ def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[st
     if reference not in methods:
         raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
     stored_episodes(plan, output)
-    user_policies = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
-    write_json(output / "report.json", {"against": reference, "own": user_policies})
+    names = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
+    write_json(output / "report.json", {"against": reference, "own": names})
     return reference
 
 
