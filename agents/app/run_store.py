@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from agents.app.runs import RunRequest
-from agents.evaluation.folder import UNFINISHED, UnfinishedEvaluation, episodes_of, read_evaluation
+from agents.evaluation.folder import UNFINISHED, Unfinished, episodes_of, read_evaluation
 from agents.evaluation.report import ended
 from agents.evaluation.statistics import endings
 from agents.records.models import read_json
@@ -45,7 +45,7 @@ def _read_run(folder: Path, changed: tuple[int, ...]) -> StoredRun:
     complete = not (folder / UNFINISHED).exists()
     try:
         if not complete:
-            plan = read_json(folder / UNFINISHED, UnfinishedEvaluation)
+            plan = read_json(folder / UNFINISHED, Unfinished)
             done = len({key for key, *_ in plan.episodes} & episodes_of(folder).read().keys())
             return StoredRun(folder, False, f"interrupted: {done} of {len(plan.episodes)} insertions are stored")
         ends = endings(read_evaluation(folder).table)

@@ -67,7 +67,7 @@ REFUSED = [
     (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a TOML file (.toml)"),
     (["simulate", SCENE, "--duration", "1", "--statistics-from", "2"], "statistics_from = 2.0"),
     (["simulate", SCENE, "--duration", "-1"], "duration = -1.0 s is outside the accepted range 0.001 to 100000 s"),
-    (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
+    (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - shipped scenes"),
     (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
     (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
     (
@@ -174,4 +174,4 @@ def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypa
     tubes = ("snr", str(TUBE), "configs/design/../tubes/snr.toml", str(tmp_path / "mine.toml"))
     targets = [target_of(Request(Path("output"), tube=Path(tube))) for tube in tubes]
     assert targets == [Path("output/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
-    assert capsys.readouterr().err.count("its map stays: the new one is output/vibration-map.npz") == 3
+    assert capsys.readouterr().err.count("is shipped with its map; the new map is output/vibration-map.npz") == 3

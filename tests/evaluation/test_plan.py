@@ -140,7 +140,7 @@ def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monke
                 run_plan(make_plan(), stored, progress=False)
     assert {path: path.read_bytes() for path in stored.iterdir()} == before
     (stored / "setting.json").unlink()
-    with pytest.raises(ValueError, match=r"setting\.json: missing beside episodes\.jsonl"):
+    with pytest.raises(ValueError, match=r"setting\.json: missing next to episodes\.jsonl"):
         run_plan(make_plan(), stored, progress=False)
 
 
