@@ -105,8 +105,8 @@ class RunRequest(Stored):
 
     def plan(self) -> Plan:
         """The evaluation plan."""
-        case = load_case(self.tube, "test", self.limit)
-        plan = plan_of(self.policies or ("constant",), case, 1, self.fidelity)
+        place = load_case(self.tube, "test", self.limit)
+        plan = plan_of(self.policies or ("constant",), place, 1, self.fidelity)
         manual = {MANUAL: ManualPolicy(plan.config)} if self.manual else {}
         return replace(plan, policies=manual | (dict(plan.policies) if self.policies else {}))
 

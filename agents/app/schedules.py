@@ -97,16 +97,16 @@ class Prediction:
     reward: float  # mean of an insertion, without jerk and lost drive, which are not in the map
 
 
-def predict(schedule: Schedule, case: EvaluationCase) -> Prediction:
-    """Prediction for a schedule in the tubes of a case; the simulation can differ."""
+def predict(schedule: Schedule, place: EvaluationCase) -> Prediction:
+    """Prediction for a schedule in the tubes of a place; the simulation can differ."""
     if schedule.over != "inserted_length":
         raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
-    config = case.config
-    tubes = np.array([[getattr(context, name) for name in CONTEXT] for context in case.contexts])
+    config = place.config
+    tubes = np.array([[getattr(context, name) for name in CONTEXT] for context in place.contexts])
     length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
     feed, air = config.given(*schedule.at(lengths)).T
-    mean, deviation = case.vibration.predict(lengths, feed, air, contexts, config.scene)
+    mean, deviation = place.vibration.predict(lengths, feed, air, contexts, config.scene)
     cost = expected_cost(mean, deviation, feed, air, config)
     by_tube = mean.reshape(len(tubes), -1)
     middle = by_tube.mean(axis=0)
@@ -132,21 +132,21 @@ class Line(NamedTuple):
     air: FloatArray
 
 
-def policy_line(spec: str, case: EvaluationCase) -> Line:
-    """Feed and air of a policy or a schedule file in the first tube of a case."""
+def policy_line(spec: str, place: EvaluationCase) -> Line:
+    """Feed and air of a policy or a schedule file in the first tube of a place."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the line shows what the device can feed
-        policy = make_policy(spec, case.config.full_observation, case.vibration)
+        policy = make_policy(spec, place.config.full_observation, place.vibration)
     if isinstance(policy, Replayed):  # over time
         schedule = policy.schedule
         length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)
         return Line(length, np.array(schedule.feed_speed), np.array(schedule.air_supply_rate))
     if not isinstance(policy, FixedPolicy) or (spec not in BY_LENGTH and not hasattr(policy, "schedule")):
         raise ValueError(f"policy = {spec!r} depends on what it measures: run it to see its feed")
-    length = np.arange(FIRST, case.config.scene.tube.helix_length + 0.5 * LINE_STEP, LINE_STEP)
-    tube = {name: np.full(len(length), value) for name, value in case.contexts[0].model_dump().items()}
+    length = np.arange(FIRST, place.config.scene.tube.helix_length + 0.5 * LINE_STEP, LINE_STEP)
+    tube = {name: np.full(len(length), value) for name, value in place.contexts[0].model_dump().items()}
     observation = tube | {"time": np.zeros(len(length)), "inserted_length": length}
-    feed, air = case.config.given(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
+    feed, air = place.config.given(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
     return Line(length, feed, air)
 
 

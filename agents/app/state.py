@@ -39,7 +39,7 @@ class Session:
     interpolation: Interpolation = "linear"  # schedule
     run: Run | None = None  # run to show; None: none yet
 
-    def case(self, limit: int = 6) -> EvaluationCase:
+    def place(self, limit: int = 6) -> EvaluationCase:
         """Task, tubes and vibration map of the present tube."""
         if self.tube.is_study:
             return case_of(None, "test", limit)

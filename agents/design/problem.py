@@ -140,13 +140,13 @@ class DesignProblem(DesignTrials):
         return False
 
 
-def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -> DesignProblem:
+def design_problem(feed: str, full: bool, place: EvaluationCase, fidelity: str) -> DesignProblem:
     """The problem that a command names.
 
     Args:
         feed: "best-constant", a schedule, or with ``full`` any policy.
         full: whole insertions.
-        case: task and tubes.
+        place: task and tubes.
         fidelity: preset, or "auto".
 
     Raises:
@@ -154,9 +154,9 @@ def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    config = case.config.full_observation
+    config = place.config.full_observation
     chosen = resolve_fidelity(fidelity, config.scene)
-    problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.tube)
+    problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
     check_measure(config)
     stretch_of(config)
     if feed != "best-constant" and not full:

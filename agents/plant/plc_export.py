@@ -101,7 +101,7 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
 def write_law(
     constants: Constants,
     plant: PlantData,
-    case: EvaluationCase,
+    place: EvaluationCase,
     st: Path | None,
     csv: Path | None,
     trim: Trim | None = None,
@@ -110,7 +110,7 @@ def write_law(
 
     Warns if the plant needs more tension than the law's fixed least air was chosen for, or other tubes.
     """
-    needed, usual = case.config.required_tension, TaskConfig().required_tension
+    needed, usual = place.config.required_tension, TaskConfig().required_tension
     if needed > usual:
         warnings.warn(
             f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, was"
@@ -118,12 +118,12 @@ def write_law(
             " evaluate shielded:plc-proportional",
             stacklevel=2,
         )
-    check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
+    check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)
     if st:
         write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")
     if csv:
-        diameters = sorted({context.helix_diameter for context in case.contexts})
-        rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)
+        diameters = sorted({context.helix_diameter for context in place.contexts})
+        rows = table(constants, plant, diameters, place.config.scene.tube.helix_length)
         write_atomically(csv, rows.to_csv(index=False, float_format="%.6g"))
         print(f"written: {csv}")

@@ -114,9 +114,9 @@ def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
-    case = case_of(None, "test", 1)
-    config = case.config.full_observation
-    plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    place = case_of(None, "test", 1)
+    config = place.config.full_observation
+    plan = Plan(named_policies(["constant"], config), place.contexts, config=config, fidelity=resolve_fidelity("fast"))
     playing, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
     monkeypatch.setattr("agents.app.screens.insertion.time", clock)

@@ -141,23 +141,23 @@ def test_points_are_tidied_after_a_drag():
 
 
 def test_the_prediction_is_the_objective_of_the_search_for_schedules():
-    case, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
-    prediction = schedules.predict(schedule, case)
-    cost = MapCost(case.contexts, case.config, case.vibration)
+    place, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
+    prediction = schedules.predict(schedule, place)
+    cost = MapCost(place.contexts, place.config, place.vibration)
     assert prediction.reward == pytest.approx(cost.reward(schedule), rel=1e-9)  # sums in another order
     assert (prediction.low < prediction.middle).all()
     assert (prediction.middle < prediction.high).all()
     assert prediction.length[0] == 5.5
     with pytest.raises(ValueError, match="over time"):
-        schedules.predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), case)
+        schedules.predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
 
 
 def test_every_offered_overlay_is_a_line():
-    case = load_case(EXAMPLE, "test", 1)
+    place = load_case(EXAMPLE, "test", 1)
     for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
-        line = schedules.policy_line(name, case)
+        line = schedules.policy_line(name, place)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name
     assert (np.diff(schedules.log_line(Path("example-rig")).length) >= 0.0).all()
     with pytest.raises(ValueError, match="depends on what it measures"):
-        schedules.policy_line("pi", case)
+        schedules.policy_line("pi", place)

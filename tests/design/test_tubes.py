@@ -83,8 +83,8 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
 
 
 def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
-    case = load_case(tmp_path / "mine.toml", "train", 2)
-    problem = design_problem("best-constant", False, case, "standard")
+    place = load_case(tmp_path / "mine.toml", "train", 2)
+    problem = design_problem("best-constant", False, place, "standard")
     assert problem.axes["guide_float_diameter"][:2] == (0.016, pytest.approx(0.0185))
     assert problem.axes["feed_speed"][1] == 0.25
     assert list(problem.probes) == ["the plant's own", "the study's improved"]

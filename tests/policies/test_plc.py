@@ -200,10 +200,10 @@ def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
         ("[tube]\ninner_diameter = 22.5e-3\n", "the law was not made for these tubes: inner_diameter = 0.0225 m"),
     ):
         file.write_text(text)
-        case = load_case(file, "test")
+        place = load_case(file, "test")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            write_law(read_constants(), PlantData.of(case.config), case, tmp_path / "law.st", None)
+            write_law(read_constants(), PlantData.of(place.config), place, tmp_path / "law.st", None)
         assert len(caught) == (warned is not None), text
         assert all(warned in str(warning.message) for warning in caught)
     assert caught[0].category is OutsideDomain

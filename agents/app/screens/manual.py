@@ -58,7 +58,7 @@ class ManualScreen(RunScreen):
 
     def show_tube(self) -> None:
         """Set the sliders to the ranges of another tube."""
-        config = self.session.case(1).config
+        config = self.session.place(1).config
         air = [HOUR * value for value in config.air_supply_rates]
         for slider, (low, high) in ((self.feed, config.feed_speeds), (self.air, air)):
             slider.update(start=round(low, 4), end=round(high, 4))
