@@ -84,7 +84,7 @@ def train_all(
         curves = [folder / CURVE for folder in folders.values()]
         return sum(len(read_csv(curve, CURVE_COLUMNS)) for curve in curves if curve.exists())
 
-    announce(Work("phase", len(folders) * phases, done, output, "the same command with --resume continues"))
+    announce(Work("phase", len(folders) * phases, done, output, "the same command with --resume goes on"))
     one = partial(train, training, output.absolute(), origin, threads=None if workers.here else 1)
     curves = dict(workers.map(one, training.seeds))
     rows: pd.DataFrame = pd.concat([curves[seed] for seed in training.seeds], ignore_index=True)
