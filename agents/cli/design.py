@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from agents.cli.parsing import File
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 if TYPE_CHECKING:
@@ -24,11 +24,10 @@ class Compare:
     Example: probe-env compare original improved my-design.toml --limit 6
     """
 
-    designs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DESIGN ...")]]
+    designs: tyro.conf.Positional[Annotated[tuple[Path, ...], hide_default("DESIGN ...")]]
     """Design files (.toml) or names of shipped designs (original, improved, ...)."""
     feed: str = "constant"
-    """Schedule over inserted length: constant, best-constant, best-schedule, example or a file. With --full, any
-    policy."""
+    """Schedule over inserted length: constant, best-constant, best-schedule, example or a file; --full: any policy."""
     full: bool = False
     """Simulate whole insertions instead of sections of constant length."""
     contexts: Literal["train", "validation", "test"] = "test"

@@ -24,9 +24,9 @@ class Evaluate:
     """
 
     policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
-    """Names of policies and trained agents (see `probe-env agents`; ppo@2 is training seed 2), schedule files (.csv,
-    .toml), feedback laws (.json) or trained agents (.safetensors). NAME=FILE sets the name in tables, NAME@K=FILE also
-    the training seed. shielded:POLICY raises the air supply where the drive would be too low."""
+    """Names (see `probe-env agents`; ppo@2 is training seed 2), schedules (.csv, .toml), laws (.json), .safetensors.
+    NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
+    shielded:POLICY raises the air supply where the drive would be too low."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the probe of the task; random: another probe of the design space for every tube and seed."""
     against: Annotated[str | None, hide_default()] = None
@@ -40,17 +40,17 @@ class Evaluate:
     seeds: int = 1
     """Number of seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE; with --passes
-    both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
+    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE.
+    With --passes both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list."""
     strict: bool = False
     """Refuse policies that were made for other tubes, instead of a warning."""
     passes: Annotated[Literal["in", "both"] | None, hide_default()] = None
-    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in. Schedule files may have
-    columns for the withdrawal (return_feed_speed_m_per_s, return_air_supply_m3_per_h), agents may be trained for both
-    passes; other policies withdraw at the highest feed speed."""
+    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in.
+    Schedule files can have columns return_feed_speed_m_per_s and return_air_supply_m3_per_h for the withdrawal.
+    Policies for insertion withdraw at the highest feed speed."""
     inspects: Annotated[Literal["in", "back", "best"] | None, hide_default()] = None
     """Pass that is scored with --passes both: the insertion, the withdrawal, or the better of both (default)."""
 
@@ -98,8 +98,8 @@ class Render:
     output: Path = Path("output/insertion.gif")
     """File: .gif, .mp4, or .png for the last picture."""
     view: Literal["helix", "strip"] = "helix"
-    """helix: an episode, with the probe in the helix, feed, air, vibration and reward. strip: the unrolled tube near
-    the tip, 8 times slower, with floats, contacts and the sensor's motion."""
+    """helix: an episode, with the probe in the helix, feed, air, vibration and reward.
+    strip: the unrolled tube near the tip, 8 times slower, with floats, contacts and the sensor's motion."""
     env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
         "probe_env/Insertion-v1"
     )
@@ -153,8 +153,7 @@ class Signal:
     flaws: Annotated[tuple[str, ...], hide_default("POSITION:DEPTH ...")] = ()
     """Flaws: metres from the entrance of the helix and % of the wall, such as 10:20 30:40. Default: 20 % every 5 m."""
     output: Path = Path("output/signal")
-    """Folder of strip.png, flaws.png, channels.csv (X and Y every millisecond), flaws.csv, periods.csv (noise,
-    vibration, signal-to-noise ratio) and signal.json."""
+    """Folder of strip.png, flaws.png, channels.csv (every millisecond), flaws.csv, periods.csv and signal.json."""
     evaluation: File = None
     """Folder of an evaluation; the probability of detection of its policies is written to pod.png and pod.csv."""
     contexts: Literal["train", "validation", "test"] = "test"

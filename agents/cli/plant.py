@@ -23,9 +23,9 @@ class ReadLog:
     file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="LOG")]]
     """Log file, or the name of a shipped log: example-rig."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Quantities:
-    time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
-    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms. Can be repeated."""
+    """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Can be repeated.
+    Quantities: time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
+    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms."""
     output: File = None
     """Clean file (.csv); default: output/NAME-clean.csv."""
     plot: File = None
@@ -81,9 +81,9 @@ class Calibrate:
     Example: probe-env calibrate rig.csv --tube mine.toml --output output/calibration
     """
 
-    logs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG ...")]]
-    """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig. Each needs root tension,
-    radial or axial acceleration, or eddy-current noise."""
+    logs: tyro.conf.Positional[Annotated[tuple[Path, ...], hide_default("LOG ...")]]
+    """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig.
+    Each needs root tension, radial or axial acceleration, or eddy-current noise."""
     tube: File = None
     """Your plant (tube.toml), with prior knowledge; default: the study's plant, without."""
     output: Path = Path("output/calibration")
@@ -137,8 +137,7 @@ class Recommend:
     output: Path = Path("output/recommended.csv")
     """Schedule file; a description is written next to it (.json)."""
     policy: File = None
-    """Also write a feedback law (.json): a table over helix diameter, friction and inserted length, where the friction
-    is estimated from the root tension."""
+    """Also write a feedback law (.json) over helix diameter, friction (from the root tension) and inserted length."""
     folder: File = None
     """Folder of the simulated episodes and the report; default: NAME-confirmed next to the output."""
     limit: int = 24

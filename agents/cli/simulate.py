@@ -27,9 +27,9 @@ class Simulate:
     """Scene file (TOML), or the name of a shipped scene: fig11_l10, ...; the --scene options change single fields."""
     scene: Scene = field(default_factory=Scene)
     method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
-    """newmark and wilson: the study's methods; imex: the fast scheme; superelement: a converged mesh condensed to the
-    floats; imex32 and superelement32: in single precision; implicit: stable with any step; explicit: central
-    differences."""
+    """newmark and wilson: the study's methods; imex: the fast scheme; implicit: stable with any step.
+    superelement: a converged mesh condensed to the floats; imex32 and superelement32: in single precision.
+    explicit: central differences."""
     time_step: Annotated[float | None, hide_default()] = None
     """Time step [s]; default: the usual one of the method."""
     nodes_per_pitch: int = 4
@@ -37,8 +37,8 @@ class Simulate:
     solver: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(SOLVERS)}}}")] = "ticm"
     """Linear solver of newmark and wilson."""
     start: Literal["inner", "outer"] = "inner"
-    """Wall on which the probe lies at rest. outer is for withdrawal: --scene.feed-speed -0.2 --scene.air-supply-rate
-    -0.0175 --scene.couple tangent."""
+    """Wall on which the probe lies at rest; outer is for withdrawal, with --scene.couple tangent and
+    negative --scene.feed-speed and --scene.air-supply-rate."""
     duration: float = 8.0
     """Simulated time [s]."""
     statistics_from: Annotated[float | None, hide_default()] = None

@@ -27,8 +27,7 @@ class Study:
     list: bool = False
     """List the shipped studies and their questions."""
     limit: Annotated[int | None, hide_default()] = None
-    """Number of tubes; 0: all. For claims: 1 or more runs five cases. For response: number of groups of insertions.
-    Default: as in the study."""
+    """Number of tubes, 0: all; response: groups of insertions; claims: a few cases. Default: as in the study."""
     policies: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Policies instead of the study's, as in `evaluate`; the reference policies stay."""
     fidelity: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()

@@ -19,7 +19,7 @@ class Train:
     Example: probe-env train ppo --seeds 7 --output output/train/mine
     """
 
-    config_file: tyro.conf.Positional[Path]
+    config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
     """Training file (TOML), or the name of a shipped one: ppo, student, ppo-any-probe, both-ways."""
     output: File = None
     """Folder of the runs seed-K; default: output/train/NAME."""
@@ -56,9 +56,9 @@ class Tune:
     Example: probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo
     """
 
-    config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of a shipped one. Its table [search] is the search space; default: ranges of
-    its algorithm. Its first seed is trained."""
+    config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
+    """Training file (TOML), or the name of a shipped one. Its first seed is trained.
+    Its table [search] is the search space; default: ranges of its algorithm."""
     trials: int = 40
     """Number of trainings, including those that are stopped early."""
     phases: Annotated[int | None, hide_default()] = None

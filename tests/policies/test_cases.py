@@ -153,7 +153,7 @@ def test_results_of_different_plants_never_mix(small, tmp_path):
     other = plant.model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
     first, second = (plan_of(["constant"], case_of(each, "test", 1), 1, "fast") for each in (plant, other))
     run_plan(first, tmp_path, progress=False)
-    with pytest.raises(ValueError, match="another setting"):
+    with pytest.raises(ValueError, match="other settings"):
         run_plan(second, tmp_path, progress=False)
 
 
