@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from agents.records.atomic import write_atomically
 from agents.records.shipped import file_or_shipped, ships
-from agents.terminal.refusals import refusal
+from agents.terminal.errors import format_error
 from probe_env import Plant
 from probe_env.envs.plants import OF_AIR, OF_FEED, Between, with_posterior
 from probe_env.envs.task import SHOWN, TaskConfig
@@ -235,5 +235,5 @@ class TubeForm:
         except ValidationError as error:
             raise ValueError(explain(error)) from error
         except FileNotFoundError as error:
-            raise ValueError(refusal(error)) from error
+            raise ValueError(format_error(error)) from error
         self.tables = tables

@@ -13,7 +13,7 @@ from agents.evaluation.folder import UNFINISHED, Unfinished, episodes_of, read_e
 from agents.evaluation.report import ended
 from agents.evaluation.statistics import endings
 from agents.records.models import read_json
-from agents.terminal.refusals import refusal
+from agents.terminal.errors import format_error
 
 REQUEST: Final = "request.json"
 
@@ -52,7 +52,7 @@ def _read_run(folder: Path, changed: tuple[int, ...]) -> StoredRun:
         outcomes = (f"{name}: {ended({str(k): int(v) for k, v in row.items()})}" for name, row in ends.iterrows())
         return StoredRun(folder, True, "; ".join(outcomes))
     except (ValueError, OSError) as error:
-        return StoredRun(folder, complete, refusal(error))
+        return StoredRun(folder, complete, format_error(error))
 
 
 def read_request(folder: Path) -> RunRequest:

@@ -34,7 +34,7 @@ from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, s
 from agents.evaluation.run import claim_folder, write_report
 from agents.policies.catalogue import user_policies
 from agents.records.manifest import write_json
-from agents.terminal.refusals import refusal
+from agents.terminal.errors import format_error
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import Watch
@@ -133,7 +133,7 @@ class _RequestRunner:
         except (EOFError, ConnectionError):
             raise
         except (ValueError, OSError, SimulationError, RuntimeError, ImportError) as error:
-            self.pipe.send(RunEnded("failed", refusal(error)))
+            self.pipe.send(RunEnded("failed", format_error(error)))
 
     def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
         """Yield the journal lines of the episodes; executes commands and sends frames in between."""

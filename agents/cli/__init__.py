@@ -1,4 +1,4 @@
-"""The ``probe-env`` command: errors and interrupts end it with one line.
+"""The ``probe-env`` command: an error or an interrupt ends it with one line.
 
 The packages of the commands take seconds to load; they are loaded after the signal handlers are set.
 """
@@ -15,19 +15,21 @@ from agents.cli.interrupts import report, signal_handlers
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
-    if arguments is None:  # a process of its own, in which numpy is not loaded yet
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
+    if arguments is None:  # the command itself, before numpy is loaded
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are too small for threads
     with signal_handlers():
         try:
             return _run(sys.argv[1:] if arguments is None else list(arguments))
         except KeyboardInterrupt as error:
             return report(error)
-        except BrokenPipeError:  # the reader of a pipe, such as head, has ended
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+        except BrokenPipeError:  # the reader of the pipe, such as head, has ended
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discard further output
             return 1
 
 
 def _run(arguments: Sequence[str]) -> int:
+    from difflib import get_close_matches
+
     from agents.cli.registry import COMMANDS, first_page
 
     name = arguments[0] if arguments else ""
@@ -40,9 +42,11 @@ def _run(arguments: Sequence[str]) -> int:
         print(f"probe-env {version('probe-env')}")
         return 0
     if name not in COMMANDS:
-        return _fail(f"command = {name!r} is not one of {', '.join(COMMANDS)}; see probe-env --help")
+        closest = get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {closest[0]}?" if closest else f"the commands are {', '.join(COMMANDS)}."
+        return _fail(f"there is no command {name!r}: {hint} See probe-env --help")
     from agents.cli.extras import extra_with
-    from agents.terminal.refusals import refusal
+    from agents.terminal.errors import format_error
     from probe_env import SimulationError
 
     try:
@@ -57,7 +61,7 @@ def _run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         raise
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
-        return _fail(refusal(error))
+        return _fail(format_error(error))
     return 0
 
 
@@ -66,20 +70,20 @@ def _run_command(name: str, arguments: Sequence[str]) -> None:
     import warnings
     from importlib import import_module
 
-    from agents.cli.parsing import parsed, positional
+    from agents.cli.parsing import parse, positional
     from agents.cli.registry import COMMANDS
-    from agents.terminal.notices import said_when_compiling
+    from agents.terminal.notices import announce_compilation
     from probe_env.files import one_line
 
     warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
-    logger = logging.getLogger("probe_env")  # what "auto" picks and why, and how much there is to do
+    logger = logging.getLogger("probe_env")  # the choice of "auto", and the remaining work
     logger.handlers = [logging.StreamHandler(sys.stderr)]
     logger.setLevel(logging.INFO)
     module, _, kind = COMMANDS[name][0].partition(":")
     command_class: Any = getattr(import_module(f"agents.cli.{module}"), kind)
     default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
-    command = parsed(name, command_class, arguments, default)
-    with said_when_compiling():
+    command = parse(name, command_class, arguments, default)
+    with announce_compilation():
         command.run()
 
 

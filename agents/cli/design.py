@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 if TYPE_CHECKING:
@@ -23,19 +24,18 @@ class Compare:
     Example: probe-env compare original improved my-design.toml --limit 6
     """
 
-    designs: tyro.conf.Positional[tuple[Path, ...]]
+    designs: tyro.conf.Positional[Annotated[tuple[Path, ...], hide_default("DESIGN ...")]]
     """Design files (.toml) or names of shipped designs (original, improved, ...)."""
     feed: str = "constant"
-    """Schedule over inserted length: constant, best-constant, best-schedule, example or a file. With --full, any
-    policy."""
+    """Schedule over inserted length: constant, best-constant, best-schedule, example or a file; --full: any policy."""
     full: bool = False
     """Simulate whole insertions instead of sections of constant length."""
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of tubes."""
     limit: int = 0
     """Number of tubes, the first of the list; 0: all."""
-    tube: Path | None = None
-    """Your plant (tube.toml). Its tubes replace the shipped list; its probe has what a design file leaves out."""
+    tube: File = None
+    """Your plant (tube.toml). Its tubes replace the shipped list; its probe supplies fields missing in a design."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
     output: Path = Path("output/compare")
@@ -67,13 +67,13 @@ class Compare:
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
 
 
-def _design(path: Path, own: Probe) -> Design:
-    """The design of a file; fields that it leaves out are those of the plant's probe."""
+def _design(path: Path, probe: Probe) -> Design:
+    """The design of a file; missing fields are those of the plant's probe."""
     from probe_env import Design
     from probe_env.files import FileError
 
     try:
-        return Design.from_toml(path).completed(own)
+        return Design.from_toml(path).completed(probe)
     except FileError:
         raise
     except ValueError as error:
@@ -97,7 +97,7 @@ class DesignSearch:
     """Shipped list of tubes."""
     limit: int = 6
     """Number of tubes, the first of the list; 0: all."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list; floats are limited by its bore."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""

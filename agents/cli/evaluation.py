@@ -8,7 +8,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
+
+Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
 
 
 @dataclass(frozen=True)
@@ -20,13 +23,13 @@ class Evaluate:
     Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
     """
 
-    policies: tyro.conf.Positional[tuple[str, ...]] = ("constant", "slow", "slow-down", "pi")
-    """Names of policies and trained agents (see `probe-env agents`; ppo@2 is training seed 2), schedule files (.csv,
-    .toml), feedback laws (.json) or trained agents (.safetensors). NAME=FILE sets the name in tables, NAME@K=FILE also
-    the training seed. shielded:POLICY raises the air supply where the drive would be too low."""
+    policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
+    """Names (see `probe-env agents`; ppo@2 is training seed 2), schedules (.csv, .toml), laws (.json), .safetensors.
+    NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
+    shielded:POLICY raises the air supply where the drive would be too low."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the probe of the task; random: another probe of the design space for every tube and seed."""
-    against: str | None = None
+    against: Annotated[str | None, hide_default()] = None
     """Reference policy of the comparison; default: the first."""
     output: Path = Path("output/evaluation")
     """Folder of the tables and the report; stored episodes are not run again."""
@@ -37,32 +40,32 @@ class Evaluate:
     seeds: int = 1
     """Number of seeds of sensor noise and start for every tube."""
     fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE; with --passes
-    both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
+    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE.
+    With --passes both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list."""
     strict: bool = False
     """Refuse policies that were made for other tubes, instead of a warning."""
-    passes: Literal["in", "both"] | None = None
-    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in. Schedule files may have
-    columns for the withdrawal (return_feed_speed_m_per_s, return_air_supply_m3_per_h), agents may be trained for both
-    passes; other policies withdraw at the highest feed speed."""
-    inspects: Literal["in", "back", "best"] | None = None
+    passes: Annotated[Literal["in", "both"] | None, hide_default()] = None
+    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in.
+    Schedule files can have columns return_feed_speed_m_per_s and return_air_supply_m3_per_h for the withdrawal.
+    Policies for insertion withdraw at the highest feed speed."""
+    inspects: Annotated[Literal["in", "back", "best"] | None, hide_default()] = None
     """Pass that is scored with --passes both: the insertion, the withdrawal, or the better of both (default)."""
 
     def run(self) -> None:
         """Run what is missing, print, write the report; of a stored evaluation the report alone."""
-        from agents.evaluation.folder import holds_evaluation
+        from agents.evaluation.folder import is_evaluation
         from agents.evaluation.run import evaluate, report_again
-        from agents.terminal.fidelities import fidelity_given
+        from agents.terminal.fidelities import parse_fidelity
 
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
-        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix  # a folder, and no damaged policy file
-        if folder.parts and (named or holds_evaluation(folder)):
+        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix
+        if folder.parts and (named or is_evaluation(folder)):
             print(f"written: {report_again(folder, self.against)}")
             return
-        arguments: dict[str, Any] = vars(self) | {"fidelity": fidelity_given(self.fidelity)}
+        arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
         evaluate(**arguments)
 
 
@@ -95,8 +98,8 @@ class Render:
     output: Path = Path("output/insertion.gif")
     """File: .gif, .mp4, or .png for the last picture."""
     view: Literal["helix", "strip"] = "helix"
-    """helix: an episode, with the probe in the helix, feed, air, vibration and reward. strip: the unrolled tube near
-    the tip, 8 times slower, with floats, contacts and the sensor's motion."""
+    """helix: an episode, with the probe in the helix, feed, air, vibration and reward.
+    strip: the unrolled tube near the tip, 8 times slower, with floats, contacts and the sensor's motion."""
     env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
         "probe_env/Insertion-v1"
     )
@@ -109,7 +112,7 @@ class Render:
     """List from which the tube is drawn; random: from the ranges of all lists."""
     every: int = 4
     """Control periods per frame of the helix: 1 s each in Insertion-v1, 0.1 s in Snapshot-v1."""
-    at: float | None = None
+    at: Annotated[float | None, hide_default()] = None
     """Inserted length at which the strip begins [m]; default: three quarters of the helix."""
     length: float = 10.0
     """Length of the strip, behind the tip [m]."""
@@ -117,7 +120,7 @@ class Render:
     """Simulated duration of the strip [s], at most 2; a picture every 5 ms."""
     seed: int = 0
     """Seed of the tube and the sensor noise."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml), from which a tube is drawn."""
 
     def run(self) -> None:
@@ -126,13 +129,13 @@ class Render:
         from agents.policies.cases import plant_at
 
         if self.at is not None and self.view != "strip":
-            raise ValueError(f"at = {self.at!r} m is of the strip: add --view strip")
-        of: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
+            raise ValueError(f"at = {self.at!r} m needs --view strip")
+        options: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
         if self.view == "strip":
-            of |= {"at": self.at, "length": self.length, "duration": self.duration}
-            figures = render_strip(self.env_id, self.output, self.policy, self.seed, **of)
+            options |= {"at": self.at, "length": self.length, "duration": self.duration}
+            figures = render_strip(self.env_id, self.output, self.policy, self.seed, **options)
         else:
-            figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **of)
+            figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **options)
         for name, value in figures.items():
             print(f"{name:40s} {value:.6g}")
         print(f"written: {self.output}")
@@ -145,27 +148,25 @@ class Signal:
     Example: probe-env signal best-schedule --flaws 10:20 30:20 50:40
     """
 
-    policy: tyro.conf.Positional[str] = "constant"
+    policy: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="[POLICY]")]] = "constant"
     """Name of a policy or trained agent, schedule file, feedback law (.json), or trained agent (.safetensors)."""
-    flaws: tuple[str, ...] = ()
-    """Flaws as POSITION:DEPTH, in metres from the entrance of the helix and % of the wall: 10:20 30:40. Default: 20 %
-    every 5 m."""
+    flaws: Annotated[tuple[str, ...], hide_default("POSITION:DEPTH ...")] = ()
+    """Flaws: metres from the entrance of the helix and % of the wall, such as 10:20 30:40. Default: 20 % every 5 m."""
     output: Path = Path("output/signal")
-    """Folder of strip.png, flaws.png, channels.csv (X and Y every millisecond), flaws.csv, periods.csv (noise,
-    vibration, signal-to-noise ratio) and signal.json."""
-    evaluation: Path | None = None
+    """Folder of strip.png, flaws.png, channels.csv (every millisecond), flaws.csv, periods.csv and signal.json."""
+    evaluation: File = None
     """Folder of an evaluation; the probability of detection of its policies is written to pod.png and pod.csv."""
     contexts: Literal["train", "validation", "test"] = "test"
     """Shipped list of tubes."""
     context: int = 0
     """Index of the tube in the list."""
-    until: float | None = None
+    until: Annotated[float | None, hide_default()] = None
     """Inserted length at the end [m]; default: the end of the helix."""
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference or standard; a time-lapse skips metres of the tube."""
     seed: int = 0
     """Seed of the start, the sensor noise and the electronic noise."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml), with its tubes, sensor and support_spacing."""
 
     def run(self) -> None:

@@ -1,4 +1,4 @@
-"""Extra of the package that brings a missing module; standard library only, as nothing else may be installed."""
+"""Finds the extra of the package that installs a missing module; standard library only."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from importlib.metadata import requires
 from typing import Final
 
 EXTRAS: Final = ("commands", "plant", "agents", "app")
-"""Extras of users, the smallest first."""
+"""Extras of users, from small to large."""
 MODULES: Final = {
     "bokeh": ("bokeh", "tornado"), "imageio": ("imageio", "imageio_ffmpeg"), "jinja2": ("jinja2", "markupsafe"),
     "pillow": ("PIL",),
 }  # fmt: skip
-"""Modules of packages that have other names, or bring other modules that are imported here."""
+"""Package -> its modules, where they differ from the name of the package."""
 
 
 def extra_with(module: str) -> str | None:
-    """The smallest extra that brings a module; None if none does."""
+    """The smallest extra that installs a module; None if there is none."""
     return next((extra for extra in EXTRAS if module in modules_of(extra)), None)
 
 
 def modules_of(extra: str = "") -> set[str]:
-    """Modules of the packages that an extra requires; without one, those of a plain install."""
+    """Modules of the packages of an extra; without an extra, those of the basic install."""
     modules: set[str] = set()
     for requirement in requires("probe-env") or []:
         marker = re.search(r"""extra\s*==\s*['"]([\w-]+)['"]""", requirement)

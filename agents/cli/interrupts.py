@@ -1,4 +1,4 @@
-"""Signals: Ctrl-C, SIGTERM and SIGHUP end a command in one line that says what is stored."""
+"""Signal handlers: Ctrl-C, SIGTERM and SIGHUP end a command with one line about what is stored."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Interrupt(KeyboardInterrupt):
 def signal_handlers() -> Iterator[None]:
     """Raise ``Interrupt`` at the first signal; at the second, end the process.
 
-    Callbacks and finalisers swallow exceptions and unwinding may take long, so the second signal does not wait: what is
-    stored is whole at any moment, and workers end with this process.
+    Callbacks can swallow the exception and cleanup can be slow, so the second signal does not wait. Stored files are
+    complete at any moment, and workers end with this process.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread can set handlers
         return
-    work.forget()
+    work.reset()
     received: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -60,7 +60,7 @@ def signal_handlers() -> Iterator[None]:
 
 
 def report(error: KeyboardInterrupt) -> int:
-    """Say on stderr what is stored; returns the exit status."""
+    """Print on stderr what is stored; returns the exit status."""
     with suppress(OSError):  # the terminal may be gone
-        print(f"probe-env: interrupted: {work.account()}", file=sys.stderr, flush=True)
+        print(f"probe-env: interrupted: {work.stored_text()}", file=sys.stderr, flush=True)
     return getattr(error, "status", 128 + signal.SIGINT)

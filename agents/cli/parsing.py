@@ -1,4 +1,4 @@
-"""Parses the arguments of a command with tyro; every error is one line."""
+"""Parses the arguments of a command with tyro; an error is one line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import io
 import re
 from collections.abc import Sequence
 from contextlib import redirect_stderr
-from typing import Any, Final
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 import tyro
 from pydantic import ValidationError
@@ -16,25 +17,33 @@ from probe_env.settings import explain
 
 OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.probe", "Contact": "--scene.contact",
                   "Air": "--scene.air"}  # fmt: skip
-"""Model -> prefix of the options that fill it."""
+"""Model -> prefix of its options."""
 
 
-def parsed(name: str, kind: type[Any], arguments: Sequence[str], default: Any = None) -> Any:
-    """The command that the arguments ask for.
+def hide_default(metavar: str | None = None) -> Any:
+    """Settings of an option whose description states the default."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+
+
+File = Annotated[Path | None, hide_default()]
+"""An optional file or folder."""
+
+
+def parse(name: str, kind: type[Any], arguments: Sequence[str], default: Any = None) -> Any:
+    """The command with the options of its arguments.
 
     Args:
-        name: of the command.
-        kind: its dataclass.
-        arguments: after the name.
-        default: command whose fields are the defaults of the options.
+        name: name of the command.
+        kind: dataclass of the command.
+        arguments: command line after the name.
+        default: command with other defaults of the options.
     """
-    settings = {} if default is None else {"default": default}
+    settings: dict[str, Any] = {} if default is None else {"default": default}
+    settings |= {"prog": f"probe-env {name}", "description": inspect.getdoc(kind), "config": (tyro.conf.DisallowNone,)}
     printed = io.StringIO()
     try:
         with redirect_stderr(printed):
-            return tyro.cli(
-                kind, prog=f"probe-env {name}", args=arguments, description=inspect.getdoc(kind), **settings
-            )
+            return tyro.cli(kind, args=arguments, **settings)
     except SystemExit as stop:
         if not stop.code:
             raise
@@ -47,15 +56,18 @@ def parsed(name: str, kind: type[Any], arguments: Sequence[str], default: Any = 
 
 
 def _message(text: str) -> str:
-    """The error that tyro prints, in a box or between rules, as one line without title and help texts."""
+    """The error in tyro's box as one line, without title and help texts."""
     lines = "\n".join(line.strip("│ ") for line in text.splitlines())
     _, *parts = re.split(r"^(?:[╭╰].*|[─-]{3,})$", lines, flags=re.MULTILINE)
     sentences = [" ".join(part.split()) for part in parts]
-    return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
+    message = "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
+    message = re.sub(r"no type matching .* Got errors: - <class '\w+'>: ", "", message)
+    message = re.sub(r"invalid literal for int\(\) with base 10: (.*)", r"\1 is not a whole number", message)
+    return re.sub(r"could not convert string to float: (.*)", r"\1 is not a number", message)
 
 
 def positional(arguments: Sequence[str]) -> str | None:
-    """The first argument that is neither an option nor the value of one, where every option has one value."""
+    """The first argument that is neither an option nor its value, if every option has one value."""
     rest = iter(arguments)
     for argument in rest:
         if argument == "--":

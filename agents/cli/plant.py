@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 
@@ -19,21 +20,21 @@ class ReadLog:
     Example: probe-env log rig.csv --columns 'Vorschub [mm/s]=feed_speed' --plot output/rig.png
     """
 
-    file: tyro.conf.Positional[Path]
+    file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="LOG")]]
     """Log file, or the name of a shipped log: example-rig."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Quantities:
-    time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
-    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms. Can be repeated."""
-    output: Path | None = None
+    """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Can be repeated.
+    Quantities: time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
+    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms."""
+    output: File = None
     """Clean file (.csv); default: output/NAME-clean.csv."""
-    plot: Path | None = None
+    plot: File = None
     """Figure of all channels over time and length (.png, .pdf or .svg)."""
-    sheet: str | None = None
+    sheet: Annotated[str | None, hide_default()] = None
     """Sheet of an Excel workbook; default: the first."""
     decimal: Literal["auto", "point", "comma"] = "auto"
     """Decimal sign; auto: from the file."""
-    air_supply: float | None = None
+    air_supply: Annotated[float | None, hide_default()] = None
     """Air supply, for a log without this column [m3/h]."""
     start_length: float = 5.0
     """Inserted length at the start, for a log without an encoder [m]."""
@@ -59,12 +60,12 @@ class ReadLog:
         output = self.output or Path("output") / f"{name_of(path)}-clean.csv"
         bounds = Bounds(self.gap, self.backward, self.start_length, self.tolerance, self.every)
         if output.suffix != ".csv":
-            raise ValueError(f"output = {str(output)!r} is not a CSV file (.csv), which schedules are")
+            raise ValueError(f"output = {str(output)!r} is not a CSV file (.csv)")
         if self.plot:
             check_picture(self.plot)
         for target in (output, self.plot):
             if target and (target.resolve() == path.resolve() or (target.exists() and target.samefile(path))):
-                raise ValueError(f"{str(target)!r} is the log itself, which stays as it is: name another file")
+                raise ValueError(f"{str(target)!r} is the log itself; choose another file")
         air = None if self.air_supply is None else self.air_supply / 3600.0
         log = read_log(path, self.columns, bounds=bounds, sheet=self.sheet, decimal=self.decimal, air_supply_rate=air)
         write_atomically(output, log.to_csv())
@@ -80,23 +81,23 @@ class Calibrate:
     Example: probe-env calibrate rig.csv --tube mine.toml --output output/calibration
     """
 
-    logs: tyro.conf.Positional[tuple[Path, ...]]
-    """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig. Each needs root tension,
-    radial or axial acceleration, or eddy-current noise."""
-    tube: Path | None = None
+    logs: tyro.conf.Positional[Annotated[tuple[Path, ...], hide_default("LOG ...")]]
+    """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig.
+    Each needs root tension, radial or axial acceleration, or eddy-current noise."""
+    tube: File = None
     """Your plant (tube.toml), with prior knowledge; default: the study's plant, without."""
     output: Path = Path("output/calibration")
     """Folder of calibration.json, corner.png and bands.png."""
-    helix_diameters: tuple[float, ...] = ()
+    helix_diameters: Annotated[tuple[float, ...], hide_default("FLOAT ...")] = ()
     """Helix diameter of the tube of each log [m], or one for all; needed if the tube file lists several."""
-    tubes: tuple[str, ...] = ()
+    tubes: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """Quantities of columns with unknown headings, see `probe-env log --help`."""
 
     def run(self) -> None:
         """Read, sample, store, print."""
-        for needed in ("emcee", "corner"):  # before half a minute of sampling
+        for needed in ("emcee", "corner"):  # fails before the sampling of half a minute
             import_module(needed)
 
         from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, read_cases
@@ -129,16 +130,15 @@ class Recommend:
     Example: probe-env recommend my-schedule.csv --tube mine.toml --output output/mine.csv
     """
 
-    schedules: tyro.conf.Positional[tuple[str, ...]] = ()
+    schedules: tyro.conf.Positional[Annotated[tuple[str, ...], hide_default("[SCHEDULE ...]")]] = ()
     """Schedules (.csv) to compare with; best-schedule and tension-scheduled are always compared."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml), with the posterior of a calibration if there is one; default: the study's plant."""
     output: Path = Path("output/recommended.csv")
     """Schedule file; a description is written next to it (.json)."""
-    policy: Path | None = None
-    """Also write a feedback law (.json): a table over helix diameter, friction and inserted length, where the friction
-    is estimated from the root tension."""
-    folder: Path | None = None
+    policy: File = None
+    """Also write a feedback law (.json) over helix diameter, friction (from the root tension) and inserted length."""
+    folder: File = None
     """Folder of the simulated episodes and the report; default: NAME-confirmed next to the output."""
     limit: int = 24
     """Number of simulated tubes; 0: all."""
@@ -155,12 +155,12 @@ class Recommend:
         from agents.policies.cases import plant_at
 
         if self.output.suffix != ".csv":
-            raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
+            raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv)")
         if self.policy and self.policy.suffix != ".json":
-            raise ValueError(f"policy = {str(self.policy)!r} is not a JSON file (.json), which feedback laws are")
+            raise ValueError(f"policy = {str(self.policy)!r} is not a JSON file (.json)")
         folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
         if self.schedules and not self.simulated:
-            raise ValueError("schedules: only a simulation compares with them; leave out --no-simulated")
+            raise ValueError("schedules need the simulation: remove --no-simulated")
         confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity) if self.simulated else None
         recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.policy, self.workers)
 
@@ -172,13 +172,13 @@ class Plc:
     Example: probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml
     """
 
-    st: Path | None = None
+    st: File = None
     """File of the law as IEC 61131-3 structured text."""
-    csv: Path | None = None
+    csv: File = None
     """File of the law as a table over helix diameter, friction and length."""
     trimmed: bool = False
     """Add integral action on the noise, as in the policy plc-integral; needs --st."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
 
     def run(self) -> None:
@@ -188,7 +188,7 @@ class Plc:
         from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:
-            raise ValueError("trimmed = True needs --st: a table has no memory to trim with")
+            raise ValueError("trimmed = True needs --st: a table has no memory for the integral action")
         constants = read_constants()
         case = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
@@ -205,7 +205,7 @@ class App:
     Example: probe-env app --tube mine.toml
     """
 
-    tube: Path | None = None
+    tube: File = None
     """Tube file (tube.toml) to open; default: the study's tubes."""
     port: int = 5006
     """Port of the server; 0: any free port."""

@@ -1,4 +1,4 @@
-"""Names of the commands, where they are, and the first page; imports nothing, so that help is printed at once."""
+"""Names and modules of the commands, and the first page of the help; imports no package, to be fast."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COMMANDS: Final = {
     "app": ("plant:App", "drag, run, watch and compare schedules in the browser"),
     "study": ("studies:Study", "run a study by name or file; make shipped data again"),
 }
-"""Name -> module of ``agents.cli`` and dataclass in it, and a line for the first page."""
+"""Name -> module of ``agents.cli`` with dataclass, and the line on the first page."""
 GROUPS: Final = {
     "Simulate and evaluate": ("simulate", "evaluate", "render", "signal", "agents"),
     "Train and design": ("train", "tune", "compare", "design", "study"),
@@ -29,7 +29,7 @@ GROUPS: Final = {
 }
 FIRST_PAGE: Final = """usage: probe-env COMMAND [OPTIONS]
 
-Feed control and probe design around a fast simulator of a long cable in a tube.
+Feed control and probe design with a fast simulator of a long cable in a tube.
 
 {commands}
 
@@ -42,7 +42,7 @@ probe-env --version        the version"""
 
 
 def first_page() -> str:
-    """The help of ``probe-env`` itself, in lines of fewer than 80 characters."""
+    """The help of ``probe-env``, in lines of at most 80 characters."""
     groups = (
         "\n".join((f"{title}:", *(f"  {name:11s}{COMMANDS[name][1]}" for name in names)))
         for title, names in GROUPS.items()

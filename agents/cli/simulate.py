@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.records.shipped import file_or_shipped
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, SOLVERS, method_named
@@ -22,37 +23,37 @@ class Simulate:
     Example: probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2
     """
 
-    scene_file: tyro.conf.Positional[Path]
+    scene_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
     """Scene file (TOML), or the name of a shipped scene: fig11_l10, ...; the --scene options change single fields."""
     scene: Scene = field(default_factory=Scene)
     method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
-    """newmark and wilson: the study's methods; imex: the fast scheme; superelement: a converged mesh condensed to the
-    floats; imex32 and superelement32: in single precision; implicit: stable with any step; explicit: central
-    differences."""
-    time_step: float | None = None
+    """newmark and wilson: the study's methods; imex: the fast scheme; implicit: stable with any step.
+    superelement: a converged mesh condensed to the floats; imex32 and superelement32: in single precision.
+    explicit: central differences."""
+    time_step: Annotated[float | None, hide_default()] = None
     """Time step [s]; default: the usual one of the method."""
     nodes_per_pitch: int = 4
     """Nodes per float pitch."""
     solver: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(SOLVERS)}}}")] = "ticm"
     """Linear solver of newmark and wilson."""
     start: Literal["inner", "outer"] = "inner"
-    """Wall on which the probe lies at rest. outer is for withdrawal: --scene.feed-speed -0.2 --scene.air-supply-rate
-    -0.0175 --scene.couple tangent."""
+    """Wall on which the probe lies at rest; outer is for withdrawal, with --scene.couple tangent and
+    negative --scene.feed-speed and --scene.air-supply-rate."""
     duration: float = 8.0
     """Simulated time [s]."""
-    statistics_from: float | None = None
+    statistics_from: Annotated[float | None, hide_default()] = None
     """Start of the statistics [s]; default: after a quarter of the duration."""
-    output: Path | None = None
+    output: File = None
     """Folder; default: output/NAME."""
 
     @classmethod
-    def of_scene(cls, given: str | None) -> Simulate | None:
-        """The command with the defaults of a scene file or shipped scene; None if none is given."""
-        if given is None:
+    def of_scene(cls, name: str | None) -> Simulate | None:
+        """The command with the defaults of a scene file or shipped scene; None without a name."""
+        if name is None:
             return None
-        path = file_or_shipped("scenes", given)
+        path = file_or_shipped("scenes", name)
         if path.suffix != ".toml":
-            raise ValueError(f"scene_file = {given!r} is not a scene file, which is TOML (.toml)")
+            raise ValueError(f"scene_file = {name!r} is not a TOML file (.toml)")
         return cls(path, Scene.from_toml(path))
 
     def run(self) -> None:
@@ -66,8 +67,8 @@ class Simulate:
         step = method.usual_step if self.time_step is None else self.time_step
         simulator = Simulator(self.scene, method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
         stable = simulator.stable_time_step
-        holds = f"known to hold up to {stable:.2g} s" if math.isfinite(stable) else "holds with any"
-        print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s ({holds})")
+        limit = "with any step" if math.isinf(stable) else f"up to {stable:.2g} s" if stable else "limit not known"
+        print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s (stable: {limit})")
         begin = 0.25 * self.duration if self.statistics_from is None else self.statistics_from
         statistics = simulate_scene(simulator, self.duration, begin, output, name)
         print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")

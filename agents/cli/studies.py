@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 
@@ -21,22 +22,21 @@ class Study:
     Example: probe-env study robustness --limit 2
     """
 
-    study: tyro.conf.Positional[str] = ""
+    study: tyro.conf.Positional[Annotated[str, hide_default("[STUDY]")]] = ""
     """Study file (.toml), or the name of a shipped study."""
     list: bool = False
     """List the shipped studies and their questions."""
-    limit: int | None = None
-    """Number of tubes; 0: all. For claims: 1 or more runs five cases. For response: number of groups of insertions.
-    Default: as in the study."""
-    policies: tuple[str, ...] = ()
+    limit: Annotated[int | None, hide_default()] = None
+    """Number of tubes, 0: all; response: groups of insertions; claims: a few cases. Default: as in the study."""
+    policies: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Policies instead of the study's, as in `evaluate`; the reference policies stay."""
-    fidelity: tuple[str, ...] = ()
+    fidelity: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Fidelities instead of the study's."""
-    tube: Path | None = None
-    """Your plant (tube.toml)."""
-    trials: int | None = None
+    tube: File = None
+    """Your plant (tube.toml); default: as in the study."""
+    trials: Annotated[int | None, hide_default()] = None
     """For shipped data: number of schedules or laws, or insertions per tube; claims: runs per case."""
-    output: Path | None = None
+    output: File = None
     """Folder; stored episodes are not run again. Default: output/NAME."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 
@@ -53,7 +53,7 @@ class Study:
             print_terms(files | {name: study.question for name, study in BUILT_IN.items()})
             return
         if not self.study:
-            raise ValueError("study: give a file or a name; probe-env study --list prints the names")
+            raise ValueError("study is missing: a file or a name from probe-env study --list")
         output = self.output or Path("output") / Path(self.study).stem
         if self.study in BUILT_IN and not Path(self.study).is_file():
             for name in ("policies", "fidelity"):

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
 
 
@@ -18,16 +19,16 @@ class Train:
     Example: probe-env train ppo --seeds 7 --output output/train/mine
     """
 
-    config_file: tyro.conf.Positional[Path]
+    config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
     """Training file (TOML), or the name of a shipped one: ppo, student, ppo-any-probe, both-ways."""
-    output: Path | None = None
+    output: File = None
     """Folder of the runs seed-K; default: output/train/NAME."""
-    seeds: tuple[int, ...] = ()
+    seeds: Annotated[tuple[int, ...], hide_default("SEED ...")] = ()
     """Training seeds; default: as in the file."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     resume: bool = False
     """Continue from the last checkpoints in the folder."""
-    tube: Path | None = None
+    tube: File = None
     """Your plant (tube.toml); default: as in the file."""
 
     def run(self) -> None:
@@ -41,8 +42,8 @@ class Train:
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:
-            own = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
-            training = training.model_copy(update={"environment": own})
+            environment = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
+            training = training.model_copy(update={"environment": environment})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
         print(f"written: {output}/seed-*/ (agent.safetensors: the best by validation, learning.csv, run.json, logs)")
@@ -55,14 +56,14 @@ class Tune:
     Example: probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo
     """
 
-    config_file: tyro.conf.Positional[Path]
-    """Training file (TOML), or the name of a shipped one. Its table [search] is the search space; default: ranges of
-    its algorithm. Its first seed is trained."""
+    config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
+    """Training file (TOML), or the name of a shipped one. Its first seed is trained.
+    Its table [search] is the search space; default: ranges of its algorithm."""
     trials: int = 40
     """Number of trainings, including those that are stopped early."""
-    phases: int | None = None
+    phases: Annotated[int | None, hide_default()] = None
     """Phases of a training after its warm start; default: half of the file's."""
-    output: Path | None = None
+    output: File = None
     """Folder of the search; an interrupted search continues. Default: output/tune/NAME."""
     seed: int = 0
     """Seed of the search."""

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from agents.design.trials import DesignTrials, claim, tube_column
 from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
-from agents.evaluation.statistics import Interval, failures, in_words, mean_interval, short
+from agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
 from agents.policies.cases import TABLE_2
 from agents.policies.catalogue import domains_of, name_and_spec
 from agents.policies.policy import check_domains
@@ -154,4 +154,4 @@ def print_comparison(table: pd.DataFrame) -> None:
     means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
     print_table(f"{means}; change against the first", header(summary), cells(summary))
     for name, part in table.groupby("design", sort=False):
-        print(f"{name}: {', '.join(in_words(failures(part)))}")
+        print(f"{name}: {', '.join(failure_text(failures(part)))}")

@@ -8,11 +8,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from agents.records.drawing import GREY, GRID, MM, colours, plain, save
+from agents.records.drawing import GREY, GRID, MM, colours, escape_dollars, save
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
-    """Inspection time against the share of length out of the limit of every policy, with both intervals."""
+    """Share of the length out of the limit over inspection time, with both intervals, one point per policy."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     rows = summary.set_index(["policy", "kpi"])
     for colour, policy in zip(cycle(colours()), dict.fromkeys(summary["policy"]), strict=False):
@@ -20,7 +20,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
         x, y = time["mean"], 100.0 * (1.0 - share["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
         along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
-        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=plain(policy))
+        axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=escape_dollars(policy))
     axis.set(xlabel="inspection time [s]", ylabel="length out of the limit [%]", ylim=(0.0, None))
     axis.grid(**GRID)
     axis.legend(frameon=False)
@@ -28,7 +28,7 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
 
 
 def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -> Path:
-    """Feed, air and vibration over the inserted length by policy, in bins of two metres; a line at the limit."""
+    """Feed, air and vibration over the inserted length, in bins of two metres, one line per policy."""
     figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
     binned = profile.assign(bin=(profile["inserted_length"] // 2.0) * 2.0 + 1.0)
     fields = (
@@ -40,7 +40,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
         groups = binned[binned["policy"] == policy].groupby("bin")
         for axis, (name, factor, label) in zip(axes, fields, strict=True):
             mean = groups[name].mean() * factor
-            axis.plot(mean.index, mean, color=colour, label=plain(policy))
+            axis.plot(mean.index, mean, color=colour, label=escape_dollars(policy))
             axis.set_ylabel(label)
         loud = groups["radial_rms_m"].quantile(0.9) * MM
         axes[2].plot(loud.index, loud, color=colour, linewidth=0.7)
@@ -55,10 +55,10 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
 
 
 def curves(bands: pd.DataFrame, path: Path) -> Path:
-    """Probability of detection over the depth of every policy, with 95 % bands over the tubes."""
+    """Probability of detection over the depth of a flaw, one curve per policy, with 95 % bands over the tubes."""
     figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
     for (policy, part), colour in zip(bands.groupby("policy", sort=False), cycle(colours()), strict=False):
-        axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=plain(str(policy)))
+        axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=escape_dollars(str(policy)))
         axis.fill_between(part["depth_percent_wall"], part["low"], part["high"], color=colour, alpha=0.15, linewidth=0)
     axis.axhline(0.9, color=GREY, linewidth=0.8, linestyle=":")
     axis.set(xscale="log", ylim=(0.0, 1.0), xlabel="depth [% of the wall]", ylabel="probability of detection")

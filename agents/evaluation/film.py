@@ -1,4 +1,4 @@
-"""Films of a probe under a policy: an episode, or the motion near the tip in slow motion."""
+"""Films of an episode, or of the motion near the tip in slow motion."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from probe_env.settings import whole_steps, within
 
 FRAMES_PER_SECOND: Final = 10
 LONGEST: Final = 2.0
-"""Greatest duration in slow motion [s]: 400 pictures."""
+"""Maximum duration in slow motion [s]: 400 pictures."""
 FARTHEST: Final = 1000.0
-"""Greatest distance behind the tip [m]."""
+"""Maximum distance behind the tip [m]."""
 RESOLVED: Final = 0.5
-"""Least duration from which a frequency is estimated [s]: to 2 Hz."""
-WHERE: Final = 0.75
+"""Minimum duration for an estimate of a frequency [s]: down to 2 Hz."""
+STRIP_START: Final = 0.75
 """Share of the helix at which slow motion begins by default."""
 FORMATS: Final = (".gif", ".mp4", ".png")
 COLOURS: Final = 255
-"""Colours of a GIF, the same in all its pictures."""
+"""Colours of a GIF; all pictures have the same palette."""
 
 
 class _Episode:
     """An episode of an environment under a policy (by its spec, see ``catalogue``)."""
 
     def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
-        assert probe_env.__all__  # imported for its ids
+        assert probe_env.__all__  # the import registers the ids
         self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
         self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
         self.episodes.allow_standstill = True  # as in an evaluation
@@ -53,27 +53,27 @@ class _Episode:
         self.ended, self.info = False, dict[str, Any]()
 
     def reset(self, seed: int) -> None:
-        """Settle in a tube."""
+        """Reset the environment."""
         self._observation, self.info = self.env.reset(seed=seed)
 
     def decide(self) -> npt.NDArray[np.float32]:
-        """The policy's action (2,) for the period to come."""
+        """Action (2,) of the policy for the next period."""
         observation = self._observation[None]
         action, self._state = self._policy.predict(observation, self._state, self._start, deterministic=True)
         self._start = np.zeros(1, dtype=bool)
         return np.asarray(action[0], dtype=np.float32)
 
     def step(self, action: npt.NDArray[np.float32]) -> None:
-        """A period with an action."""
+        """Apply an action for a control period."""
         self._observation, _, terminated, truncated, self.info = self.env.step(action)
         self.ended = terminated or truncated
 
 
 def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int, **arguments: Any) -> dict[str, float]:
-    """Film an episode under a policy, a frame every ``every`` control periods.
+    """Film an episode, one frame every ``every`` control periods.
 
     Returns:
-        the episode's KPIs.
+        the episode's KPIs without the detection curve.
 
     Raises:
         ValueError: an argument is not valid; nothing was written.
@@ -83,19 +83,18 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
     episode, steps = _Episode(env_id, policy, render_mode="rgb_array", **arguments), 0
     episode.reset(seed)
-    whole = output.suffix != ".png"
-    frames: list[Any] = [episode.env.render()] if whole else []
+    animated = output.suffix != ".png"
+    frames: list[Any] = [episode.env.render()] if animated else []
     with tqdm(desc=f"{env_id}", unit="period") as bar:
         while not episode.ended:
             episode.step(episode.decide())
             steps += 1
-            if (whole and steps % every == 0) or episode.ended:
+            if (animated and steps % every == 0) or episode.ended:
                 frames.append(episode.env.render())
             bar.update()
     episode.env.close()
     _write_film(output, frames, FRAMES_PER_SECOND)
-    kpis: dict[str, float] = episode.info["episode_kpis"]
-    return kpis
+    return {name: value for name, value in episode.info["episode_kpis"].items() if not name.startswith("pod")}
 
 
 def render_strip(
@@ -108,20 +107,20 @@ def render_strip(
     duration: float = 0.5,
     **arguments: Any,
 ) -> dict[str, float]:
-    """Film the motion near the tip in slow motion, from an inserted length on that a policy has fed in.
+    """Film the motion near the tip in slow motion, from an inserted length that a policy has reached.
 
     Args:
-        env_id: of the environment.
+        env_id: id of the environment.
         output: file of the film.
-        policy: by its spec.
-        seed: of the tube and the sensor noise.
-        at: inserted length at which it begins [m]; None: three quarters of the helix, for a constant length at once.
-        length: how far behind the tip it reaches [m], at least to the sensor; cut to what is inserted.
-        duration: of the dynamics [s], a whole number of milliseconds.
-        arguments: of the environment.
+        policy: spec of the policy.
+        seed: seed of the tube and the sensor noise.
+        at: inserted length at the start [m]; None: three quarters of the helix; with constant length: the start.
+        length: length of the strip behind the tip [m], at least to the sensor.
+        duration: simulated duration [s], a whole number of milliseconds.
+        arguments: further arguments of the environment.
 
     Returns:
-        what the film shows, SI units.
+        figures of the motion, SI units.
 
     Raises:
         ValueError: an argument is not valid, or the episode ended before the length was reached; nothing was written.
@@ -129,25 +128,23 @@ def render_strip(
     """
     check_format(output)
     episode = _Episode(env_id, policy, **arguments)
-    simulator = episode.episodes.batch.simulators[0]  # not settled, in no tube that was drawn
+    simulator = episode.episodes.batch.simulators[0]  # before the reset
     start, end = simulator.inserted_length, simulator.scene.tube.helix_length
-    within("length", length, simulator.scene.probe.guide_length, FARTHEST, "m")  # the sensor is in the picture
+    within("length", length, simulator.scene.probe.guide_length, FARTHEST, "m")  # includes the sensor
     within("duration", duration, FRAME_PERIOD, LONGEST, "s")
     whole_steps("duration", duration, SAMPLE_PERIOD)
     if not episode.episodes.config.growing:
         if at is not None:
-            raise ValueError(f"at = {at!r} m needs a probe that is fed in; here its length stays {start:g} m")
+            raise ValueError(f"at = {at!r} m needs a growing insertion; in this environment the length is {start:g} m")
         at = start
-    at = WHERE * end if at is None else at
+    at = STRIP_START * end if at is None else at
     if not start <= at < end:
-        raise ValueError(
-            f"at = {at!r} m is outside the accepted range {start:g} m, where it starts, to less than {end:g} m"
-        )
+        raise ValueError(f"at = {at!r} m is outside the accepted range {start:g} m (the start) to less than {end:g} m")
     episode.reset(seed)
     motion = _motion(episode, at, length, duration)
     strip = Strip(motion, Path(policy).stem)
-    chosen = range(len(motion.time)) if output.suffix != ".png" else [len(motion.time) - 1]
-    _write_film(output, [strip.picture(k) for k in tqdm(chosen, desc="pictures", unit="")], SLOW_FRAMES_PER_SECOND)
+    frames = range(len(motion.time)) if output.suffix != ".png" else [len(motion.time) - 1]
+    _write_film(output, [strip.picture(k) for k in tqdm(frames, desc="pictures", unit="")], SLOW_FRAMES_PER_SECOND)
     figures = {"inserted_length_m": float(motion.inserted_length[0]), "shown_s": float(motion.time[-1])}
     figures["times_slowed"] = SLOWED
     for name, values in (("axial", motion.signal_axial), ("radial", motion.signal_radial)):
@@ -166,7 +163,7 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
             bar.update()
     if episode.ended:
         info = episode.info
-        reasons = (", the drive lost" if info["lost_drive"] else "") + (", diverged" if info["diverged"] else "")
+        reasons = (", lost drive" if info["lost_drive"] else "") + (", diverged" if info["diverged"] else "")
         raise ValueError(
             f"at = {at:g} m was not reached: the episode ended at {info['inserted_length']:.4g} m{reasons}"
         )

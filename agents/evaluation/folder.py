@@ -1,7 +1,7 @@
-"""The files of an evaluation: the journal of episodes, the tables made of it, and what a report reads of them.
+"""The files of an evaluation: the journal of episodes, its tables, and the reader of both.
 
-``setting.json`` holds what all episodes share, ``unfinished.json`` the planned episodes until the tables are written,
-``report.json`` what the report compares.
+``setting.json`` holds the common settings, ``unfinished.json`` the planned episodes until the tables are written,
+``report.json`` the reference policy of the report.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import pandas as pd
 from pydantic import FiniteFloat, NonNegativeInt, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
+from agents.evaluation.kpis import CORE, CORE_FAILURES, COST_KPIS, KPIS, PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.statistics import grouped
 from agents.records.atomic import write_atomically
 from agents.records.models import Journal, Key, Record, Stored, read_json, require
@@ -42,9 +42,9 @@ EPISODES: Final[Columns] = {
 """Columns of every ``episodes.csv`` and ``episodes.parquet``."""
 EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
 """Columns that tables of older versions lack."""
-PROFILE: Final[Columns] = {**dict.fromkeys(CARRIED, "maybe"), **CASE}
-"""Columns of ``profile.parquet``, a row for each metre; NaN where a probe diverged."""
-PROFILE_HEARD: Final[Columns] = dict.fromkeys(HEARD, "maybe")
+PROFILE: Final[Columns] = {**dict.fromkeys(PROFILE_COLUMNS, "maybe"), **CASE}
+"""Columns of ``profile.parquet``, one row per metre; NaN where a probe diverged."""
+PROFILE_NEWER: Final[Columns] = dict.fromkeys(PROFILE_COLUMNS_NEWER, "maybe")
 """Columns that profiles of older versions lack."""
 Unit = tuple[str, int, int]
 """Policy name, context number and seed of an episode."""
@@ -64,15 +64,15 @@ class Episode(Stored):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         require("kpis", self.kpis, (*CORE, "complete", *CORE_FAILURES))
-        require("profile", self.profile, CARRIED)
+        require("profile", self.profile, PROFILE_COLUMNS)
         require("probe", self.probe or RANGES, RANGES)
         if len({len(values) for values in self.profile.values()}) > 1:
-            raise PydanticCustomError("profile", "profile: its columns are not of one length")
+            raise PydanticCustomError("profile", "profile: the columns differ in length")
         return self
 
 
 class Setting(Stored):
-    """``setting.json``: what all episodes of a folder share."""
+    """``setting.json``: common settings of all episodes of a folder."""
 
     task: TaskConfig
     fidelity: dict[str, Any]
@@ -81,13 +81,13 @@ class Setting(Stored):
     commit: str = ""
 
 
-class Evaluated(Record):
+class Manifest(Record):
     """``manifest.json`` of an evaluation."""
 
     policies: dict[str, dict[str, Any]]
 
 
-class Unfinished(Evaluated):
+class Unfinished(Manifest):
     """``unfinished.json``: the planned episodes, until the tables are written."""
 
     contexts: tuple[Context, ...]
@@ -98,14 +98,14 @@ class Unfinished(Evaluated):
         for _, policy, context, _ in self.episodes:
             problem = name_problem(policy)
             if not problem and (context >= len(self.contexts) or policy not in self.policies):
-                problem = f"in tube {context} is of no such policy or tube"
+                problem = f"in tube {context}: no such policy or tube"
             if problem:
                 raise PydanticCustomError("episodes", "{text}", {"text": f"episodes: {policy!r} {problem}"})
         return self
 
 
-class Compared(Stored):
-    """``report.json``: the policy that others are compared with, and those that are files of the user."""
+class ReportSettings(Stored):
+    """``report.json``: the reference policy, and the policies that are files of the user."""
 
     against: str
     own: tuple[str, ...] = ()
@@ -121,20 +121,21 @@ def read_episodes(path: Path) -> pd.DataFrame:
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: it is damaged.
+        FileError: the file is damaged.
     """
-    return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+    table = (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+    return table.rename(columns={"agent": "training_seed"})  # its name before version 0.1.0
 
 
-def gathered(
+def collect_tables(
     planned: Sequence[Planned], contexts: Sequence[Context], done: Mapping[str, dict[str, Any]]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """KPIs with a row for each episode, and profiles with a row for each metre.
+    """KPIs with one row per episode, and profiles with one row per metre.
 
     Args:
-        planned: the episodes, all of them done.
+        planned: the episodes, all finished.
         contexts: the tubes.
-        done: records of episodes by their keys.
+        done: records of episodes by key.
     """
     rows, profiles = [], []
     for key, name, k, seed in planned:
@@ -156,7 +157,7 @@ def write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> No
 
 
 class Missing(NamedTuple):
-    """Numbers of stored and planned episodes of an interrupted evaluation; policies and what each of them lacks."""
+    """Numbers of stored and planned episodes of an interrupted evaluation; policies and their missing episodes."""
 
     stored: int
     planned: int
@@ -168,31 +169,31 @@ class Evaluation:
     """A stored evaluation.
 
     Attributes:
-        table: KPIs with a row for each episode, training seeds under one name (``grouped``).
-        profile: metres of these episodes, grouped too.
-        setting: what all episodes share.
+        table: KPIs with one row per episode, training seeds under one name (``grouped``).
+        profile: one row per metre of these episodes, grouped too.
+        setting: common settings of all episodes.
         record: command, commit, machine, descriptions of the policies.
-        against: policy that the others are compared with.
-        own: policies that are files of the user.
-        missing: of an interrupted evaluation; None: it is finished.
+        against: reference policy of the comparison.
+        user_policies: policies that are files of the user.
+        missing: episodes that an interrupted evaluation lacks; None: it is finished.
     """
 
     table: pd.DataFrame
     profile: pd.DataFrame
     setting: Setting
-    record: Evaluated
+    record: Manifest
     against: str
-    own: tuple[str, ...]
+    user_policies: tuple[str, ...]
     missing: Missing | None
 
 
-def holds_evaluation(folder: Path) -> bool:
+def is_evaluation(folder: Path) -> bool:
     """Whether a path is the folder of an evaluation, finished or not."""
     return folder.is_dir() and any((folder / name).exists() for name in ("setting.json", UNFINISHED))
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """The tables of a folder; of an interrupted evaluation the stored episodes that can be compared.
+    """The tables of a folder; for an interrupted evaluation, the stored episodes that can be compared.
 
     Raises:
         FileNotFoundError: no evaluation is stored there.
@@ -205,20 +206,20 @@ def read_evaluation(folder: Path) -> Evaluation:
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
     table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
     if not set(profile["policy"]) <= set(table["policy"]):
-        raise FileError(paths[1], "of policies that are not in episodes.parquet: evaluate again into this folder")
-    against, own = _compared(folder, table, strict=True)
-    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Evaluated)
+        raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
+    against, own = _report_settings(folder, table, strict=True)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Manifest)
     return Evaluation(table, profile, setting, record, against, own, None)
 
 
-def _compared(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
+def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
     path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
-    compared = read_json(path, Compared) if path.exists() else Compared(against="")
-    own = tuple(name for name in compared.own if name in policies)
-    if compared.against in policies:
-        return compared.against, own
-    if strict and compared.against:
-        raise FileError(path, f"against = {compared.against!r} is not one of the policies: {', '.join(policies)}")
+    settings = read_json(path, ReportSettings) if path.exists() else ReportSettings(against="")
+    own = tuple(name for name in settings.own if name in policies)
+    if settings.against in policies:
+        return settings.against, own
+    if strict and settings.against:
+        raise FileError(path, f"against = {settings.against!r} is not one of the policies: {', '.join(policies)}")
     return str(policies[0]), own
 
 
@@ -228,9 +229,9 @@ def _interrupted(folder: Path) -> Evaluation:
     done = journal.read()
     stored = [episode for episode in plan.episodes if episode[0] in done]
     if not stored:
-        raise FileError(journal.path, f"no episode of the evaluation is stored yet: `{plan.command}` goes on")
+        raise FileError(journal.path, f"no episode is stored yet: `{plan.command}` continues the evaluation")
     chosen = comparable(stored)
-    table, profile = gathered(chosen, plan.contexts, done)
+    table, profile = collect_tables(chosen, plan.contexts, done)
     check_table(journal.path, table, EPISODES, EPISODES_NEWER)
     check_table(journal.path, profile, PROFILE)
     table, profile = grouped(table), grouped(profile)
@@ -238,11 +239,11 @@ def _interrupted(folder: Path) -> Evaluation:
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
     gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
     missing = Missing(len(stored), len(plan.episodes), gaps)
-    return Evaluation(table, profile, setting, plan, *_compared(folder, table, strict=False), missing)
+    return Evaluation(table, profile, setting, plan, *_report_settings(folder, table, strict=False), missing)
 
 
 def comparable(stored: Sequence[Planned]) -> list[Planned]:
-    """Episodes on the cases that all of some policies have; these are chosen so that the most episodes remain."""
+    """The largest set of episodes with every chosen policy on the same cases."""
     cases: dict[str, set[tuple[int, int]]] = {}
     for _, name, k, seed in stored:
         cases.setdefault(name, set()).add((k, seed))

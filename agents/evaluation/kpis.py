@@ -1,7 +1,6 @@
 """The KPIs of episodes and designs: their columns, names and units.
 
-Tables that were stored before a KPI existed have no column of it: readers require ``CORE`` alone, and tables show what
-of ``KPIS`` they have.
+Older tables lack the columns of newer KPIs: readers require only ``CORE``.
 """
 
 from __future__ import annotations
@@ -30,29 +29,29 @@ KPIS: Final[Kpis] = {
     "air_m3": ("air used", 1.0, "m3"),
     **DETECTION,
 }
-"""KPIs of episodes, in the order in which tables show them."""
+"""KPIs of episodes, in the order of tables."""
 CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_m")
 """KPIs that every table of episodes has."""
 CORE_FAILURES: Final = ("lost_drive", "diverged")
-"""Failures of which every table of episodes has a column."""
+"""Failures that are columns of every table of episodes."""
 HIGH: Final = ("reward", "share_within_limit", "inspected_share", "length_with_snr_over_3_m")
-"""KPIs of which more is better."""
+"""KPIs for which larger is better."""
 COST_KPIS: Final = ("cost", *(f"cost_{name}" for name in COSTS))
-"""Unsafe control periods of an episode, in all and by kind."""
+"""Number of unsafe control periods of an episode, in total and by cost."""
 OVER_TUBES: Final[Kpis] = {"a90_95_percent_wall": ("a90/95", 1.0, "% wall")}
-"""Figures of a policy over all tubes, no means."""
+"""Figures of a policy over all tubes together, not means."""
 OF_DESIGNS: Final[Kpis] = {
     **{name: KPIS[name] for name in ("reward", "radial_rms_m", "share_within_limit", "inspection_time_s")},
     "inspected_m": ("inspected", 1.0, "m"),
     "drive_margin_n": ("drive margin", 1.0, "N"),
     **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }
-"""KPIs of designs, in the order in which tables show them."""
-CARRIED: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
+"""KPIs of designs, in the order of tables."""
+PROFILE_COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
 """Columns of an episode's profile, SI units."""
-HEARD: Final = ("noise_rms_m",)
-"""Further columns of newer profiles: noise in the band of a flaw, as radial rms [m]."""
-SCORED_PASSES: Final[dict[str, str]] = {"in": "the way in", "back": "the way back", "best": "the better of both"}
+PROFILE_COLUMNS_NEWER: Final = ("noise_rms_m",)
+"""Columns that older profiles lack: noise in the band of a flaw, as radial rms [m]."""
+SCORED_PASSES: Final[dict[str, str]] = {"in": "the insertion", "back": "the withdrawal", "best": "the better of both"}
 """Values of ``TaskConfig.inspects`` -> label."""
 
 
@@ -61,13 +60,13 @@ def label_of(failure: str) -> str:
     return failure.replace("_", " ")
 
 
-def kpis_of(columns: Iterable[str], known: Kpis = KPIS) -> Kpis:
-    """The KPIs that a table with these columns has; of designs with ``OF_DESIGNS``."""
+def kpis_of(columns: Iterable[str], kpis: Kpis = KPIS) -> Kpis:
+    """The KPIs among the columns of a table; for designs with ``OF_DESIGNS``."""
     names = set(columns)
-    return {name: shown for name, shown in known.items() if name in names}
+    return {name: label for name, label in kpis.items() if name in names}
 
 
-def shown_of(columns: Iterable[str]) -> Kpis:
-    """KPIs of a policy that a table of episodes with these columns gives, with those over all tubes."""
+def displayed_kpis(columns: Iterable[str]) -> Kpis:
+    """KPIs of a policy in a table of episodes with these columns, including those over all tubes."""
     kpis = kpis_of(columns)
     return kpis | (OVER_TUBES if "a90_percent_wall" in kpis else {})

@@ -1,4 +1,4 @@
-"""Plays a plan: policies x contexts x seeds side by side, resumable, into one table of episodes.
+"""Runs a plan: policies x contexts x seeds in a batch, resumable, into one table of episodes.
 
 An episode depends only on its policy, context and seed, so an interrupted evaluation continues to the same table.
 """
@@ -19,9 +19,9 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import FILES, UNFINISHED, Setting, episodes_of, gathered, write_tables
+from agents.evaluation.folder import FILES, UNFINISHED, Setting, collect_tables, episodes_of, write_tables
 from agents.evaluation.folder import Unit as Unit
-from agents.evaluation.kpis import CARRIED, HEARD
+from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
 from agents.records.manifest import commit, origin, write_json, write_manifest
@@ -39,8 +39,8 @@ from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
 
 BATCH: Final = 16
-"""Episodes side by side."""
-COLUMNS: Final = (*CARRIED, *HEARD)
+"""Number of episodes in a batch."""
+COLUMNS: Final = (*PROFILE_COLUMNS, *PROFILE_COLUMNS_NEWER)
 """Columns of a profile."""
 
 
@@ -49,13 +49,13 @@ class Plan:
     """An evaluation: every policy on every context with every seed.
 
     Attributes:
-        policies: by their names in tables.
+        policies: by name.
         contexts: the tubes.
-        seeds: of sensor noise and start.
+        seeds: seeds of sensor noise and start.
         config: the task.
-        fidelity: of the simulation, resolved for the scene (``fidelity.resolve_fidelity``).
-        probes: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
-        vibration: map of fidelity "surrogate"; default: the shipped one.
+        fidelity: fidelity of the simulation, resolved for the scene (``fidelity.resolve_fidelity``).
+        probes: "scene", or "random": context and seed select a ``Design``, the same for every policy.
+        vibration: vibration map of fidelity "surrogate"; default: the shipped one.
     """
 
     policies: Mapping[str, Policy]
@@ -67,7 +67,7 @@ class Plan:
     vibration: VibrationMap | None = None
 
     def setting(self) -> dict[str, Any]:
-        """What all episodes of a folder share, JSON-ready."""
+        """Common settings of all episodes of a folder, JSON-ready."""
         code = {"version": version("probe-env"), "commit": commit()}
         return {**describe(self.config), "fidelity": self.fidelity.model_dump(), "probes": self.probes, **code}
 
@@ -86,14 +86,14 @@ class Plan:
         return {"policies": policies, "contexts": contexts, "episodes": self.planned()}
 
     def key(self, unit: Unit) -> str:
-        """Identity of an episode: hash of the policy's description, the context, its number and the seed."""
+        """Key of an episode: hash of the policy's description, the context, its number and the seed."""
         name, k, seed = unit
         parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 Source = Callable[[Plan, "deque[Unit]"], Iterator[str]]
-"""Plays episodes of a plan and gives a line of the journal for each."""
+"""Runs episodes of a plan and yields a line of the journal for each."""
 
 
 def run_plan(
@@ -106,28 +106,28 @@ def run_plan(
     source: Source | None = None,
     command: str | None = None,
 ) -> pd.DataFrame:
-    """Play what is missing in a folder and return the table of all episodes of the plan.
+    """Run the episodes that a folder lacks; returns the table of all episodes of the plan.
 
-    Each episode is appended to ``episodes.jsonl`` as it ends, with workers when its portion of up to ``batch`` ends. At
-    the end the tables ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written; until then
-    ``unfinished.json`` lists the episodes of the plan.
+    Each episode is appended to ``episodes.jsonl`` when it ends; with workers, when its batch ends. ``unfinished.json``
+    lists the planned episodes until ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written.
 
     Args:
         plan: the evaluation.
         output: the folder; None: nothing is read or written.
-        batch: greatest number of episodes side by side.
+        batch: maximum number of episodes in a batch.
         progress: whether to show a progress bar.
-        threads: greatest number of threads; None: all cores.
-        workers: that play episodes, by default this process.
-        source: plays instead of this process or workers.
-        command: stored as the command line; default: that of this process.
+        threads: maximum number of threads; None: all cores.
+        workers: workers that run the episodes; default: this process.
+        source: runs the episodes instead of ``workers``.
+        command: command line to store; default: the one of this process.
 
     Raises:
-        ValueError: the folder holds episodes of another setting, version or commit; nothing is changed.
+        ValueError: the folder holds episodes of other settings, version or commit; nothing is changed.
     """
     if output is None:
         lines = _lines(plan, deque(plan.units()), batch, threads, workers)
-        return gathered(plan.planned(), plan.contexts, {record["key"]: record for record in map(json.loads, lines)})[0]
+        done = {record["key"]: record for record in map(json.loads, lines)}
+        return collect_tables(plan.planned(), plan.contexts, done)[0]
     journal, done = episodes_of(output), stored_episodes(plan, output)
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
@@ -143,7 +143,7 @@ def run_plan(
                 append(line)
                 bar.update()
         done = journal.read()
-    table, profile = gathered(plan.planned(), plan.contexts, done)
+    table, profile = collect_tables(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
     files, policies = (*FILES, "setting.json"), plan.described()["policies"]
     write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
@@ -152,10 +152,10 @@ def run_plan(
 
 
 def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
-    """Records of the episodes that a folder holds, by their keys.
+    """Records of the stored episodes of a folder, by key.
 
     Raises:
-        ValueError: they are of another task, fidelity, version or commit than the plan's, or a file is damaged.
+        ValueError: the task, fidelity, version or commit differs from the plan's, or a file is damaged.
     """
     path, done = output / "setting.json", episodes_of(output).read()
     if path.exists():
@@ -166,16 +166,16 @@ def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
                 if name in different]  # fmt: skip
         if different:
             raise ValueError(
-                f"{output} holds episodes of another setting ({', '.join(different)} differ"
+                f"{output} has episodes with other settings ({', '.join(different)} differ"
                 f"{''.join(f'; {text}' for text in code)}): choose another folder"
             )
     elif done:
-        raise FileError(path, "missing beside episodes.jsonl, so nobody knows their task: choose another folder")
+        raise FileError(path, "missing next to episodes.jsonl, so their task is not known: choose another folder")
     return done
 
 
 def _shared(setting: Setting) -> dict[str, Any]:
-    """What episodes must share; what is only observed may differ, and new fields of the task have their defaults."""
+    """Settings that must agree between episodes; the visible observations may differ."""
     shared = ("fidelity", "probes", "version", "commit")
     return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in shared}
 
@@ -193,11 +193,11 @@ def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, wo
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
-    """Rows of control periods (columns ``COLUMNS``) averaged by metre of inserted length, rms values as squares.
+    """Means of control periods (columns ``COLUMNS``) over each metre of inserted length; of squares for rms values.
 
-    ``inserted_length`` becomes the middle of the metre, ``time`` that of its last period.
+    ``inserted_length`` is the middle of the metre, ``time`` the end of its last period.
     """
-    squared = ["radial_rms_m", *HEARD]
+    squared = ["radial_rms_m", *PROFILE_COLUMNS_NEWER]
     if not profile:
         return {name: np.zeros(0) for name in COLUMNS}
     periods = pd.DataFrame(profile, columns=list(COLUMNS))
@@ -212,22 +212,22 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.floa
 
 
 class RolloutRunner:
-    """Episodes of a plan side by side, the next one starting wherever one ends.
+    """Runs a plan in a batch; a lane starts the next episode when its episode ends.
 
     Args:
         plan: the evaluation.
-        missing: units to play; those that have begun are taken out.
-        batch: greatest number side by side.
-        threads: greatest number of threads; None: all cores.
+        missing: units to run; started units are removed.
+        batch: maximum number of lanes.
+        threads: maximum number of threads; None: all cores.
 
     Attributes:
         episodes: the running episodes.
         units: unit of each lane.
-        profile: of each lane a row for each control period of the insertion up to now, columns ``COLUMNS``.
-        decided: whether the actions of the next period are decided.
-        actions: (N, 2) that were decided last.
+        profile: for each lane, one row per control period of the insertion so far, columns ``COLUMNS``.
+        decided: whether ``actions`` are those of the next period.
+        actions: (N, 2) last actions.
         last: the last period; None before the first.
-        active: (N,) lanes that take part in the period that was decided last.
+        active: (N,) lanes that ``actions`` are for.
     """
 
     def __init__(self, plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> None:
@@ -258,12 +258,12 @@ class RolloutRunner:
         return not self.missing and not self.episodes.running.any()
 
     def step(self) -> Iterator[str]:
-        """Play a control period; gives the lines of the journal of the episodes that end with it."""
+        """Run a control period; yields the journal lines of the episodes that end."""
         self.decide()
         yield from self.advance()
 
     def decide(self) -> None:
-        """Begin episodes in idle lanes, and let the policies decide on the next period."""
+        """Start episodes in idle lanes and compute the actions of the next period."""
         idle = np.flatnonzero(~self.episodes.running).tolist()
         fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
@@ -280,7 +280,7 @@ class RolloutRunner:
         self.decided = True
 
     def advance(self) -> Iterator[str]:
-        """Play the period that was decided on; gives the lines of the journal of the episodes that end with it."""
+        """Apply ``actions`` for a period; yields the journal lines of the episodes that end."""
         direction = self.episodes.direction.copy()
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
@@ -297,7 +297,7 @@ class RolloutRunner:
                 yield json.dumps(record | {"profile": profile} | probe) + "\n"
 
     def observed(self, k: int) -> npt.NDArray[np.float32]:
-        """(1, d) observation on which the policy of a lane decides next."""
+        """(1, d) observation for the next action of a lane."""
         return self._observation[k : k + 1]
 
     def unit(self, k: int) -> Unit:

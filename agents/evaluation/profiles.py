@@ -23,23 +23,23 @@ MOST_METRES: Final = 60_000
 MOST_POINTS: Final = 2000
 """Points of a schedule that is offered for download."""
 FIELDS: Final = {"feed_speed": 1e4, "air_supply_rate": 3.6e4, "radial_rms_m": 1e7}
-"""Column of a trace -> factor of its unit in the page: whole numbers of 0.1 mm/s, 0.1 m3/h and 0.1 um."""
+"""Column of a trace -> factor in the page: whole numbers of 0.1 mm/s, 0.1 m3/h and 0.1 um."""
 
 
 def traces(
-    table: pd.DataFrame, profile: pd.DataFrame, shown: Collection[str], limit_mm: float | None
+    table: pd.DataFrame, profile: pd.DataFrame, visible: Collection[str], limit_mm: float | None
 ) -> dict[str, Any]:
     """Feed, air and vibration of every policy in every tube over the inserted length, JSON-ready; the first seed.
 
     Args:
         table: episodes.
-        profile: of them, a row for each metre.
-        shown: policies that are visible at first.
-        limit_mm: of the radial rms [mm]; None: the limit is one of another measure.
+        profile: a row for each metre of these episodes.
+        visible: policies whose traces are visible when the page opens.
+        limit_mm: limit of the radial rms [mm]; None: the limit is of another measure.
     """
     order = list(dict.fromkeys(table["policy"]))  # the colours of the other pictures
-    seeds = profile.drop_duplicates(["policy", "context", "seed", "agent"])[["policy", "context", "seed", "agent"]]
-    first = seeds.sort_values(["agent", "seed"], kind="stable").drop_duplicates(["policy", "context"])
+    first = profile[["policy", "context", "seed", "training_seed"]].drop_duplicates()
+    first = first.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
     metres = profile.merge(first).dropna(subset=["inserted_length"])
     width = 1 + len(metres) // MOST_METRES
     binned = metres.assign(
@@ -66,7 +66,7 @@ def traces(
             {
                 "name": policy,
                 "colour": palette[order.index(policy) % len(palette)],
-                "shown": policy in shown,
+                "shown": policy in visible,
                 "worst": worst[policy],
                 "tubes": [columns.get((policy, tube["context"]), []) for tube in tubes],
             }
@@ -81,7 +81,7 @@ def _scaled(rows: pd.DataFrame) -> list[list[int | None]]:
 
 
 class Download(NamedTuple):
-    """A file within the page: policy, note, file name, and its content as an address."""
+    """A file in the page: policy, note, file name, and its content as a data URL."""
 
     policy: str
     what: str
@@ -94,13 +94,13 @@ def downloads(
 ) -> tuple[list[Download], list[str]]:
     """Schedule files that ``probe-env evaluate`` takes, by rank, and the policies that have none.
 
-    A fixed schedule is offered as it was given; of other policies the feed and air in the tube of the median reward.
-    With both passes the withdrawal is beside it; policies that decide on the withdrawal themselves have no schedule.
+    A fixed schedule is offered unchanged; for other policies, the feed and air in the tube with the median reward. With
+    both passes the file has columns for the withdrawal; policies that control the withdrawal have no schedule.
 
     Args:
         policies: their descriptions, see ``descriptions``.
         table: episodes.
-        profile: of them.
+        profile: a row for each metre of these episodes.
         returns: whether the task has both passes.
     """
     offered: list[Download] = []
@@ -108,8 +108,9 @@ def downloads(
     for policy in ranking(table):
         described = policies.get(policy, {})
         back = described.get("back")
-        known = back is not None or not returns
-        schedules = (_given(deciding(described)) or _fed(policy, table, profile)) if known else {}
+        fixed = back is not None or not returns
+        described = inner_policy(described)
+        schedules = (_fixed_schedules(described) or _median_schedule(policy, table, profile)) if fixed else {}
         for what, schedule in schedules.items():
             file = f"{_file_name(policy)}{'-' + _file_name(what) if len(schedules) > 1 else ''}.csv"
             address = f"data:text/csv;charset=utf-8,{quote(_csv(schedule, back))}"
@@ -122,48 +123,48 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^\w.-]+", "-", name).strip(".-") or "schedule"
 
 
-def _csv(schedule: Schedule, way_back: Description | None) -> str:
+def _csv(schedule: Schedule, withdrawal: Description | None) -> str:
     """A schedule's file, with columns of the withdrawal unless the schedule is over time."""
-    if way_back is None or schedule.over == "time":
+    if withdrawal is None or schedule.over == "time":
         return schedule.to_csv()
-    back = _schedule({"over": schedule.over, "interpolation": schedule.interpolation, **way_back})
+    back = _schedule({"over": schedule.over, "interpolation": schedule.interpolation, **withdrawal})
     position = schedule.position
     if len(back.position) > 1:
         position = tuple(sorted({*position, *back.position}))
     feed, air = (tuple(values.tolist()) for values in schedule.at(position))
     forth = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
     comment, header, *rows = forth.to_csv().splitlines()
-    drawn = zip(rows, *back.at(position), strict=True)
-    lines = (comment, ",".join((header, *BACK.values())), *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in drawn))
+    table = zip(rows, *back.at(position), strict=True)
+    lines = (comment, ",".join((header, *BACK.values())), *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in table))
     return "\n".join(lines) + "\n"
 
 
-def _given(described: Description) -> dict[str, Schedule]:
+def _fixed_schedules(described: Description) -> dict[str, Schedule]:
     listed = {f"helix of {d} m": s for d, s in described.get("schedules", {}).items()}
     if "schedule" in described:
-        listed = {"as it was given": described["schedule"]}
-    schedules = {what: _schedule(given) for what, given in listed.items()}
+        listed = {"unchanged": described["schedule"]}
+    schedules = {what: _schedule(points) for what, points in listed.items()}
     return {what: schedule for what, schedule in schedules.items() if len(schedule.position) <= MOST_POINTS}
 
 
-def _schedule(given: Description) -> Schedule:
-    position, feed, air = (tuple(given[name]) for name in ("position", "feed_speed", "air_supply_rate"))
-    return Schedule(given["over"], given["interpolation"], position, feed, air, given.get("start_length"))
+def _schedule(points: Description) -> Schedule:
+    position, feed, air = (tuple(points[name]) for name in ("position", "feed_speed", "air_supply_rate"))
+    return Schedule(points["over"], points["interpolation"], position, feed, air, points.get("start_length"))
 
 
-def _fed(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, Schedule]:
+def _median_schedule(policy: str, table: pd.DataFrame, profile: pd.DataFrame) -> dict[str, Schedule]:
     part = table[table["policy"] == policy].sort_values("reward", kind="stable")
     episode = part.iloc[(len(part) - 1) // 2]
-    case, names = ["policy", "context", "seed", "agent"], ["inserted_length", "feed_speed", "air_supply_rate"]
+    case, names = ["policy", "context", "seed", "training_seed"], ["inserted_length", "feed_speed", "air_supply_rate"]
     metres = profile[(profile[case] == episode[case]).all(axis=1)].dropna(subset=names).iloc[:MOST_POINTS]
     if metres.empty:
         return {}
     length, feed, air = (tuple(metres[name].astype(float)) for name in names)
     schedule = Schedule("inserted_length", "linear", length, feed, air)
-    return {f"as fed in tube {episode['context']}, its median": schedule}
+    return {f"as run in tube {episode['context']} (median reward)": schedule}
 
 
-def deciding(description: Description) -> Description:
-    """The description of the policy that decides, inside those that shield it, round its feed or add a withdrawal."""
+def inner_policy(description: Description) -> Description:
+    """The description of the innermost policy, without its wrappers."""
     inner = next((description[key] for key in ("forth", "of") if isinstance(description.get(key), Mapping)), None)
-    return description if inner is None else deciding(inner)
+    return description if inner is None else inner_policy(inner)

@@ -1,4 +1,4 @@
-"""The report of an evaluation: one HTML file that needs no network, and JavaScript only for the interactive plots."""
+"""The report of an evaluation: one HTML file that works offline."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from markupsafe import Markup
 
 from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
-from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, label_of, shown_of
-from agents.evaluation.profiles import Description, deciding, downloads, traces
+from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, displayed_kpis, label_of
+from agents.evaluation.profiles import Description, downloads, inner_policy, traces
 from agents.evaluation.statistics import (
     Interval,
     bands,
     by_context,
+    comparison_lines,
     endings,
     has_curves,
     method_and_seed,
     paired_difference,
     ranking,
-    sentences,
     short,
-    strained,
+    strain_lines,
     summarise,
 )
 from agents.policies.fixed import Replayed, Scheduled
@@ -55,7 +55,7 @@ TUBE: Final = {
 }
 """Header -> column of a tube, factor, digits and unit."""
 ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, InsertionPlanner, InspectionPlanner))])
-"""Policies that are given the true tube, which a rig cannot measure; "Planner" in results before version 0.1.0."""
+"""Policies that use the true tube parameters, which a rig cannot measure; "Planner" in results before version 0.1.0."""
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
@@ -89,26 +89,27 @@ def _read(name: str) -> str:
 
 
 def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
-    table, task, oracles, order = done.table, done.setting.task, informed(done), ranking(done.table)
+    table, task, oracles, order = done.table, done.setting.task, oracle_policies(done), ranking(done.table)
     described = descriptions(done)
-    kinds = {name: deciding(given).get("policy") for name, given in described.items()}
-    verdicts = [verdict(table, policy, oracles, limit_of(task)) for policy in done.own or (done.against,)]
+    kinds = {name: inner_policy(policy).get("policy") in SCHEDULES for name, policy in described.items()}
+    subjects = done.user_policies or (done.against,)
+    comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in subjects]
     best = [name for name in order if name not in oracles]
-    drawn = list(dict.fromkeys([*(v.policy for v in verdicts), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
+    visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
     return {
         "title": "Feed policies compared",
         "done": done,
-        "verdicts": verdicts,
-        "own": {name: f"Your {'schedule' if kinds.get(name) in SCHEDULES else 'policy'}" for name in done.own},
+        "comparisons": comparisons,
+        "own": {name: f"Your {'schedule' if kinds.get(name) else 'policy'}" for name in done.user_policies},
         "facts": _facts(done),
-        "ranked": ranked(table, summary, done.own, oracles),
+        "ranked": ranked(table, summary, done.user_policies, oracles),
         "oracles": [name for name in order if name in oracles],
-        "strained": strained(table),
-        "sentences": sentences(table, done.against),
+        "strain_lines": strain_lines(table),
+        "comparison_lines": comparison_lines(table, done.against),
         "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
         "downloads": downloads(described, table, done.profile, task.returns),
-        "traces": traces(table, done.profile, drawn, _limit_mm(task)),
+        "traces": traces(table, done.profile, visible, _limit_mm(task)),
         "pictures": _pictures(done, summary),
     }
 
@@ -125,7 +126,7 @@ def _facts(done: Evaluation) -> dict[str, str]:
         low, high = tubes[name].min() * factor, tubes[name].max() * factor
         ranges.append(f"{header_.partition(' [')[0]} {low:.3g}{f' to {high:.3g}' if low < high else ''}{unit}")
     probe = scene.probe
-    built = (
+    design = (
         f"cable {probe.cable_diameter * MM:g} mm, floats {probe.carrier_float_diameter * MM:g} mm every"
         f" {probe.float_pitch * MM:g} mm, guide cable {probe.guide_length:g} m"
     )
@@ -133,24 +134,24 @@ def _facts(done: Evaluation) -> dict[str, str]:
     stored, measure = done.setting.fidelity, MEASURES[task.vibration_measure][0]
     policies = table["policy"].nunique()
     return {
-        **({"passes": f"in and back; counted is {SCORED_PASSES[task.inspects]}"} if task.returns else {}),
+        **({"passes": f"in and back; scored is {SCORED_PASSES[task.inspects]}"} if task.returns else {}),
         "limit": f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time",
         "insertions": f"{len(table)}, of {policies} {'policies' if policies > 1 else 'policy'} in"
         f" {f'the same {len(tubes)} tubes' if len(tubes) > 1 else '1 tube'}",
         "tubes": "; ".join(ranges),
-        "probe": "a random one for every tube and seed" if done.setting.probes == "random" else built,
+        "probe": "a random one for every tube and seed" if done.setting.probes == "random" else design,
         "simulated with": next((name for name, v in presets.items() if v.model_dump() == stored), str(stored)),
     }
 
 
 def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
-    """Title, caption and base64 of every figure."""
-    tubes, limit, drawn = done.table["context"].nunique(), _limit_mm(done.setting.task), []
+    """Title, caption and base64 data of every figure."""
+    tubes, limit, pictures = done.table["context"].nunique(), _limit_mm(done.setting.task), []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "figure.png")
 
         def draw(title: str, caption: str, function: Callable[..., Path], *data: Any) -> None:
-            drawn.append((title, caption, base64.b64encode(function(*data, path).read_bytes()).decode()))
+            pictures.append((title, caption, base64.b64encode(function(*data, path).read_bytes()).decode()))
 
         intervals, confidence = (" with 95 % intervals", ", 95 % bands over the tubes") if tubes > 1 else ("", "")
         caption = f"Mean over the tubes of each policy{intervals}. Down and left is better."
@@ -160,23 +161,23 @@ def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, s
         if has_curves(done.table):
             caption = (
                 f"Probability of detection over the depth of a flaw, mean over the tubes{confidence}."
-                " Depths are relative to the two anchors of the sensor model."
+                " Depths are relative to the two reference points of the sensor model."
             )
-            draw("What is found", caption, figures.curves, bands(done.table))
-    return drawn
+            draw("Probability of detection", caption, figures.curves, bands(done.table))
+    return pictures
 
 
 def descriptions(done: Evaluation) -> dict[str, Description]:
-    """The description of every method, of its first training seed."""
+    """The description of every method, for its first training seed."""
     methods: dict[str, Description] = {}
     for name, description in done.record.policies.items():
         methods.setdefault(method_and_seed(name)[0], description)
     return methods
 
 
-def informed(done: Evaluation) -> set[str]:
-    """Methods that are oracles: given the true tube parameters, which a rig cannot measure."""
-    return {name for name, given in descriptions(done).items() if deciding(given).get("policy") in ORACLES}
+def oracle_policies(done: Evaluation) -> set[str]:
+    """Names of the oracles: policies that use the true tube parameters, which a rig cannot measure."""
+    return {name for name, policy in descriptions(done).items() if inner_policy(policy).get("policy") in ORACLES}
 
 
 def limit_of(task: TaskConfig) -> str:
@@ -185,48 +186,48 @@ def limit_of(task: TaskConfig) -> str:
     return f"{task.limit * factor:.4g} {unit}"
 
 
-class Verdict(NamedTuple):
-    """A policy compared with the best other one: a line, and the figures behind it."""
+class Comparison(NamedTuple):
+    """A policy compared with the best other one: a headline and the means."""
 
     policy: str
     headline: str
     detail: str
 
 
-def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: str) -> Verdict:
+def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str], limit: str) -> Comparison:
     """A policy compared with the best of the others, oracles excluded.
 
     Args:
         table: episodes, all policies on the same tubes.
-        policy: that is judged.
-        informed: the oracles.
+        policy: the policy to compare.
+        oracles: the oracles.
         limit: the vibration limit with its unit.
     """
-    order = [name for name in ranking(table) if name == policy or name not in informed]
+    order = [name for name in ranking(table) if name == policy or name not in oracles]
     other = next((name for name in order if name != policy), None)
     tubes = table["context"].nunique()
     over = f"over {tubes} tube{'s' if tubes != 1 else ''}"
     time, share = _time_and_share(table, policy)
     if other is None:
         headline = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
-        return Verdict(policy, headline, f"Means {over}; nothing to compare it with.")
+        return Comparison(policy, headline, f"Means {over}; no other policy to compare with.")
     reward, *others = (paired_difference(table, policy, other, kpi) for kpi in
                        ("reward", "inspection_time_s", "share_within_limit"))  # fmt: skip
     unclear = reward.low <= 0.0 <= reward.high
-    judged = "not clearly different from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
+    result = "not clearly different from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
     longer, more = (_signed(*each) for each in zip(others, (1.0, 100.0), (" s", " %"), strict=True))
     failed = _not_complete(table, policy) + _not_complete(table, other, other)
     headline = (
-        f"{judged} the {'next ' if order[0] == policy else ''}best here, {other}: reward {_signed(reward)},"
+        f"{result} the {'next ' if order[0] == policy else ''}best here, {other}: reward {_signed(reward)},"
         f" time {longer}, length within {limit} {more}{failed}."
     )
     other_time, other_share = _time_and_share(table, other)
-    basis = f"Differences {over}, which says nothing about scatter"
+    basis = f"Differences {over}, without an interval"
     if tubes > 1:
         few = ", too few for exact intervals" if tubes < FEW_TUBES else ""
         basis = f"Paired differences with 95 % bootstrap intervals {over}{few}"
     detail = f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. {basis}."
-    return Verdict(policy, headline, detail)
+    return Comparison(policy, headline, detail)
 
 
 def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
@@ -248,7 +249,7 @@ def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
 
 
 class Cell(NamedTuple):
-    """A figure, a second one below it, and whether it is the best of its kind."""
+    """A value, a second line, and whether it is the best of its column."""
 
     text: str
     below: str = ""
@@ -256,7 +257,7 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row of a table: its head, a note below that, and cells."""
+    """A row of a table: head, note and cells."""
 
     head: str
     below: str
@@ -267,14 +268,14 @@ Table = tuple[list[str], list[Row]]
 """Header and rows."""
 
 
-def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
-    """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
+def ranked(table: pd.DataFrame, summary: pd.DataFrame, users: Collection[str], oracles: Collection[str]) -> Table:
+    """One row per policy, best first: KPIs with intervals, reward against the best, and how episodes ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
     rows, ends, order = [], dict(endings(table).iterrows()), ranking(table)
-    best = next((name for name in order if name not in informed), order[0])
+    best = next((name for name in order if name not in oracles), order[0])
     for policy in order:
         cells = []
-        for kpi, (_, factor, _) in shown_of(table.columns).items():
+        for kpi, (_, factor, _) in displayed_kpis(table.columns).items():
             row = values[policy, kpi]
             cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
         against = Cell("best")
@@ -285,10 +286,10 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
                 against = against._replace(text=f"{against.text} (unclear)")
         cells.insert(1, against)  # the first is the reward
         complete, _, reasons = ended(ends[policy]).partition(", ")
-        note = "yours" if policy in own else "oracle" if policy in informed else ""
+        note = "yours" if policy in users else "oracle" if policy in oracles else ""
         rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
     units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
-    names = [units[kpi] for kpi in shown_of(table.columns)]
+    names = [units[kpi] for kpi in displayed_kpis(table.columns)]
     return ["policy", names[0], f"reward against {best}", *names[1:], "how it ended"], rows
 
 
@@ -297,38 +298,38 @@ def _with_ends(mean: float, low: float, high: float, sign: str = "") -> Cell:
 
 
 def ended(row: Mapping[str, int] | pd.Series) -> str:
-    """Number of complete insertions, and why the others ended, for a row of ``endings``."""
+    """Number of complete insertions, and reasons of the others, for a row of ``endings``."""
     reasons = {label_of(name): row[name] for name in FAILURES}
     reasons["out of time"] = row["episodes"] - row["complete"] - sum(reasons.values())
     parts = [f"{count} {reason}" for reason, count in reasons.items() if count]
     return ", ".join([f"{row['complete']} of {row['episodes']} complete", *parts])
 
 
-def by_diameter(table: pd.DataFrame, informed: Collection[str]) -> Table:
-    """Mean time and length within the limit: a row for each policy, a column for each helix diameter."""
+def by_diameter(table: pd.DataFrame, oracles: Collection[str]) -> Table:
+    """Mean time and length within the limit: one row per policy, one column per helix diameter."""
     groups = list(table.groupby("helix_diameter"))
     if len(groups) > MOST_DIAMETERS or table["helix_diameter"].min() <= 0.0:
         return [], []
     counts = [(diameter, part["context"].nunique()) for diameter, part in groups]
     names = [f"{diameter:g} m ({count} tube{'s' if count > 1 else ''})" for diameter, count in counts]
-    columns = [_best_marked(part, informed) for _, part in groups]
+    columns = [_best_marked(part, oracles) for _, part in groups]
     return ["policy", *names], [Row(policy, "", tuple(c[policy] for c in columns)) for policy in ranking(table)]
 
 
-def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
-    """A row for each tube: its parameters, then time and length within the limit of every policy."""
+def by_tube(table: pd.DataFrame, oracles: Collection[str]) -> Table:
+    """One row per tube: its parameters, then time and length within the limit of every policy."""
     order, rows = ranking(table), []
-    known = TUBE if (table["helix_diameter"] > 0.0).all() else {}
+    parameters = TUBE if (table["helix_diameter"] > 0.0).all() else {}
     for number, part in table.groupby("context"):
-        cells = [Cell(f"{part[name].iloc[0] * factor:.{digits}f}") for name, factor, digits, _ in known.values()]
-        column = _best_marked(part, informed)
+        cells = [Cell(f"{part[name].iloc[0] * factor:.{digits}f}") for name, factor, digits, _ in parameters.values()]
+        column = _best_marked(part, oracles)
         rows.append(Row(f"{number}", "", (*cells, *(column[policy] for policy in order))))
-    return ["tube", *known, *order], rows
+    return ["tube", *parameters, *order], rows
 
 
-def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
+def _best_marked(part: pd.DataFrame, oracles: Collection[str]) -> dict[str, Cell]:
     cells, ends, order = {}, dict(endings(part).iterrows()), ranking(part)
-    best = next((name for name in order if name not in informed), "")
+    best = next((name for name in order if name not in oracles), "")
     for policy in order:
         time, share = _time_and_share(part, policy)
         count, complete = ends[policy]["episodes"], ends[policy]["complete"]

@@ -1,4 +1,4 @@
-"""Evaluates policies on the same tubes: plays them, prints means and paired differences, writes tables and a report."""
+"""Evaluates policies on the same tubes: means, paired differences, tables and a report."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Literal
 import pandas as pd
 from pydantic import ValidationError
 
-from agents.evaluation.folder import holds_evaluation, read_evaluation
-from agents.evaluation.kpis import SCORED_PASSES, shown_of
+from agents.evaluation.folder import is_evaluation, read_evaluation
+from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
     Interval,
+    comparison_lines,
     endings,
+    failure_text,
     grouped,
-    in_words,
     method_and_seed,
-    sentences,
     short,
-    strained,
+    strain_lines,
     summarise,
 )
 from agents.evaluation.workers import HERE, Workers
@@ -55,25 +55,25 @@ def evaluate(
     strict: bool = False,
     workers: Workers = HERE,
 ) -> pd.DataFrame:
-    """Play policies on the same tubes and seeds; returns KPIs with a row for each episode.
+    """Evaluate policies on the same tubes and seeds; returns KPIs with one row per episode.
 
     Args:
         policies: names, schedule files, feedback laws or agents' bundles, see ``catalogue.make_policy``.
-        output: folder of the tables and the report, from which an interrupted evaluation continues; None: no files.
+        output: folder of the tables and the report; stored episodes are not run again; None: no files.
         tube: file or name of a plant; None: the shipped lists of tubes.
-        contexts: which list of tubes.
+        contexts: shipped list of tubes.
         limit: number of tubes, the first of the list; 0: all.
         seeds: number of seeds of sensor noise and start for every tube.
         fidelity: preset or settings of the simulation.
         probes: "scene", or "random" for a random probe in every tube and seed.
-        passes: "in", or "both" for insertion and withdrawal; default: what the tube's file says.
+        passes: "in", or "both" for insertion and withdrawal; default: as in the tube's file.
         inspects: the pass that is scored with both passes; default: the better one in each metre.
-        against: policy that the others are compared with; default: the first.
+        against: reference policy of the comparison; default: the first.
         strict: raise if a policy was not made for these tubes, instead of a warning.
-        workers: that play episodes.
+        workers: workers that run the episodes.
 
     Raises:
-        ValueError: an argument is not valid; nothing was played.
+        ValueError: an argument is not valid; nothing was run.
         FileNotFoundError: no such file.
     """
     case = load_case(tube, contexts, limit, passes, inspects)
@@ -105,7 +105,7 @@ def plan_of(
     hardest = EpisodeSampler(config, case.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
     plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
-    if plan.probes == "random":  # which are drawn as episodes begin
+    if plan.probes == "random":  # drawn when an episode starts
         return plan
     try:
         check_tubes(plan.config, plan.contexts, plan.fidelity, plan.vibration)
@@ -119,75 +119,75 @@ def plan_of(
 def evaluate_plan(
     plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, own: Sequence[str] = ()
 ) -> pd.DataFrame:
-    """Play a plan into a folder with tables, summary.csv and report.html, and print the means.
+    """Run a plan in a folder, write tables, summary.csv and report.html, and print the means.
 
     Args:
         plan: the evaluation; policies named NAME@K are training seeds of one method.
         output: the folder.
-        against: policy that the others are compared with; default: the first.
-        workers: that play episodes.
-        own: policies of the user, which the report judges first; default: ``against``.
+        against: reference policy of the comparison; default: the first.
+        workers: workers that run the episodes.
+        own: policies of the user, for the headline of the report; default: ``against``.
 
     Raises:
-        ValueError: an argument is not valid; nothing was played.
+        ValueError: an argument is not valid; nothing was run.
     """
     reference = claim_folder(plan, output, against, own)
     table = run_plan(plan, output, workers=workers)
     write_report(output)
     if plan.config.returns:
-        print(f"Fed in and drawn back; what counts is {SCORED_PASSES[plan.config.inspects]}")
+        print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.inspects]}")
     print_summary(grouped(table), reference)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 
 
 def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[str]) -> str:
-    """Write in report.json what the report compares; returns the policy that the others are compared with.
+    """Write report.json; returns the reference policy of the comparison.
 
     Raises:
-        ValueError: there is no such policy, or the folder holds another evaluation; nothing was written.
+        ValueError: no such policy, or the folder has another evaluation; nothing was written.
     """
     methods = [method_and_seed(name)[0] for name in plan.policies]
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
         raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
     stored_episodes(plan, output)
-    mine = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
-    write_json(output / "report.json", {"against": reference, "own": mine})
+    names = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
+    write_json(output / "report.json", {"against": reference, "own": names})
     return reference
 
 
 def report_again(folder: Path, against: str | None = None) -> Path:
-    """Write the report of a stored evaluation again, interrupted ones included; returns its path.
+    """Write the report of a stored or interrupted evaluation again; returns its path.
 
     Raises:
         FileNotFoundError: no evaluation is stored there.
-        ValueError: a file is damaged, or there is no such policy to compare with.
+        ValueError: a file is damaged, or no such policy.
     """
-    if not holds_evaluation(folder):
+    if not is_evaluation(folder):
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(folder / "setting.json"))
     if against is not None:
         done = read_evaluation(folder)
         policies = list(dict.fromkeys(done.table["policy"]))
         if against not in policies:
             raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
-        write_json(folder / "report.json", {"against": against, "own": done.own})
+        write_json(folder / "report.json", {"against": against, "own": done.user_policies})
     return write_report(folder)
 
 
 def print_summary(table: pd.DataFrame, against: str) -> None:
-    """Print KPIs with intervals, how episodes ended and the comparison with a policy."""
-    shown, rows = shown_of(table.columns), []
+    """Print KPIs with intervals, how episodes ended and differences to a policy."""
+    labels, rows = displayed_kpis(table.columns), []
     for policy, part in summarise(table).groupby("policy", sort=False):
         figures, cells = part.set_index("kpi"), [str(policy)]
-        for kpi, (_, factor, _) in shown.items():
+        for kpi, (_, factor, _) in labels.items():
             mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
             cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
         rows.append(cells)
-    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown.values()))
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in labels.values()))
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
     print_table(title, header, rows)
     for name, row in endings(table).iterrows():
-        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
-    for line in (*strained(table), *sentences(table, against)):
+        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(failure_text(row))}")
+    for line in (*strain_lines(table), *comparison_lines(table, against)):
         print(line)

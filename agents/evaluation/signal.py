@@ -1,4 +1,4 @@
-"""An insertion as inspection software shows it: channels, strip chart, Lissajous figures, calls."""
+"""Sensor signals of an insertion: channels, strip chart, Lissajous figures, calls."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import make_policy
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
-from agents.records.drawing import BLUE, GREY, GRID, MM, RED, plain, save
+from agents.records.drawing import BLUE, GREY, GRID, MM, RED, escape_dollars, save
 from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
 from probe_env import Context, Fidelity
@@ -47,14 +47,14 @@ from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
-STRETCH: Final = round(0.25 * SPAN / SAMPLE_PERIOD)
-"""Samples that the filter weighs by one spectrum: as many as a tally counts of every second."""
+FILTER_SAMPLES: Final = round(0.25 * SPAN / SAMPLE_PERIOD)
+"""Samples with one spectrum of the filter: a quarter of the second that the spectrum is estimated from."""
 SPACING: Final = 1.0
-"""Distance of the supports [m] by default; an assumption."""
+"""Default distance of the supports [m]; an assumption."""
 DRAWN: Final = 6
-"""Greatest number of flaws in flaws.png."""
+"""Maximum number of flaws in flaws.png."""
 AROUND: Final = 0.025
-"""Half the width of a flaw's figure [m]."""
+"""Half the length along the tube in a flaw's figure [m]."""
 ROWS: Final = ("place_m", "depth_percent_wall", "snr", "behind_filter", "called")
 
 
@@ -79,11 +79,11 @@ class Chart:
 
     Attributes:
         voltages: (k, 2) X and Y [V].
-        values: (k,) filtered signal along the flaw, over the deviation of its noise.
-        flaws: that the sensor passed.
-        supports: positions [m].
-        called: positions of calls [m].
-        table: a row for each flaw: position, depth, S/N, filtered signal, whether it was called.
+        values: (k,) filtered signal, in standard deviations of its noise.
+        flaws: flaws that the sensor passed.
+        supports: positions of the supports [m].
+        called: positions of the calls [m].
+        table: one row per flaw: position, depth, S/N, filtered signal, whether it was called.
     """
 
     voltages: FloatArray
@@ -106,21 +106,21 @@ def run_signal(
     until: float | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Simulate an insertion; prints its flaws, writes channels, flaws and periods.csv, signal.json and two figures.
+    """Simulate an insertion, print its flaws, and write channels.csv, flaws.csv, periods.csv, signal.json and figures.
 
     Args:
-        spec: of the policy, see ``catalogue.make_policy``.
+        spec: spec of the policy, see ``catalogue.make_policy``.
         case: task, tubes and map.
         fidelity: preset without time-lapse.
-        output: folder of the files.
+        output: folder.
         context: index of the tube in the list.
-        flaws: POSITION:DEPTH each, see ``flaws_of``.
+        flaws: POSITION:DEPTH, see ``flaws_of``.
         support_spacing: distance of the supports [m]; None: ``SPACING``.
-        until: inserted length at which to stop [m]; None: the end of the helix.
-        seed: of sensor noise, start and electronic noise.
+        until: inserted length at the end [m]; None: the end of the helix.
+        seed: seed of sensor noise, start and electronic noise.
 
     Returns:
-        a row for each flaw that the sensor passed.
+        one row per flaw that the sensor passed.
 
     Raises:
         ValueError: an argument is not valid; nothing was written.
@@ -129,31 +129,31 @@ def run_signal(
     config, spacing = case.config.full_observation, SPACING if support_spacing is None else support_spacing
     within("context", context, 0, len(case.contexts) - 1, "")
     within("support_spacing", spacing, 0.05, 100.0, "m")
-    put = flaws_of(flaws, config.scene.tube.helix_length)
+    all_flaws = flaws_of(flaws, config.scene.tube.helix_length)
     policy = make_policy(spec, config, case.vibration, classes=True)
     run = insert(policy, config, case.contexts[context], resolve_fidelity(fidelity, config.scene), seed, until)
-    chart = chart_of(run, config, put, spacing, np.random.default_rng([seed, context]))
+    chart = chart_of(run, config, all_flaws, spacing, np.random.default_rng([seed, context]))
     _write(run, chart, config.sensor, f"{spec}, tube {context}, {fidelity}", output, seed)
     first, last = run.passage.place[[0, -1]]
-    for flaw in put:
+    for flaw in all_flaws:
         if flaw not in chart.flaws:
-            print(f"not passed: the flaw at {flaw.place:g} m; the sensor was from {first:.2f} to {last:.2f} m")
+            print(f"not passed: the flaw at {flaw.place:g} m; the sensor moved from {first:.2f} to {last:.2f} m")
     header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
     rows = [
         (f"{position:g}", f"{depth:g}", f"{snr:.1f}", f"{behind:.1f}", "yes" if called else "no")
         for position, depth, snr, behind, called in chart.table[list(ROWS)].itertuples(index=False)
     ]
-    print_table("Flaws that were put into the tube", header, rows, left=0)
-    print(f"called: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws that were passed")
+    print_table("Flaws", header, rows, left=0)
+    print(f"called: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws passed")
     print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
     return chart.table
 
 
 def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
-    """Flaws written as POSITION:DEPTH, metres and % of the wall; none: 20 % every 5 m.
+    """Flaws from texts POSITION:DEPTH, in metres and % of the wall; default: 20 % every 5 m.
 
     Raises:
-        ValueError: not so written, or out of range.
+        ValueError: a text of another form, or out of range.
     """
     if not texts:
         return tuple(Flaw(float(position), GROOVE) for position in np.arange(5.0, length, 5.0))
@@ -175,15 +175,15 @@ def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
 def insert(
     policy: Policy, config: TaskConfig, context: Context, fidelity: Fidelity, seed: int, until: float | None = None
 ) -> Insertion:
-    """Record an insertion under a policy until the episode ends or a length is inserted.
+    """Record an insertion until the episode ends or a length is inserted.
 
     Args:
-        policy: that feeds the probe.
+        policy: the policy.
         config: the task.
         context: the tube.
-        fidelity: without time-lapse.
-        seed: of sensor noise and start.
-        until: inserted length at which to stop [m]; None: the end.
+        fidelity: fidelity without time-lapse.
+        seed: seed of sensor noise and start.
+        until: inserted length at the end [m]; None: the end of the helix.
 
     Raises:
         ValueError: a length outside the helix, or a fidelity with time-lapse.
@@ -191,8 +191,8 @@ def insert(
     """
     if fidelity.time_lapse != 1.0:
         raise ValueError(
-            f"fidelity.time_lapse = {fidelity.time_lapse:g} leaves out metres that a chart shows: take standard,"
-            " reference or other settings with a time-lapse of 1"
+            f"fidelity.time_lapse = {fidelity.time_lapse:g} skips metres of the tube: use standard, reference or other"
+            " settings with a time-lapse of 1"
         )
     length = config.scene.tube.helix_length
     if until is not None:
@@ -205,7 +205,7 @@ def insert(
         for step, _ in periods_of(episodes, [policy], observation):
             info = step.infos[0]
             if info["diverged"]:
-                raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m: nothing is shown")
+                raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m; nothing was written")
             assert episodes.window is not None
             assert episodes.window.radial is not None
             radial.append(episodes.window.radial[:, 0])
@@ -214,7 +214,7 @@ def insert(
             periods.append(info)
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
-    tally = episodes.scorer.metrics[0]
+    metrics = episodes.scorer.metrics[0]
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
@@ -224,39 +224,39 @@ def insert(
         feed=feed,
         radial=motion,
         spectrum=centred_spectra(config.sensor, motion, feed),
-        stretch=STRETCH,
+        stretch=FILTER_SAMPLES,
     )
-    return Insertion(passage, tuple(periods), tally.detection.kpis(tally.inspected, length))
+    return Insertion(passage, tuple(periods), metrics.detection.kpis(metrics.inspected, length))
 
 
 def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
-    """(p, m) noise densities for the filter of each ``STRETCH``, of the second that has it in its middle.
+    """(p, m) noise densities for each ``FILTER_SAMPLES``, estimated from the second around it, as in the KPIs.
 
-    So does an episode's tally. A filter that knows only the past would let a burst that sets in stand out.
+    With an estimate from the past alone, the start of a burst would exceed the threshold.
 
     Args:
-        sensor: its constants.
+        sensor: constants of the sensor.
         radial: (k,) motion [m].
         feed: (k,) feed speed [m/s].
     """
-    meter, spectra = SnrEstimator(sensor, 1, SAMPLE_PERIOD), []
-    # the first piece is half a stretch, so that each second ends half a stretch after a piece
-    ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
+    estimator, spectra = SnrEstimator(sensor, 1, SAMPLE_PERIOD), []
+    # the first piece is half as long, so that each second ends half a piece after one
+    ends = list(range(FILTER_SAMPLES // 2, len(radial) + 1, FILTER_SAMPLES)) or [len(radial)]
     for begin, end in itertools.pairwise([0, *ends]):
-        meter.update(np.zeros(1, dtype=np.int64), radial[begin:end, None], feed[begin : begin + 1])
-        spectra.append(meter.filter_spectrum(0))
-    # of a second that ends half a stretch after the next one; the last ones have what there is
-    last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(spectra) - 1)
+        estimator.update(np.zeros(1, dtype=np.int64), radial[begin:end, None], feed[begin : begin + 1])
+        spectra.append(estimator.filter_spectrum(0))
+    # the second ends half a piece after the next one; the last pieces use the last estimate
+    last = np.minimum(np.arange(math.ceil(len(radial) / FILTER_SAMPLES)) + 2, len(spectra) - 1)
     return np.array(spectra)[last]
 
 
 def chart_of(
-    run: Insertion, config: TaskConfig, put: Sequence[Flaw], spacing: float, rng: np.random.Generator
+    run: Insertion, config: TaskConfig, flaws: Sequence[Flaw], spacing: float, rng: np.random.Generator
 ) -> Chart:
-    """Signals of an insertion with flaws in its tube; the known supports are subtracted before the filter."""
+    """Signals of an insertion with flaws; the signals of the supports are subtracted before the filter."""
     passage, sensor, tube = run.passage, config.sensor, config.scene.tube
     first, last = float(passage.place[0]) + sensor.flaw_width, float(passage.place[-1]) - sensor.flaw_width
-    flaws = tuple(flaw for flaw in put if first < flaw.place < last)
+    flaws = tuple(flaw for flaw in flaws if first < flaw.place < last)
     supports = support_places(spacing, last)
     voltages = channels(sensor, passage, tube.inner_diameter, flaws, supports, rng)
     signal = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
@@ -275,7 +275,7 @@ def chart_of(
 
 
 def by_period(run: Insertion, voltages: FloatArray) -> pd.DataFrame:
-    """A row for each control period: position of the sensor at its end, deviation of X and Y, vibration, S/N."""
+    """One row per control period: position of the sensor at its end, standard deviations of X and Y, rms, S/N."""
     each = len(run.passage.radial) // len(run.periods)
     deviation = smoothed(run.passage, voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
     return pd.DataFrame(
@@ -333,7 +333,7 @@ def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str,
     axes[2].plot(passage.place, chart.values, color="0.2", linewidth=0.4)
     axes[2].axhline(threshold, color=RED, linewidth=0.8)
     axes[2].plot(chart.called, np.full(len(chart.called), threshold), "v", color=RED, markersize=6)
-    axes[2].set_ylabel("behind the filter\n[deviations of its noise]")
+    axes[2].set_ylabel("filtered signal\n[standard deviations of noise]")
     axes[3].plot(periods["place_m"], MM * periods["radial_rms_m"], color=GREY, label="radial rms [mm]")
     axes[3].plot(periods["place_m"], 0.1 * periods["snr"], color=BLUE, label="S/N of a 20 % groove / 10")
     axes[3].set(xlabel="sensor from the entrance of the helix [m]", ylim=(0.0, None))
@@ -344,7 +344,7 @@ def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str,
             axis.axvline(position, ymin=0.95, color=GREY, linewidth=0.8)
         for flaw in chart.flaws:
             axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
-    figure.suptitle(plain(title))
+    figure.suptitle(escape_dollars(title))
     save(figure, path)
 
 
@@ -370,15 +370,15 @@ def _draw_flaws(passage: Passage, chart: Chart, path: Path) -> None:
 
 
 def draw_curves(evaluation: Path, output: Path) -> None:
-    """Detection curves of a stored evaluation: writes pod.csv and pod.png, prints the depths found.
+    """Write the detection curves of a stored evaluation as pod.csv and pod.png, and print the detected depths.
 
     Raises:
-        FileNotFoundError: there is no such evaluation.
+        FileNotFoundError: no such evaluation.
         ValueError: its episodes have no detection curves.
     """
     table = statistics.grouped(read_episodes(evaluation / "episodes.parquet"))
     if not statistics.has_curves(table):
-        raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
+        raise ValueError(f"{evaluation}: its episodes have no detection curves; run the evaluation again")
     curves = statistics.bands(table)
     output.mkdir(parents=True, exist_ok=True)
     write_atomically(output / "pod.csv", curves.to_csv(index=False, float_format="%.5g"))
@@ -387,5 +387,5 @@ def draw_curves(evaluation: Path, output: Path) -> None:
     rows = [
         (str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in statistics.depths_of(table).to_numpy().tolist()
     ]
-    print_table(f"Depths found, over {table['context'].nunique()} tubes", header, rows)
+    print_table(f"Detected depths, over {table['context'].nunique()} tubes", header, rows)
     print(f"written: {output}/ (pod.png, pod.csv)")

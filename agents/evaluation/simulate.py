@@ -1,4 +1,4 @@
-"""One scene from start to end: simulate, tabulate, draw, and store everything in a folder."""
+"""Simulates one scene: statistics, figures and files in a folder."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def simulate_scene(
     """Run a scene with a progress bar and write scene.toml, results.json, signals.npz, manifest.json and figures.
 
     Returns:
-        the sensor's statistics and the mean root tension, SI units.
+        statistics of the sensor and the mean root tension, SI units.
 
     Raises:
         ValueError: an argument is not valid; nothing was written.
@@ -75,7 +75,7 @@ def simulate_scene(
     statistics |= {f"root_{key}": root[key] for key in ("tension_mean_n", "tension_rms_n")}
     _store(simulator, run, statistics, statistics_from, output)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a probe at rest has flat axes
+        warnings.simplefilter("ignore", UserWarning)  # flat axes of a probe at rest
         _draw(run, simulator.scene, statistics_from, output, name)
     return statistics
 
@@ -158,7 +158,7 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
 
 
 def _shapes(run: Run, scene: Scene) -> Figure:
-    """Whole-probe snapshots, time going down; the sensor as a dashed line."""
+    """Snapshots of the whole probe, in time from top to bottom; the sensor as a dashed line."""
     shapes = run.shapes
     assert shapes is not None
     figure, axes = plt.subplots(1, 2, figsize=(12, 6), layout="constrained", sharey=True)
@@ -177,6 +177,6 @@ def _shapes(run: Run, scene: Scene) -> Figure:
 
 
 def print_statistics(statistics: dict[str, float], title: str) -> None:
-    """The sensor's statistics as a table."""
+    """Print the statistics of the sensor."""
     rows = [(label, f"{statistics[key] * factor:.4g}", unit) for label, key, factor, unit in ROWS]
     print_table(title, ("at the sensor", "value", "unit"), rows)

@@ -19,20 +19,20 @@ from probe_env.inspection.metrics import POD_NAMES
 
 CONFIDENCE: Final = 0.95
 PERCENTILES: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
-"""Ends of an interval among resampled values."""
+"""Percentiles of the ends of an interval."""
 RESAMPLES: Final = 2000
-"""Number of bootstrap samples where SciPy does not draw them."""
+"""Number of bootstrap samples of ``bootstrap_means``."""
 A90_BOUND: Final = 95.0
-"""Percentile of the resampled depth that is found with 90 %: a90/95."""
+"""Percentile of the resampled a90: a90/95."""
 DEPTH_COLUMNS: Final = ("policy", "a50_percent_wall", "a90_percent_wall", "a90_95_percent_wall")
 BEST: Final = "planner"
 BAR: Final = "best-schedule"
 """The difference in reward between these two policies is the planner's lead."""
 STRAINS: Final[Mapping[str, str]] = {
     "cost_tension": "over the tension limit",
-    "cost_buckling": "pressed beyond the buckling load",
+    "cost_buckling": "compressed beyond the buckling load",
 }
-"""Column of a cost, in control periods -> what happened in these periods."""
+"""Column of a cost, in control periods -> its text."""
 
 
 @dataclass(frozen=True)
@@ -57,34 +57,34 @@ def short(value: float, sign: str = "") -> str:
 def bootstrap_ends(
     statistic: Callable[..., Any], *samples: np.ndarray, method: Literal["BCa", "percentile"] = "BCa", **options: Any
 ) -> tuple[Any, Any]:
-    """Ends of a statistic's 95 % bootstrap interval with a fixed seed; BCa falls back to plain percentiles.
+    """Ends of a statistic's 95 % bootstrap interval with a fixed seed; BCa falls back to percentiles.
 
     Args:
-        statistic: takes the samples and ``axis``, unless ``vectorized=False``.
+        statistic: function of the samples and ``axis``, unless ``vectorized=False``.
         samples: independent samples (paired with ``paired=True``).
-        method: of ``scipy.stats.bootstrap``.
-        options: of ``scipy.stats.bootstrap``.
+        method: method of ``scipy.stats.bootstrap``.
+        options: further arguments of ``scipy.stats.bootstrap``.
     """
     for kind in dict.fromkeys((method, "percentile")):
         rng = np.random.default_rng(0)
         with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
             warnings.simplefilter("ignore", DegenerateDataWarning)
-            drawn = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
-        low, high = drawn.confidence_interval
+            result = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
+        low, high = result.confidence_interval
         if np.isfinite([low, high]).all():
             break
     return low, high
 
 
-def redrawn_means(values: FloatArray) -> FloatArray:
-    """(RESAMPLES, d) means of values (n, d) over resampled rows, with a fixed seed."""
+def bootstrap_means(values: FloatArray) -> FloatArray:
+    """(RESAMPLES, d) bootstrap means of the rows of values (n, d), with a fixed seed."""
     rng, count = np.random.default_rng(0), len(values)
     weights = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
     return np.asarray(weights @ values / count)
 
 
 def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
-    """Ratio of the means of two independent samples; NaN without two values of each."""
+    """Ratio of the means of two independent samples with its interval; NaN with fewer than two values of either."""
     values, reference = values[np.isfinite(values)], reference[np.isfinite(reference)]
     if min(len(values), len(reference)) < 2 or reference.mean() == 0.0:
         return Interval(*(float("nan"),) * 3)
@@ -99,14 +99,14 @@ def _ratio_of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def mean_interval(values: np.ndarray) -> Interval:
-    """Mean of independent values with a bootstrap interval (BCa); of no width if all are equal.
+    """Mean of independent values with a bootstrap interval (BCa), which has no width if all are equal.
 
     Raises:
         ValueError: no values, or some that are not finite.
     """
     values = np.asarray(values, dtype=float)
     if len(values) == 0 or not np.isfinite(values).all():
-        raise ValueError(f"values = {values!r} must be finite and at least one")
+        raise ValueError(f"values = {values!r} must be one or more finite numbers")
     mean = float(values.mean())
     if len(values) == 1 or np.ptp(values) == 0.0:
         return Interval(mean, mean, mean)
@@ -114,11 +114,10 @@ def mean_interval(values: np.ndarray) -> Interval:
 
 
 def grouped(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with the training seeds of a method under one name: NAME@K becomes NAME, column ``agent`` has K."""
+    """The table with the training seeds of a method under one name: NAME@K becomes NAME and ``training_seed`` K."""
     parts = {name: method_and_seed(name) for name in table["policy"].unique()}
-    return table.assign(
-        agent=table["policy"].map(lambda name: parts[name][1]), policy=table["policy"].map(lambda name: parts[name][0])
-    )
+    names, seeds = (table["policy"].map({name: part[k] for name, part in parts.items()}) for k in (0, 1))
+    return table.assign(training_seed=seeds, policy=names)
 
 
 def method_and_seed(policy: str) -> tuple[str, int]:
@@ -128,7 +127,7 @@ def method_and_seed(policy: str) -> tuple[str, int]:
 
 
 def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:
-    """A KPI of a policy by context, mean over the seeds: the independent values."""
+    """Mean of a KPI over the seeds for each context: the independent values of a policy."""
     return table[table["policy"] == policy].groupby("context")[kpi].mean()
 
 
@@ -146,25 +145,25 @@ def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) ->
     """
     cases = [set(map(tuple, table.loc[table["policy"] == p, ["context", "seed"]].to_numpy())) for p in (first, second)]
     if cases[0] != cases[1] or not cases[0]:
-        raise ValueError(f"{first} and {second} were not run on the same contexts and seeds: nothing to pair")
+        raise ValueError(f"{first} and {second} cannot be paired: they were not run on the same contexts and seeds")
     return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
 
 
 def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
-    """Share of the reward difference ``best`` - ``bar`` that a policy reaches, with its interval over contexts.
+    """Reward of a policy on the scale from ``bar`` (0) to ``best`` (1), with its interval over contexts.
 
     Args:
         table: episodes, all policies on the same contexts.
         policy: the policy.
-        best: has the share 1.
-        bar: has the share 0.
+        best: policy with the share 1.
+        bar: policy with the share 0.
 
     Raises:
         ValueError: the policies were not run on the same contexts.
     """
     columns = [by_context(table, name, "reward") for name in (policy, best, bar)]
     if not len(columns[0]) or any(not column.index.equals(columns[0].index) for column in columns):
-        raise ValueError(f"{policy}, {best} and {bar} were not run on the same contexts: nothing to pair")
+        raise ValueError(f"{policy}, {best} and {bar} cannot be paired: they were not run on the same contexts")
     values, most, least = (column.to_numpy() for column in columns)
     gains = values - least, most - least
     share = float(_ratio_of_means(*gains))
@@ -190,7 +189,7 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def endings(table: pd.DataFrame) -> pd.DataFrame:
-    """Number of episodes of each policy that were complete, and that ended with each of ``FAILURES``."""
+    """Number of complete episodes of each policy, and of those that ended with each of ``FAILURES``."""
     ended = table.reindex(columns=["policy", *ENDINGS], fill_value=0.0)
     counts = ended.groupby("policy", sort=False).sum().astype(int)
     return counts.assign(episodes=table.groupby("policy").size())
@@ -201,34 +200,34 @@ def failures(table: pd.DataFrame) -> pd.Series:
     return table.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
 
 
-def in_words(counts: Mapping[str, int] | pd.Series) -> list[str]:
+def failure_text(counts: Mapping[str, int] | pd.Series) -> list[str]:
     """Counts of ``FAILURES`` with their labels."""
     return [f"{counts[name]} {label_of(name)}" for name in FAILURES]
 
 
-def sentences(table: pd.DataFrame, reference: str) -> list[str]:
-    """A line for every other policy: time and length within the limit compared with the reference."""
-    lines, led = [], {BEST, BAR} <= set(table["policy"])
+def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
+    """A line for every other policy: differences in time and length within the limit to the reference."""
+    lines, has_lead = [], {BEST, BAR} <= set(table["policy"])
     for policy in dict.fromkeys(table["policy"]):
         if policy == reference:
             continue
         time = paired_difference(table, policy, reference, "inspection_time_s")
         share = paired_difference(table, policy, reference, "share_within_limit")
-        longer = "as long as" if time.low == time.high == 0.0 else f"{_in_words(time, 1.0, ' s')} than"
+        longer = "as long as" if time.low == time.high == 0.0 else f"{_difference_text(time, 1.0, ' s')} than"
         of_lead = (
             f" It has {share_of_lead(table, policy).text(100.0)} % of the lead of {BEST} over {BAR}."
-            if led and policy not in (BEST, BAR)
+            if has_lead and policy not in (BEST, BAR)
             else ""
         )
         lines.append(
             f"{policy} takes {longer} {reference} and keeps"
-            f" {_in_words(share, 100.0, ' % of the length')} within the limit.{of_lead}"
+            f" {_difference_text(share, 100.0, ' % of the length')} within the limit.{of_lead}"
         )
     return lines
 
 
-def _in_words(difference: Interval, factor: float, unit: str) -> str:
-    """A difference such as "41 s less [38, 44]", or that its interval includes none."""
+def _difference_text(difference: Interval, factor: float, unit: str) -> str:
+    """A difference such as "41 s less [38, 44]", or that it may be zero."""
     low, high = difference.low * factor, difference.high * factor
     if low <= 0.0 <= high and low < high:
         return f"no clearly different amount (by {short(difference.mean * factor)}{unit} [{short(low)}, {short(high)}])"
@@ -238,8 +237,8 @@ def _in_words(difference: Interval, factor: float, unit: str) -> str:
     return f"{short(abs(difference.mean * factor))}{unit} {word}{ends}"
 
 
-def strained(table: pd.DataFrame) -> list[str]:
-    """A line for every policy and cost of ``STRAINS`` that occurred in one of its episodes."""
+def strain_lines(table: pd.DataFrame) -> list[str]:
+    """A line for every policy and cost of ``STRAINS`` above zero in one of its episodes."""
     lines = []
     for policy in dict.fromkeys(table["policy"]):
         part = table[table["policy"] == policy]
@@ -247,7 +246,7 @@ def strained(table: pd.DataFrame) -> list[str]:
             periods = part.get(name, pd.Series(dtype=float))
             if count := int((periods > 0.0).sum()):
                 most = f"{periods.max():.0f} control period{'s' if periods.max() > 1.0 else ''}"
-                lines.append(f"{policy}: the root {words} in {count} of {len(part)} episodes, for {most} at most")
+                lines.append(f"{policy}: the root was {words} in {count} of {len(part)} episodes, for {most} at most")
     return lines
 
 
@@ -257,14 +256,14 @@ def has_curves(table: pd.DataFrame) -> bool:
 
 
 def curves_by_tube(table: pd.DataFrame, policy: str) -> FloatArray:
-    """(tubes, d) probability of detection at ``DEPTHS`` in each tube, mean over seeds."""
+    """(tubes, d) probability of detection at ``DEPTHS``, mean over the seeds of each tube."""
     part = table[table["policy"] == policy]
     return part.groupby("context")[list(POD_NAMES)].mean().to_numpy()
 
 
 def a90_95(table: pd.DataFrame, policy: str) -> float:
-    """Depth [% of the wall] found with probability 90 % at 95 % confidence (bootstrap over tubes)."""
-    return float(100.0 * np.percentile(depths_found(redrawn_means(curves_by_tube(table, policy)), 0.9), A90_BOUND))
+    """Depth [% of the wall] detected with probability 90 % at 95 % confidence (bootstrap over tubes)."""
+    return float(100.0 * np.percentile(depths_found(bootstrap_means(curves_by_tube(table, policy)), 0.9), A90_BOUND))
 
 
 def depths_of(table: pd.DataFrame) -> pd.DataFrame:
@@ -285,7 +284,7 @@ def difference_of_a90(first: FloatArray, second: FloatArray) -> Interval:
         second: (tubes, d) curves of the other policy in the same tubes.
     """
     mean, resampled = (
-        100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, redrawn_means)
+        100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, bootstrap_means)
     )
     low, high = np.percentile(resampled, PERCENTILES) if len(first) > 1 else (np.nan, np.nan)
     return Interval(float(mean[0]), float(low), float(high))
@@ -300,7 +299,7 @@ def bands(table: pd.DataFrame) -> pd.DataFrame:
     parts = []
     for policy in dict.fromkeys(table["policy"]):
         curves = curves_by_tube(table, policy)
-        low, high = np.percentile(redrawn_means(curves), PERCENTILES, axis=0)
+        low, high = np.percentile(bootstrap_means(curves), PERCENTILES, axis=0)
         columns = {"depth_percent_wall": 100.0 * DEPTHS, "pod": curves.mean(axis=0), "low": low, "high": high}
         parts.append(pd.DataFrame({"policy": policy, **columns}))
     return pd.concat(parts, ignore_index=True)

@@ -1,6 +1,6 @@
 """Runs tasks in this process, in worker processes of this machine (loky), or on a Ray cluster, with joblib.
 
-Tasks that were running in a worker that was lost are run again.
+Tasks of a lost worker are run again.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
+import tyro
 from tqdm import tqdm
 
 Backend = Literal["local", "ray"]
 ATTEMPTS: Final = 5
-"""Losses of workers in a row, without any result between them, after which the work is given up."""
+"""Maximum number of losses of workers without a result between them."""
 WAVE: Final = 2
-"""Tasks per worker in one call of Ray, which returns results when all of a call are there."""
+"""Tasks per worker in one call of Ray, which returns the results of a call together."""
 LOST: Final = (
     "TerminatedWorkerError", "BrokenProcessPool",
     "RayActorError", "ActorDiedError", "ActorUnavailableError", "WorkerCrashedError", "NodeDiedError",
 )  # fmt: skip
-"""Errors that say that a process or a node is gone, and nothing about the work."""
+"""Errors of a lost process or node."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +43,24 @@ class Workers:
 
     jobs: int = 1
     backend: Backend = "local"
-    address: str | None = None
+    address: Annotated[str | None, tyro.conf.arg(help_behavior_hint="")] = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.jobs <= 100_000:
             raise ValueError(f"jobs = {self.jobs!r} is outside the accepted range 1 to 100000")
         if self.address is not None and self.backend != "ray":
-            raise ValueError(f"address = {self.address!r} is for backend = 'ray' (given: {self.backend!r})")
+            raise ValueError(f"address = {self.address!r} needs backend = 'ray' (now {self.backend!r})")
 
     @property
     def here(self) -> bool:
-        """Whether the work stays in this process."""
+        """Whether tasks run in this process."""
         return self.jobs == 1 and self.backend == "local"
 
     def map(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        """Pairs of task and result as they finish, in any order.
+        """Pairs of task and result in the order in which they finish.
 
         Raises:
-            RuntimeError: the backend is not installed, or workers are lost again and again.
+            RuntimeError: the backend is not installed, or workers are lost ``ATTEMPTS`` times.
         """
         return ((task, function(task)) for task in tasks) if self.here else self._parallel(function, tasks)
 
@@ -82,18 +83,18 @@ class Workers:
                         raise
                     losses += 1
                     if losses == ATTEMPTS:
-                        raise RuntimeError(f"workers were lost {ATTEMPTS} times without finishing anything") from error
-                    text = f"a worker was lost ({type(error).__name__}): {len(remaining)} tasks go on"
+                        raise RuntimeError(f"workers were lost {ATTEMPTS} times without a result") from error
+                    text = f"a worker was lost ({type(error).__name__}): {len(remaining)} tasks continue"
                     warnings.warn(text, stacklevel=2)
                 finally:
-                    if self.backend == "local":  # joblib warns of tasks that nobody waits for any more
+                    if self.backend == "local":  # joblib warns of cancelled tasks
                         with warnings.catch_warnings(action="ignore"):
                             results.close()
 
     @contextmanager
     def _backend(self) -> Iterator[tuple[Callable[[], int], int | None, dict[str, Any]]]:
-        """The backend: the number of workers available now, the tasks per worker in a call, and options."""
-        if self.backend == "local":  # results come as they finish, arrays are copied to the workers
+        """Function for the number of available workers, tasks per worker and call, and joblib options."""
+        if self.backend == "local":  # results in any order; arrays are copied to the workers
             yield lambda: self.jobs, None, {"backend": "loky", "return_as": "generator_unordered", "max_nbytes": None}
             return
         try:
@@ -106,7 +107,7 @@ class Workers:
             ray.init(address=self.address, log_to_driver=False)
         register_ray()
 
-        def available() -> int:  # a pool that asks for more CPUs than there are would wait for ever
+        def available() -> int:  # a pool of more CPUs than available would wait for ever
             return max(min(self.jobs, int(ray.cluster_resources().get("CPU", 1))), 1)
 
         with joblib.parallel_config(backend="ray"):
@@ -114,7 +115,7 @@ class Workers:
 
 
 HERE = Workers()
-"""This process itself."""
+"""This process."""
 
 
 def _numbered(parent: int | None, function: Callable[[Any], Any], number: int, task: Any) -> tuple[int, Any]:
@@ -125,9 +126,9 @@ def _numbered(parent: int | None, function: Callable[[Any], Any], number: int, t
 
 @cache
 def _set_up(parent: int) -> None:
-    """Let this worker ignore Ctrl-C, which its parent handles, and end when the parent has ended."""
+    """Ignore Ctrl-C, which the parent handles, and end this worker when the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    tqdm.set_lock(threading.RLock())  # its own is a semaphore of the system, which a killed worker would leave behind
+    tqdm.set_lock(threading.RLock())  # the default is a system semaphore, which a killed worker would not release
 
     def watch() -> None:
         while os.getppid() == parent:

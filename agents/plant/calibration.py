@@ -241,7 +241,7 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
     """Draw a corner plot of the friction of every tube and the shared unknowns."""
     import corner
 
-    from agents.records.drawing import BLUE, plain, save
+    from agents.records.drawing import BLUE, escape_dollars, save
 
     draws, columns, labels = calibration.posterior.draws, [], []
     for column, name in enumerate(UNKNOWNS):
@@ -251,7 +251,7 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
         for k, tube in enumerate(calibration.sliding if several else ("",)):
             columns.append(draws[k, :, column])
             unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
-            labels.append(UNKNOWNS[name].text + (f"\n{plain(tube)}" if several else "") + unit)
+            labels.append(UNKNOWNS[name].text + (f"\n{escape_dollars(tube)}" if several else "") + unit)
     before, small = logging.root.manager.disable, {"fontsize": 9}
     logging.disable(logging.WARNING)  # corner warns the root logger where draws are too few for contours
     style = {"color": BLUE, "label_kwargs": small, "title_kwargs": small, "title_fmt": ".3g", "show_titles": True}
@@ -267,7 +267,7 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
     """Draw every channel of every log over length, with the predicted 90 % band."""
     from matplotlib.figure import Figure
 
-    from agents.records.drawing import BLUE, GREY, GRID, plain, save
+    from agents.records.drawing import BLUE, GREY, GRID, escape_dollars, save
 
     likelihood, cases = calibration.posterior.likelihood, calibration.cases
     present = [name for name in CHANNELS if any(name in case.metres.measured for case in cases)]
@@ -295,7 +295,7 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
             axis.plot(x, scale * case.metres.measured[name], ".", color="black", markersize=3.0, label="log")
             if name != "root_tension":
                 axis.set_yscale("log")
-        axes[0][number].set_title(plain(case.name), fontsize=9, color=GREY)
+        axes[0][number].set_title(escape_dollars(case.name), fontsize=9, color=GREY)
         axes[-1][number].set_xlabel("inserted length [m]")
     axes[0][0].legend(fontsize=7, loc="best")
     return save(figure, path)

@@ -185,7 +185,7 @@ def print_log(log: Log, path: Path) -> None:
 def check_picture(path: Path) -> None:
     """Raise ValueError unless the file name ends with a supported figure format."""
     if path.suffix not in PICTURES:
-        raise ValueError(f"plot = {str(path)!r} is not a figure: its name must end with one of {', '.join(PICTURES)}")
+        raise ValueError(f"plot = {str(path)!r} is not a picture: its name must end with one of {', '.join(PICTURES)}")
 
 
 def draw_log(log: Log, path: Path) -> Path:

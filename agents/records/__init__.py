@@ -1,1 +1,1 @@
-"""Files of rows, models, tables and manifests: written as a whole, validated when read, with what made them."""
+"""Files of rows, models, tables and manifests: written atomically and validated when read."""

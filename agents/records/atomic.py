@@ -1,4 +1,4 @@
-"""Files that are either the old or the new one, never half of it."""
+"""Atomic writes: a file is either the old or the new one."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from agents.terminal.work import note_file
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file so that it is either the old or the new one, never half of it.
+    """Write a file atomically: it is either the old or the new one.
 
-    The new one is a hidden file, ``.NAME.PROCESS@MACHINE.*.tmp``, until it is whole. What a process of this machine
-    that was killed has left of the same file is removed; that of a running one, or of another machine, is not.
+    The new one is a hidden file, ``.NAME.PROCESS@MACHINE.*.tmp``, until it is complete. Hidden files of the same name
+    that a killed process of this machine did not complete are removed.
 
     Raises:
-        ValueError: there is a folder of this name.
+        ValueError: the path is a folder.
     """
     if path.is_dir():
         raise ValueError(f"{path} is a folder: give the name of a file to write")
@@ -40,20 +40,20 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 def _clean(path: Path) -> None:
-    left = re.compile(rf"\.{re.escape(path.name)}\.(\d+)@{re.escape(platform.node())}\.\w+\.tmp")
+    pattern = re.compile(rf"\.{re.escape(path.name)}\.(\d+)@{re.escape(platform.node())}\.\w+\.tmp")
     for name in os.listdir(path.parent):
-        match = left.fullmatch(name)
+        match = pattern.fullmatch(name)
         if match and not _running(int(match[1])):
             (path.parent / name).unlink(missing_ok=True)
 
 
 def _running(process: int) -> bool:
-    if os.name == "nt":  # where signal 0 is Ctrl-C
+    if os.name == "nt":  # signal 0 is Ctrl-C there
         return True
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except (PermissionError, OverflowError):  # another user's, or no process' number at all
+    except (PermissionError, OverflowError):  # of another user, or not a process id
         pass
     return True

@@ -1,6 +1,6 @@
-"""What all pictures share: colours, grid, and how they are written.
+"""Colours, grid and writer of all figures.
 
-Drawn without a screen: importing this chooses matplotlib's backend.
+The import selects matplotlib's backend without a display.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BLUE, RED, GREY = "#1f5fa8", "#c0392b", "0.45"
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> Path:
-    """Write a figure as a whole, and close it."""
+    """Write a figure atomically and close it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=dpi, format=path.suffix.removeprefix("."))
     write_atomically(path, buffer.getvalue())
@@ -32,11 +32,11 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> Path:
     return path
 
 
-def plain(name: str) -> str:
-    """A name as it is: between dollar signs would be a formula."""
+def escape_dollars(name: str) -> str:
+    """A name with its dollar signs escaped, so that matplotlib does not read a formula."""
     return name.replace("$", r"\$")
 
 
 def colours() -> list[Any]:
-    """Twenty colours, the strong ones first."""
+    """Twenty colours, the dark ones first."""
     return list(plt.get_cmap("tab20").colors[::2] + plt.get_cmap("tab20").colors[1::2])  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Writes ``manifest.json`` beside a result: what made it and the hashes of its files."""
+"""Writes ``manifest.json`` of a result: command, commit, versions, machine and hashes of its files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from probe_env.machine import available_cores
 
 CHECKOUT: Final = Path(__file__).parents[2]
 CODE: Final = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
-"""What a result depends on: changes of anything else do not make a commit unclean."""
+"""Files that a result depends on: only changes of these make a commit unclean."""
 DATA: Final = ("probe_env/data", "agents/policies/data", "agents/plant/data", "configs/tubes/*-map.*")
-"""Results that ship with the packages."""
+"""Shipped results, excluded from ``CODE``."""
 CHANGED: Final = "+changes"
 PACKAGES: Final = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
@@ -40,15 +40,15 @@ def write_manifest(
     """Write the manifest of a result, after its files.
 
     Args:
-        folder: of the result.
-        files: their names relative to the folder; the SHA-256 of each is stored.
-        seeds: of the result.
-        command: default: that of this process.
-        commits: of the rows that its tables hold; default: the present one.
+        folder: folder of the result.
+        files: names relative to the folder; the SHA-256 of each is stored.
+        seeds: seeds of the result.
+        command: command line; default: the one of this process.
+        commits: commits of the rows in its tables; default: the present one.
         settings: further fields, JSON-ready.
 
     Raises:
-        FileNotFoundError: one of the files is not there.
+        FileNotFoundError: one of the files does not exist.
     """
     hashes = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in files}
     write_json(folder / "manifest.json", origin(command, commits) | {"seeds": list(seeds), "files": hashes} | settings)
@@ -58,16 +58,16 @@ def origin(command: str | None = None, commits: Iterable[str] | None = None) -> 
     """Command, version, commit, packages and machine as a JSON-ready dictionary.
 
     Args:
-        command: default: that of this process.
-        commits: of the rows that a table holds; default: the present one.
+        command: command line; default: the one of this process.
+        commits: commits of the rows of a table; default: the present one.
     """
     names = list(dict.fromkeys(commits if commits is not None else [commit()]))
-    known = bool(names) and "unknown" not in names
+    has_commits = bool(names) and "unknown" not in names
     return {
         "command": PASSWORD.sub(r"\1:***@", command or "probe-env " + shlex.join(sys.argv[1:])),
         "version": version("probe-env"),
         "commit": ", ".join(names),
-        "clean": not any(name.endswith(CHANGED) for name in names) if known else None,
+        "clean": not any(name.endswith(CHANGED) for name in names) if has_commits else None,
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
         "machine": {
@@ -80,9 +80,9 @@ def origin(command: str | None = None, commits: Iterable[str] | None = None) -> 
 
 
 def _kernels() -> str:
-    """Instruction sets of linear algebra and numba, which decide the last digits of results.
+    """Instruction sets of linear algebra and numba, which determine the last digits of results.
 
-    Processors of one name need not agree, and environment variables change both.
+    They can differ between processors of one name, and environment variables change both.
     """
     from llvmlite.binding import get_host_cpu_name
     from threadpoolctl import threadpool_info
@@ -94,12 +94,12 @@ def _kernels() -> str:
 
 
 PASSWORD: Final = re.compile(r"(://[^:/?#@\s]*):\S*@")
-"""Password in an address, such as that of a cluster: it is not stored."""
+"""Password in a URL, such as the address of a cluster; it is not stored."""
 
 
 @lru_cache
 def commit() -> str:
-    """Commit of the checkout as this process began, marked if code or configuration differs; "unknown" outside one."""
+    """Commit of the checkout at the start of this process, marked if code differs; "unknown" without a checkout."""
     head = _git("rev-parse", "--short=12", "HEAD")
     if head is None:
         return "unknown"
@@ -108,7 +108,7 @@ def commit() -> str:
 
 
 def _git(*arguments: str) -> str | None:
-    if not (CHECKOUT / ".git").exists():  # an installed package may stand in a repository of somebody else's
+    if not (CHECKOUT / ".git").exists():  # an installed package can be inside another repository
         return None
     try:
         done = subprocess.run(["git", *arguments], cwd=CHECKOUT, capture_output=True, text=True, check=True)

@@ -17,22 +17,22 @@ from optuna.trial import TrialState
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 JOURNAL: Final = "study.jsonl"
-MOST_JOURNAL: Final = 1024 * MEBI
+MAX_JOURNAL: Final = 1024 * MEBI
 
 
 def open_study(
     path: Path, name: str, directions: Sequence[Literal["minimize", "maximize"]], parameters: Iterable[str]
 ) -> optuna.Study:
-    """The study of this name, made if it is not there; trials that a kill left unfinished are marked as failed.
+    """The study of this name, created if it does not exist; unfinished trials of a killed process are marked as failed.
 
     Args:
-        path: of the journal; a last line that a kill cut off is removed.
-        name: of the study.
-        directions: of its objectives, "minimize" or "maximize".
-        parameters: names of what is searched.
+        path: the journal; an incomplete last line is removed.
+        name: name of the study.
+        directions: "minimize" or "maximize" for each objective.
+        parameters: names of the search parameters.
 
     Raises:
-        FileError: not such a journal, a damaged one, or a study with other objectives or parameters.
+        FileError: not a journal, a damaged one, or a study with other objectives or parameters.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
@@ -43,32 +43,32 @@ def open_study(
         else:
             study = optuna.create_study(study_name=name, storage=storage, directions=directions)
         if [direction.name.lower() for direction in study.directions] != list(directions):
-            raise ValueError(f"study {name!r} is of another search: it has other objectives")
+            raise ValueError(f"study {name!r} has other objectives")
         for trial in study.get_trials(deepcopy=False):
             if trial.state is TrialState.COMPLETE and set(trial.params) != set(parameters):
-                raise ValueError(f"study {name!r} is of another search: trial {trial.number} has other parameters")
+                raise ValueError(f"trial {trial.number} of study {name!r} has other parameters")
             if trial.state is TrialState.COMPLETE and not all(map(math.isfinite, trial.values)):
                 raise ValueError(f"the values of trial {trial.number} are not finite")
             if trial.state is TrialState.RUNNING:
                 study.tell(trial.number, state=TrialState.FAIL)
     except FileError:
         raise
-    except Exception as error:  # of Optuna: whatever a damaged journal leads to
+    except Exception as error:  # any error of Optuna for a damaged journal
         reason = f"{type(error).__name__}: {one_line(str(error))}"
         raise FileError(path, f"not a journal of this search ({reason}): choose another folder") from error
     return study
 
 
 def _check_lines(path: Path) -> None:
-    """Raise unless every line is a record; remove a last line that was cut off."""
+    """Raise unless every line is a record; remove an incomplete last line."""
     if not os.path.lexists(path):
         return
-    *lines, rest = read_bytes(path, MOST_JOURNAL).split(b"\n")
+    *lines, rest = read_bytes(path, MAX_JOURNAL).split(b"\n")
     if not all(b'"op_code"' in line and isinstance(json.loads(line), dict) for line in lines):
-        raise ValueError("a line is no record of a trial")
+        raise ValueError("a line is not the record of a trial")
     if lines and not lines[0].startswith(b'{"op_code":0,'):
-        raise ValueError("the first line is not that of a study")
+        raise ValueError("the first line is not the record of a study")
     if rest and not b'{"op_code":'.startswith(rest[:11]):
-        raise ValueError("the last line is no record of a trial")
+        raise ValueError("the last line is not the record of a trial")
     if rest:
         os.truncate(path, sum(len(line) + 1 for line in lines))

@@ -1,7 +1,6 @@
-"""Files that come with the package, by their names: agents, scenes, schedules, logs, tubes, designs, training files.
+"""Shipped files by name: agents, scenes, schedules, logs, tubes, designs, training files.
 
-An installed package holds them in ``agents/shipped``; a checkout has them where they are made and edited. There is no
-second copy: the wheel is built from the checkout's.
+An installed package has them in ``agents/shipped``, a checkout in ``configs`` and ``results``.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ Kind = Literal["agents", "scenes", "schedules", "logs", "tubes", "design", "trai
 PACKAGE: Final = Path(__file__).parents[1]
 AGENT_FILE: Final = "agent.safetensors"
 DEFAULT_SEED: Final = 0
-"""Training seed of an agent that is named without one: the first, not the luckiest. What is published under the name of
-an agent alone is this one's."""
-_CALLED: Final[dict[Kind, str]] = {
+"""Training seed of an agent whose name has none: the first, not the best. Published results use it."""
+_PLURALS: Final[dict[Kind, str]] = {
     "agents": "agents", "scenes": "scenes", "schedules": "schedules", "logs": "logs", "tubes": "tubes",
     "design": "designs", "train": "training files", "studies": "studies",
 }  # fmt: skip
@@ -26,16 +24,16 @@ class NoSuchFileError(FileNotFoundError):
     """Neither a file of this path nor a shipped one of this name.
 
     Attributes:
-        hint: the names that there are.
+        hint: the names of the shipped files.
     """
 
-    def __init__(self, given: str | Path, kind: Kind) -> None:
-        super().__init__(errno.ENOENT, "no such file", str(given))
-        self.hint = f"{_CALLED[kind]} that ship, by name: {', '.join(shipped_names(kind))}"
+    def __init__(self, name: str | Path, kind: Kind) -> None:
+        super().__init__(errno.ENOENT, "no such file", str(name))
+        self.hint = f"shipped {_PLURALS[kind]}: {', '.join(shipped_names(kind))}"
 
 
 def shipped_folder(kind: Kind) -> Path:
-    """Where the files of a kind are: in the installed package ``agents``, else in the checkout that it stands in."""
+    """Folder of the shipped files of a kind, in the installed package or in the checkout."""
     installed = PACKAGE / "shipped" / kind
     if installed.is_dir():
         return installed
@@ -43,7 +41,7 @@ def shipped_folder(kind: Kind) -> Path:
 
 
 def ships(kind: Kind, path: str | Path) -> bool:
-    """Whether a path is in the folder of the shipped files of a kind, however it is written."""
+    """Whether a path is in the folder of the shipped files of a kind."""
     return Path(path).resolve().is_relative_to(shipped_folder(kind).resolve())
 
 
@@ -52,19 +50,19 @@ def shipped_names(kind: Kind) -> tuple[str, ...]:
     return tuple(shipped_agents()) if kind == "agents" else tuple(path.stem for path in _files(kind))
 
 
-def file_or_shipped(kind: Kind, given: str | Path) -> Path:
-    """A file by its path, or a shipped one by its name, with or without its ending. A path that exists wins.
+def file_or_shipped(kind: Kind, name: str | Path) -> Path:
+    """An existing file, else the shipped file of this name, with or without its ending.
 
     Raises:
-        NoSuchFileError: neither.
+        NoSuchFileError: neither exists.
     """
-    path = Path(given)
-    if path.exists() and not path.is_dir():  # a folder of the same name is no such file
+    path = Path(name)
+    if path.exists() and not path.is_dir():
         return path
     for file in _files(kind):
-        if str(given) in (file.stem, file.name):
+        if str(name) in (file.stem, file.name):
             return file
-    raise NoSuchFileError(given, kind)
+    raise NoSuchFileError(name, kind)
 
 
 def shipped_agents() -> dict[str, tuple[int, ...]]:
@@ -76,10 +74,10 @@ def shipped_agents() -> dict[str, tuple[int, ...]]:
 
 
 def agent_file(spec: str) -> Path | None:
-    """The bundle of a trained agent, NAME or NAME@SEED; None if there is none of this name.
+    """The bundle of a trained agent, NAME or NAME@SEED; None if no agent has this name.
 
     Raises:
-        ValueError: there is one, but not of this training seed.
+        ValueError: the agent has no such training seed.
     """
     name, at, seed = spec.partition("@")
     seeds = shipped_agents().get(name)
@@ -91,10 +89,10 @@ def agent_file(spec: str) -> Path | None:
 
 
 def policy_file(spec: str) -> str:
-    """The path of the trained agent or the schedule that ships under a name; what is no such name stays as it is.
+    """The path of the shipped agent or schedule of a name; any other spec is returned unchanged.
 
     Raises:
-        ValueError: an agent of this name has no such training seed.
+        ValueError: the agent has no such training seed.
     """
     if Path(spec).suffix and Path(spec).exists():
         return spec

@@ -1,4 +1,4 @@
-"""A CSV table that grows row by row, so that interrupted work resumes where it stopped."""
+"""A CSV table that grows row by row; interrupted work continues from it."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ COLUMNS: Final[Columns] = {COMMIT: "text"}
 
 
 def as_csv(table: pd.DataFrame, digits: int) -> str:
-    """The table with so many digits, but time steps in full: settings are told apart by them."""
+    """The table with ``digits`` digits; time steps, which identify settings, with all digits."""
     exact = {name: table[name].map(repr) for name in ("time_step_s",) if name in table}
     return table.assign(**exact).to_csv(index=False, float_format=f"%.{digits}g")
 
 
 def stored_rows(path: Path) -> pd.DataFrame:
-    """The rows of a stored table, of whatever commit."""
+    """The rows of a stored table, of any commit."""
     return read_csv(path, COLUMNS)
 
 
 def present_commit() -> str:
-    """Commit of the checkout (``+changes`` if it was not clean), or the package's version outside one."""
+    """Commit of the checkout (``+changes`` if it was not clean), or the version of an installed package."""
     name = commit()
     return f"version {version('probe-env')}" if name == "unknown" else name
 
 
 class Store:
-    """Rows of a CSV file with unique keys, each with the commit that made it.
+    """Rows of a CSV file with unique keys, each with its commit.
 
     Args:
-        path: of the file.
+        path: the file.
         keys: columns that identify a row.
 
     Raises:
@@ -55,10 +55,10 @@ class Store:
         self.path, self.keys = path, keys
         self.table = stored_rows(path) if path.exists() else pd.DataFrame(columns=[*keys, COMMIT])
         if missing := [name for name in keys if name not in self.table]:
-            raise FileError(path, f"no column {', '.join(missing)}: not a table of this kind; choose another folder")
+            raise FileError(path, f"no column {', '.join(missing)}: not a table of this study; choose another folder")
         if others := sorted(set(self.table[COMMIT]) - {present_commit()}):
             made_by = f"made by {', '.join(others)}, not by {present_commit()}"
-            raise FileError(path, f"{made_by}, and rows of different code are not mixed; choose another folder")
+            raise FileError(path, f"{made_by}; rows of different commits are not mixed: choose another folder")
         self._done = set(self.table[list(keys)].itertuples(index=False, name=None))
 
     def has(self, *key: object) -> bool:
@@ -66,7 +66,7 @@ class Store:
         return key in self._done
 
     def add(self, *rows: Row) -> None:
-        """Add rows, which replace those with the same keys, and write the file."""
+        """Add rows, replacing those with the same keys, and write the file."""
         new = pd.DataFrame([dict(row) | {COMMIT: present_commit()} for row in rows])
         table = new if self.table.empty else pd.concat([self.table, new], ignore_index=True)
         self.table = table.drop_duplicates(list(self.keys), keep="last", ignore_index=True)
@@ -76,13 +76,13 @@ class Store:
     def fill(
         self, runs: Mapping[tuple[Any, ...], T], rows_of: Callable[[T], Sequence[Row]], unit: str = "run", jobs: int = 1
     ) -> pd.DataFrame:
-        """Add the rows of all runs that are not stored yet, as they end; returns the whole table.
+        """Run what is not stored yet and add the rows of each run when it ends; returns the whole table.
 
         Args:
-            runs: by the key of their last row.
-            rows_of: runs one of them and gives its rows.
-            unit: what a run is called.
-            jobs: threads, each with a run.
+            runs: runs by the key of their last row.
+            rows_of: executes a run and returns its rows.
+            unit: name of a run in the progress bar.
+            jobs: number of threads.
         """
         missing = [run for key, run in runs.items() if not self.has(*key)]
         announce(Work(unit, len(runs), lambda: sum(self.has(*key) for key in runs), self.path))

@@ -1,6 +1,6 @@
-"""Reads CSV and Parquet tables: the required columns, each checked for its kind.
+"""Reads CSV and Parquet tables and checks the kind of each required column.
 
-Names stay text whatever they look like (``null``, ``1e5``, ``NA``), and numbers are read exactly.
+Names stay text, also ``null``, ``1e5`` and ``NA``; numbers are read exactly.
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ from agents.terminal.names import name_problem
 from probe_env.files import MEBI, FileError, read_bytes, read_text
 
 Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
-"""A name (``agents.terminal.names``); any text; a whole number of 0 or more; a finite number; a number or nothing; a
-truth."""
+"""A name (``agents.terminal.names``), any text, a whole number from 0, a finite number, a number or NaN, a boolean."""
 Columns = Mapping[str, Kind]
-MOST_CSV: Final = 64 * MEBI
-MOST_PARQUET: Final = 1024 * MEBI
-MOST_ROWS: Final = 20_000_000
-MOST_COLUMNS: Final = 1000
+MAX_CSV: Final = 64 * MEBI
+MAX_PARQUET: Final = 1024 * MEBI
+MAX_ROWS: Final = 20_000_000
+MAX_COLUMNS: Final = 1000
 CURVE: Final[Columns] = {
     **dict.fromkeys(("seed", "phase", "steps"), "count"),
     **dict.fromkeys(("reward", "inspection_time_s", "share_within_limit"), "number"),
@@ -37,25 +36,25 @@ CURVE: Final[Columns] = {
 }  # fmt: skip
 """``learning.csv``."""
 HASHES: Final = ("code", "commit")
-"""Columns that are text although the digits of a hash may look like a number."""
+"""Columns of text: the digits of a hash may look like a number."""
 _NONE: Final[Columns] = MappingProxyType({})
-_HINT: Final = "restore the file, or make it again"
+_HINT: Final = "restore the file, or create it again"
 _ARROW: Final = {"name": pa.string(), "text": pa.string(), "truth": pa.bool_()}
 
 
 def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd.DataFrame:
-    """A CSV table with a header; other columns are numbers, truths or text, as their cells allow.
+    """A CSV table with a header; the kinds of other columns are inferred.
 
     Args:
-        path: of the file.
+        path: the file.
         columns: required columns and their kinds.
-        newer: columns that may be absent, and their kinds.
+        newer: columns that may be missing, and their kinds.
 
     Raises:
         FileNotFoundError: no such file.
         FileError: not CSV, or a required column is missing or not of its kind.
     """
-    text = read_text(path, MOST_CSV)
+    text = read_text(path, MAX_CSV)
     header = next(filter(None, csv.reader(io.StringIO(text))), [])
     columns = _present(columns, newer, header)
     _check_header(path, header, columns)
@@ -83,16 +82,16 @@ def _parse(path: Path, text: str, header: Sequence[str], types: Mapping[str, Any
     try:
         return pa.csv.read_csv(
             io.BytesIO(text.encode()),
-            read_options=pa.csv.ReadOptions(use_threads=False, block_size=2 * MOST_CSV),
+            read_options=pa.csv.ReadOptions(use_threads=False, block_size=2 * MAX_CSV),
             parse_options=pa.csv.ParseOptions(newlines_in_values=True),
             convert_options=convert,
         )
     except pa.ArrowException as error:
-        raise FileError(path, f"{_in_words(str(error), header)} - {_HINT}") from error
+        raise FileError(path, f"{_csv_error(str(error), header)} - {_HINT}") from error
 
 
-def _in_words(error: str, header: Sequence[str]) -> str:
-    """Arrow's error with the column's name and the row as in ``check_table``: the first below the header is 1."""
+def _csv_error(error: str, header: Sequence[str]) -> str:
+    """Arrow's error with the name of the column and the row number; row 1 is the first below the header."""
     if match := re.fullmatch(r"In CSV column #(\d+): Row #(\d+): .* invalid value '(.*)'", error, re.DOTALL):
         return f"row {int(match[2]) - 1}: {header[int(match[1])]} = {match[3][:100]!r} is not a number"
     if match := re.fullmatch(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+).*", error, re.DOTALL):
@@ -101,20 +100,20 @@ def _in_words(error: str, header: Sequence[str]) -> str:
 
 
 def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
-    """The needed columns of a Parquet table, and those of ``newer`` that it has, in the file's order.
+    """The required columns of a Parquet table, and those of ``newer`` that it has, in the order of the file.
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: not Parquet, more rows than any table has, or a needed column is missing or not of its kind.
+        FileError: not Parquet, too many rows, or a required column is missing or not of its kind.
     """
-    content = read_bytes(path, MOST_PARQUET)
+    content = read_bytes(path, MAX_PARQUET)
     try:
         file = pq.ParquetFile(io.BytesIO(content))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
         columns = _present(columns, newer, names)
         _check_header(path, names, columns)
-        if not 0 < rows <= MOST_ROWS:
-            raise FileError(path, f"{rows} rows: a table has 1 to {MOST_ROWS} - {_HINT}")
+        if not 0 < rows <= MAX_ROWS:
+            raise FileError(path, f"{rows} rows; accepted: 1 to {MAX_ROWS} - {_HINT}")
         table = file.read(columns=[name for name in names if name in columns])
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         if isinstance(error, FileError):
@@ -128,7 +127,7 @@ def _present(columns: Columns, newer: Columns, header: list[Any]) -> Columns:
 
 
 def check_table(path: Path, table: pd.DataFrame, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
-    """The table itself, if it has rows and the columns that are needed, and these and newer ones are of their kinds.
+    """Check that a table has rows and the required columns, all of their kinds; returns the table.
 
     Raises:
         FileError: names file, column and row (the first is 1).
@@ -143,7 +142,7 @@ def check_table(path: Path, table: pd.DataFrame, columns: Columns, newer: Column
             _check_names(path, name, list(values.unique()), kind)
         elif values.dtype.kind not in ("b" if kind == "truth" else "iuf"):
             raise FileError(
-                path, f"column {name!r}: {values.dtype}, not {'truths' if kind == 'truth' else 'numbers'} - {_HINT}"
+                path, f"column {name!r}: {values.dtype}, not {'booleans' if kind == 'truth' else 'numbers'} - {_HINT}"
             )
         elif kind in ("count", "number"):
             numbers = values.to_numpy()
@@ -155,15 +154,15 @@ def check_table(path: Path, table: pd.DataFrame, columns: Columns, newer: Column
 
 
 def _check_header(path: Path, header: list[Any], columns: Columns) -> None:
-    if len(header) > MOST_COLUMNS:
-        raise FileError(path, f"{len(header)} columns are more than {MOST_COLUMNS} - {_HINT}")
+    if len(header) > MAX_COLUMNS:
+        raise FileError(path, f"{len(header)} columns are more than {MAX_COLUMNS} - {_HINT}")
     present = ", ".join(map(str, header)) or "none"
     for name in columns:
         if header.count(name) != 1:
-            often = "is missing" if name not in header else f"is there {header.count(name)} times"
-            raise FileError(path, f"column {name!r} {often}; found: {present} - {_HINT}")
+            problem = "is missing" if name not in header else f"occurs {header.count(name)} times"
+            raise FileError(path, f"column {name!r} {problem}; found: {present} - {_HINT}")
     if len(set(header)) < len(header):
-        raise FileError(path, f"a column is there twice; found: {present} - {_HINT}")
+        raise FileError(path, f"a column occurs twice; found: {present} - {_HINT}")
 
 
 def _check_names(path: Path, column: str, values: list[Any], kind: Kind) -> None:

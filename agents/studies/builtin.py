@@ -1,4 +1,4 @@
-"""Studies that are code: claims of the published study, accuracy against cost, stability, and the shipped data."""
+"""Built-in studies: claims of the published study, accuracy against cost, stability, and the shipped data."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from agents.terminal.tables import print_table
 
 @dataclass(frozen=True)
 class Request:
-    """Options of a study that is code.
+    """Options of a built-in study.
 
     Attributes:
-        output: folder of what is made; runs that are there already are not repeated.
-        limit: tubes, cases or groups, the first so many; None: as for the shipped data.
-        trials: designs, laws or seeds that are tried; None: as for the shipped data.
+        output: folder of the results; stored runs are not repeated.
+        limit: number of tubes, cases or groups; None: as for the shipped data.
+        trials: number of designs, laws or seeds; None: as for the shipped data.
         tube: a plant's file or name; default: table 2.
-        workers: that simulate.
+        workers: workers that run the simulations.
     """
 
     output: Path
@@ -32,47 +32,47 @@ class Request:
     tube: Path | None = None
     workers: Workers = field(default_factory=Workers)
 
-    def without(self, *names: str) -> None:
-        """Raise ValueError where an option is given that a study does not have."""
+    def reject(self, *names: str) -> None:
+        """Raise ValueError if an option is set that the study does not have."""
         for name in names:
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} = {str(getattr(self, name))!r}: this study has no such option")
 
-    def budget(self, name: str, usual: int, most: int = 10**9) -> int:
-        """``limit`` or ``trials``, the usual one if it is not given; ValueError if it is not 1 to ``most``."""
-        value: int = usual if getattr(self, name) is None else getattr(self, name)
-        if not 1 <= value <= most:
-            accepted = "1 and more" if most == 10**9 else f"1 to {most}"
+    def budget(self, name: str, default: int, largest: int = 10**9) -> int:
+        """``limit`` or ``trials``, or its default; ValueError if it is not 1 to ``largest``."""
+        value: int = default if getattr(self, name) is None else getattr(self, name)
+        if not 1 <= value <= largest:
+            accepted = "1 and more" if largest == 10**9 else f"1 to {largest}"
             raise ValueError(f"{name} = {value!r} is outside the accepted range {accepted}")
         return value
 
 
 class BuiltIn(NamedTuple):
-    """A study that is code: the module whose ``run`` takes a ``Request``, and what it answers or makes."""
+    """A built-in study: the module whose ``run`` takes a ``Request``, and its question."""
 
     module: str
     question: str
 
     def run(self, request: Request) -> Any:
-        """Run what is not stored yet, write and print the results; returns them."""
+        """Run what is not stored, write and print the results; returns them."""
         return import_module(f"agents.studies.{self.module}").run(request)
 
 
 BUILT_IN: Final[dict[str, BuiltIn]] = {
-    "claims": BuiltIn("claims", "What of the published study's claims does the simulator confirm?"),
-    "chart": BuiltIn("chart", "Which method is how accurate at which cost?"),
-    "stability": BuiltIn("stability", "Which time steps hold, by method, stiffness and length?"),
-    "vibration-map": BuiltIn("shipped.vibration_map", "Makes the vibration map, also of your own tube."),
+    "claims": BuiltIn("claims", "Which claims of the published study does the simulator confirm?"),
+    "chart": BuiltIn("chart", "How accurate is each method, and at which cost?"),
+    "stability": BuiltIn("stability", "Which time steps are stable, by method, stiffness and length?"),
+    "vibration-map": BuiltIn("shipped.vibration_map", "Makes the vibration map of the study's tubes or of your plant."),
     "best-schedules": BuiltIn("shipped.best_schedules", "Searches best-constant and best-schedule."),
-    "best-round-trip": BuiltIn("shipped.best_round_trip", "Searches feed and air in and back."),
-    "response": BuiltIn("shipped.response", "Makes the response that calibrations go by."),
+    "best-round-trip": BuiltIn("shipped.best_round_trip", "Searches feed and air of insertion and withdrawal."),
+    "response": BuiltIn("shipped.response", "Makes the response model of calibrations."),
     "plc-constants": BuiltIn("shipped.plc_constants", "Searches the constants of the PLC laws."),
 }
 """Name -> study."""
 
 
 def print_frame(title: str, table: pd.DataFrame, columns: Sequence[str] = (), texts: int = 1) -> None:
-    """Print columns (default: all) of a table, numbers with three digits; the first ``texts`` stand to the left."""
+    """Print columns (default: all) of a table, numbers with three digits; the first ``texts`` are aligned left."""
     chosen = list(columns or table.columns)
     rows = [
         [cell if isinstance(cell, str) else "-" if cell != cell else f"{cell:.3g}" for cell in row]

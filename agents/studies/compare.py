@@ -1,4 +1,4 @@
-"""Compares the rows of a study: means with intervals, paired differences over tubes; as CSV, table and figure."""
+"""Compares the rows of a study: means, intervals and paired differences over tubes, as CSV, table and figure."""
 
 from __future__ import annotations
 
@@ -24,23 +24,22 @@ from agents.evaluation.statistics import (
     short,
 )
 from agents.records.atomic import write_atomically
-from agents.records.drawing import BLUE, GREY, GRID, colours, plain, save
+from agents.records.drawing import BLUE, GREY, GRID, colours, escape_dollars, save
 from agents.records.manifest import write_manifest
 from agents.studies.run import Setting
 from agents.studies.spec import Changes, Study
 from agents.terminal.tables import print_table
 
 LINEAR_SHARE: Final = 0.02
-"""The axis of differences is logarithmic beyond this share of the greatest, where they differ by more than that."""
+"""Ratio of median to largest difference below which the axis is logarithmic."""
 
 
 def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -> pd.DataFrame:
-    """A row a policy, setting, metric and baseline.
+    """One row per policy, setting, metric and baseline.
 
-    Columns tubes, metric, mean, low, high, rank (among the policies of a setting, 1 the best), baseline, difference,
-    difference_low and difference_high, behind the columns of the policy and the setting. ``a90_95_percent_wall`` has no
-    interval; its difference is that of the depth found with 90 % over all tubes. With ``compare.upper`` also
-    share_of_lead, share_low and share_high, of the reward.
+    Columns: those of policy and setting, then tubes, metric, mean, low, high, rank (among the policies of a setting, 1:
+    the best), baseline, difference, difference_low and difference_high. ``a90_95_percent_wall`` has no interval; its
+    difference is that of a90. With ``compare.upper`` also share_of_lead, share_low and share_high of the reward.
 
     Raises:
         ValueError: a metric is not in the episodes; see ``baselines``.
@@ -49,7 +48,7 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
     parts = episodes.groupby(columns, sort=False, dropna=False)
     groups = {tuple(None if value != value else value for value in key): part for key, part in parts}
     names = {key: str(number) for number, key in enumerate(groups)}
-    # statistics know policies: here every group is one
+    # the statistics compare policies: each group gets the name of one
     labelled = pd.concat([part.assign(policy=names[key]) for key, part in groups.items()])
     missing = [metric for metric in metrics if metric not in (*episodes.columns, *OVER_TUBES)]
     if missing:
@@ -67,28 +66,28 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
                 change = difference_of_a90(curves_by_tube(labelled, name), curves_by_tube(labelled, other))
             else:
                 change = paired_difference(labelled, name, other, metric)
-            said = "the first setting" if first_setting else ", ".join(f"{c} = {v}" for c, v in baseline.items())
-            changes = {"rank": None, "baseline": said, "difference": change.mean}
+            label = "the first setting" if first_setting else ", ".join(f"{c} = {v}" for c, v in baseline.items())
+            changes = {"rank": None, "baseline": label, "difference": change.mean}
             changes |= {"difference_low": change.low, "difference_high": change.high}
             if upper and metric == "reward":
                 share = share_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
                 changes |= {"share_of_lead": share.mean, "share_low": share.low, "share_high": share.high}
             rows.append(row | changes)
     table = pd.DataFrame(rows)
-    around = [column for column in columns if not column.startswith("policy")]
+    settings_columns = [column for column in columns if not column.startswith("policy")]
     for metric in metrics:
         part = table[table["metric"] == metric]
         good = part["mean"] if metric in HIGH else -part["mean"]
-        same = [part[column].astype(str) for column in (*around, "baseline")]
+        same = [part[column].astype(str) for column in (*settings_columns, "baseline")]
         table.loc[part.index, "rank"] = good.groupby(same).rank(ascending=False, method="min")
     return table
 
 
 def baselines(study: Study, settings: Sequence[Setting]) -> list[Changes]:
-    """What rows are compared with: columns and values.
+    """The baselines: columns and values.
 
     Raises:
-        ValueError: a baseline or upper bound is no row of the study.
+        ValueError: a baseline or upper bound is not a row of the study.
     """
     chosen = list(study.compare.baseline)
     if not chosen:
@@ -111,27 +110,27 @@ def baselines(study: Study, settings: Sequence[Setting]) -> list[Changes]:
 
 
 def key_columns(settings: Sequence[Setting]) -> list[str]:
-    """Columns that tell rows apart: policy, its parameters, fidelity, varied fields."""
+    """Columns that identify a row: policy, its parameters, fidelity, varied fields."""
     members = [columns for setting in settings for columns in setting.members.values()]
     return list(dict.fromkeys(name for columns in (*members, settings[0].values) for name in columns))
 
 
 def _method(column: str, value: Any) -> Any:
-    """Policy NAME@SEED as NAME: training seeds are one method."""
+    """Policy NAME@SEED as NAME."""
     return value.rpartition("@")[0] or value if column == "policy" and value.rpartition("@")[2].isdecimal() else value
 
 
-def _replaced(columns: Sequence[str], key: tuple[Any, ...], values: Changes, known: Any) -> tuple[Any, ...]:
-    """The row that has other values in some columns; another policy has its own parameters.
+def _replaced(columns: Sequence[str], key: tuple[Any, ...], values: Changes, keys: Any) -> tuple[Any, ...]:
+    """The key with other values in some columns; another policy has no parameters of this one.
 
     Raises:
-        ValueError: there is none.
+        ValueError: no such row.
     """
     row = dict(zip(columns, key, strict=True))
     if "policy" in values:
         row |= {name: None for name in columns if name.startswith("policy.")}
     found = tuple((row | values).values())
-    if found not in known:
+    if found not in keys:
         text = ", ".join(f"{name} = {value}" for name, value in zip(columns, found, strict=True) if value is not None)
         raise ValueError(f"compare.baseline: the study has no row of {text}")
     return found
@@ -144,11 +143,11 @@ def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.Dat
     write_atomically(output / "comparison.csv", table.to_csv(index=False, float_format="%.6g"))
     files = ("episodes.csv", "comparison.csv")
     write_manifest(output, files, commits=episodes["commit"], study=study.model_dump(mode="json"))
-    shown, columns = _displayed(study, settings, table)
-    (_across if study.figure else _forest)(study, shown, columns, output / "comparison.png")
-    for baseline, part in shown.groupby("baseline", sort=False):
+    rows, columns = _displayed(study, settings, table)
+    (_across if study.figure else _forest)(study, rows, columns, output / "comparison.png")
+    for baseline, part in rows.groupby("baseline", sort=False):
         by_row = part.groupby([*columns, *key_columns(settings)], sort=False, dropna=False)
-        cells = [[*map(_text, key[: len(columns)]), *map(_cell, rows.to_dict("records"))] for key, rows in by_row]
+        cells = [[*map(_text, key[: len(columns)]), *map(_cell, metrics.to_dict("records"))] for key, metrics in by_row]
         print_table(
             f"{study.question} Differences to {baseline}, 95 % intervals",
             (*columns, *(_label_and_factor(metric)[0] for metric in study.compare.metrics)), cells, left=len(columns),
@@ -157,18 +156,18 @@ def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.Dat
 
 
 def _displayed(study: Study, settings: Sequence[Setting], table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
-    """The comparison in the order of policies, and the columns that are shown of a row.
+    """The comparison in the order of policies, and the columns to display.
 
-    Where a study lists its settings, what they change goes to one column.
+    If a study lists its settings, their changes are in one column.
     """
     order = {policy: number for number, policy in enumerate(dict.fromkeys(table["policy"]))}
     table = table.sort_values("policy", key=lambda names: names.map(order), kind="stable")
     columns = [name for name in key_columns(settings) if table[name].astype(str).nunique() > 1]
     if isinstance(study.vary, Mapping):
         return table, columns or ["policy"]
-    changed, usual = [], settings[0].values
+    changed, first = [], settings[0].values
     for row in table.to_dict("records"):
-        others = [name for name in study.varied if row[name] != usual[name]]
+        others = [name for name in study.varied if row[name] != first[name]]
         changed.append(", ".join(f"{name.rpartition('.')[2]} = {_text(row[name])}" for name in others) or "-")
     return table.assign(setting=changed), [*(name for name in columns if name not in study.varied), "setting"]
 
@@ -178,13 +177,13 @@ def _text(value: Any) -> str:
 
 
 def _label_and_factor(metric: str) -> tuple[str, float]:
-    """For people: name with unit, and what a value is multiplied by."""
+    """Name with unit, and factor of a value."""
     name, factor, unit = (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
     return f"{name} [{unit}]" if unit else name, factor
 
 
 def _cell(row: Mapping[Any, Any]) -> str:
-    """Mean, difference and its interval, in the units for people."""
+    """Mean, difference and its interval, in the units of ``_label_and_factor``."""
     factor = _label_and_factor(row["metric"])[1]
     mean = short(factor * row["mean"])
     if row["difference"] == row["difference_low"] == row["difference_high"] == 0.0:
@@ -195,8 +194,8 @@ def _cell(row: Mapping[Any, Any]) -> str:
     return f"{mean} ({short(factor * row['difference'], '+')} [{low}, {high}]{lead})"
 
 
-def _forest(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path) -> None:
-    """Differences of the first metric with their intervals: a panel a baseline, a line a row."""
+def _forest(study: Study, table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:
+    """Differences of the first metric with intervals: one panel per baseline, one line per row."""
     part = table[table["metric"] == study.compare.metrics[0]]
     panels = [rows for _, rows in part.groupby("baseline", sort=False)]
     size = (4.0 + 4.5 * len(panels), 1.2 + 0.28 * len(panels[0]))
@@ -210,9 +209,9 @@ def _forest(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
         if len(sizes) and np.median(sizes) < LINEAR_SHARE * sizes.max():
             axis.set_xscale("symlog", linthresh=float(max(np.median(sizes), LINEAR_SHARE**2 * sizes.max())))
         axis.axvline(0.0, color=GREY, linewidth=0.8)
-        axis.set_title(f"less {plain(str(rows['baseline'].iloc[0]))}", fontsize="medium")
-        names = [", ".join(filter(None, map(_text, row))) for row in rows[list(shown)].itertuples(index=False)]
-        axis.set_yticks(range(len(rows)), map(plain, names), fontsize="small")
+        axis.set_title(f"minus {escape_dollars(str(rows['baseline'].iloc[0]))}", fontsize="medium")
+        names = [", ".join(filter(None, map(_text, row))) for row in rows[list(columns)].itertuples(index=False)]
+        axis.set_yticks(range(len(rows)), map(escape_dollars, names), fontsize="small")
         axis.grid(**GRID)
     axes[0, 0].set_ylim(len(panels[0]) - 0.5, -0.5)
     figure.supxlabel(
@@ -221,12 +220,12 @@ def _forest(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
     save(figure, path)
 
 
-def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path) -> None:
-    """One metric over another: a point a row with both intervals, a line through the rows of a policy and setting."""
+def _across(study: Study, table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:
+    """One metric over another with both intervals: one point per row, one line per policy and setting."""
     assert study.figure is not None
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     first = table[table["baseline"] == table["baseline"].iloc[0]]
-    lines = [name for name in shown if not name.startswith("policy.")]
+    lines = [name for name in columns if not name.startswith("policy.")]
     for colour, (name, rows) in zip(colours(), first.groupby(lines, sort=False, dropna=False), strict=False):
         points = [
             _label_and_factor(metric)[1] * rows.loc[rows["metric"] == metric, ["mean", "low", "high"]].to_numpy(float)
@@ -234,7 +233,7 @@ def _across(study: Study, table: pd.DataFrame, shown: Sequence[str], path: Path)
         ]
         x, y = (values[points[0][:, 0].argsort()].T for values in points)
         errors = (np.nan_to_num([mean - low, high - mean]) for mean, low, high in (x, y))
-        label = plain(", ".join(map(_text, name)))
+        label = escape_dollars(", ".join(map(_text, name)))
         axis.errorbar(x[0], y[0], xerr=next(errors), yerr=next(errors), fmt="o-", capsize=3, color=colour, label=label)
     axis.set(xlabel=_label_and_factor(study.figure[0])[0], ylabel=_label_and_factor(study.figure[1])[0])
     axis.grid(**GRID)

@@ -32,17 +32,17 @@ from probe_env.physics.methods import METHODS
 from probe_env.settings import explain
 
 RECOMMENDED: Final = ("recommended", "recommended-law")
-"""Policies that are searched for the plant of a setting, by the calibrated response."""
+"""Policies that are optimised for the plant of a setting with the calibrated response."""
 
 
 class Setting(NamedTuple):
     """One setting of a study.
 
     Attributes:
-        values: column -> value: fidelity and varied fields, read back from what is simulated.
+        values: column -> value of fidelity and varied fields, as simulated.
         plan: policies, tubes, task and fidelity.
         members: policy of the plan -> its columns: ``policy`` and ``policy.PARAMETER``.
-        folder: name of the folder of its episodes.
+        folder: name of the episodes' folder.
     """
 
     values: Changes
@@ -52,10 +52,10 @@ class Setting(NamedTuple):
 
 
 def expand(study: Study) -> list[Setting]:
-    """All settings of a study, checked before anything is run.
+    """All settings of a study, checked.
 
     Raises:
-        ValueError: a field, a value or a policy is not valid; names it.
+        ValueError: names a field, value or policy that is not valid.
         FileNotFoundError: no such plant, probe or schedule.
     """
     settings = [_setting(study, fidelity, changes) for fidelity, changes in study.settings()]
@@ -67,15 +67,15 @@ def expand(study: Study) -> list[Setting]:
 
 
 def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) -> pd.DataFrame:
-    """Run what is missing in ``output`` and return all episodes, with the columns of their settings.
+    """Run what is missing in ``output``; returns all episodes with the columns of their settings.
 
     Raises:
-        ValueError: a folder holds episodes of another task.
+        ValueError: a folder has episodes of another task.
     """
     tables = []
     for number, setting in enumerate(settings, start=1):
         print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
-        # methods without lanes run episode by episode, so that each is stored as it ends
+        # methods without lanes run few episodes at a time, so that each is stored when it ends
         batch = BATCH if METHODS[setting.plan.fidelity.method].width > 1 else available_cores()
         table = run_plan(setting.plan, output / "episodes" / setting.folder, batch=batch, workers=workers)
         columns = pd.DataFrame([setting.members[name] for name in table["policy"]], index=table.index)
@@ -86,17 +86,17 @@ def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) ->
 def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
     try:
         tube = Path(study.tube) if study.tube else None
-        plant, update = plant_at(tube), _under("plant", study.set | changes)
+        plant, update = plant_at(tube), _nested("plant", study.set | changes)
         if update:
             plant = (plant or Plant()).model_copy(update=update)
         case = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
         unvaried = _changed(case.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
-        if update := _under("fidelity", study.set | changes):
+        if update := _nested("fidelity", study.set | changes):
             accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
-        known = config if study.policies_know == "varied task" else unvaried
-        policies, members = _policies(study, known, case, plant)
+        policy_config = config if study.policies_know == "varied task" else unvaried
+        policies, members = _policies(study, policy_config, case, plant)
     except (ValueError, TypeError) as error:
         problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
@@ -107,15 +107,15 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
 
 
 def _changed(config: TaskConfig, changes: Changes) -> TaskConfig:
-    """The task with the fields of ``changes`` that are its own, and with another probe."""
-    update = _under("task", changes) | {root: part for root in ("scene", "sensor") if (part := _under(root, changes))}
+    """The task with the changes of task fields and probe."""
+    update = _nested("task", changes) | {root: part for root in ("scene", "sensor") if (part := _nested(root, changes))}
     config = config.model_copy(update=update) if update else config
     probe = changes.get("probe", "scene")
     return config if probe == "scene" else with_probe(config, probe)
 
 
-def _under(root: str, changes: Changes) -> dict[str, Any]:
-    """Nested mapping of the dotted fields under a root."""
+def _nested(root: str, changes: Changes) -> dict[str, Any]:
+    """Nested mapping of the dotted fields of a root."""
     nested: dict[str, Any] = {}
     for name, value in changes.items():
         first, *rest = name.split(".")
@@ -129,7 +129,7 @@ def _under(root: str, changes: Changes) -> dict[str, Any]:
 
 
 def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) -> Any:
-    """Value of a varied field in what is simulated; of a plant's field or a probe as the study gives it."""
+    """Value of a varied field as simulated; of a plant field or a probe as in the study."""
     root, *rest = name.split(".")
     if root in ("plant", "probe"):
         return changes.get(name, "scene" if root == "probe" else None)
@@ -142,44 +142,44 @@ def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) 
 def _policies(
     study: Study, config: TaskConfig, case: EvaluationCase, plant: Plant | None
 ) -> tuple[dict[str, Policy], dict[str, Changes]]:
-    """Policies by the names that the plan gives them, and their columns."""
+    """Policies by their names in the plan, and their columns."""
     policies: dict[str, Policy] = {}
     members: dict[str, Changes] = {}
     for spec, parameters in study.members():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
+            warnings.simplefilter("ignore", OutsideDomain)  # studies vary beyond the range on purpose
             recommended = {spec: _recommended(spec, config, plant)} if spec in RECOMMENDED else {}
             base = recommended or named_policies([spec], config, case.vibration)
         for name, policy in base.items():
             member = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
             if member in policies:
-                raise ValueError(f"policies: {member} is there twice; NAME=FILE gives a file another name")
-            policies[member] = _with(policy, name, parameters) if parameters else policy
+                raise ValueError(f"policies: {member} occurs twice; NAME=FILE sets another name")
+            policies[member] = _with_parameters(policy, name, parameters) if parameters else policy
             members[member] = {"policy": name} | {f"policy.{key}": value for key, value in parameters.items()}
     return policies, members
 
 
-def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
+def _with_parameters(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
     """A policy with other parameters.
 
     Raises:
-        ValueError: no such parameter, or a value of another kind.
+        ValueError: no such parameter, or a value of another type.
     """
     if isinstance(policy, RoundTripPolicy):
-        return replace(policy, insertion=_with(policy.insertion, name, parameters))
-    own = fields(policy) if is_dataclass(policy) else ()
-    known = [part.name for part in own if part.name not in ("config", "vibration")]
+        return replace(policy, insertion=_with_parameters(policy.insertion, name, parameters))
+    all_fields = fields(policy) if is_dataclass(policy) else ()
+    accepted = [part.name for part in all_fields if part.name not in ("config", "vibration")]
     for key, value in parameters.items():
-        if key not in known:
-            raise ValueError(f"policies: {name} has no parameter {key!r}; accepted: {', '.join(known) or 'none'}")
+        if key not in accepted:
+            raise ValueError(f"policies: {name} has no parameter {key!r}; accepted: {', '.join(accepted) or 'none'}")
         now = getattr(policy, key)
         if now is not None and isinstance(now, str) != isinstance(value, str):
-            raise ValueError(f"policies: {name}: {key} = {value!r} is of another kind than {now!r}")
+            raise ValueError(f"policies: {name}: {key} = {value!r} is of another type than {now!r}")
     return replace(policy, **parameters)
 
 
 def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
-    """What the calibrated response recommends for a plant, searched on training tubes."""
+    """The policy that the calibrated response recommends for a plant, optimised on training tubes."""
     from agents.plant.recommendation import optimal_law, optimal_schedule
     from agents.plant.response import stored_response
 
@@ -190,7 +190,7 @@ def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
 
 
 def _folder(values: Changes) -> str:
-    """A folder's name: the values for people, and a digest that no two settings share."""
+    """Name of a folder: the values, and a digest that is unique."""
     text = "-".join(f"{name.rpartition('.')[2]}-{value}" for name, value in values.items())
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
     return f"{re.sub(r'[^A-Za-z0-9_.+-]+', '-', text)[:80].strip('-.')}-{digest}"

@@ -1,4 +1,4 @@
-"""A study as a TOML file: a question, policies, tubes, fields that are varied and metrics that are compared."""
+"""A study as a TOML file: question, policies, tubes, varied fields and compared metrics."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from probe_env.settings import Model, in_one_line
 ROOTS: Final = ("task", "scene", "sensor", "fidelity", "plant")
 """First part of a dotted field; ``scene`` and ``sensor`` are those of the task."""
 WHOLE: Final = ("fidelity", "probe")
-"""Fields without a dot: a fidelity or a probe design by its name."""
+"""Fields without a dot: name of a fidelity or a probe design."""
 Changes = dict[str, Any]
 """Dotted field -> value."""
 
 
 def _listed(value: Any) -> Any:
-    """One entry as a tuple of one."""
+    """A single entry as a tuple."""
     return (value,) if isinstance(value, str | Mapping) else value
 
 
 class Compare(Model):
-    """What is compared.
+    """The comparison.
 
     Attributes:
-        metrics: columns of episodes (means over tubes), or ``a90_95_percent_wall`` (of all tubes together).
-        baseline: columns and values; a row is compared with the one that has these and is equal otherwise. Several are
-            compared one after the other. Default: the first setting that is varied, if any, else the first policy.
+        metrics: columns of episodes (means over tubes), or ``a90_95_percent_wall`` (over all tubes together).
+        baseline: columns and values; a row is compared with the row that has these and is equal otherwise. With several
+            baselines there is one comparison each. Default: the first varied setting, if any, else the first policy.
         upper: columns and values of an upper bound: adds the share of the reward between baseline and upper bound.
     """
 
@@ -49,7 +49,7 @@ class Compare(Model):
         unknown = [name for name in metrics if not {name, name.removeprefix("in_"), name.removeprefix("back_")} & known]
         if unknown or not metrics:
             accepted = ", ".join(sorted(name for name in known if not name.startswith("pod_")))
-            text = f"metrics that are not known: {', '.join(unknown) or 'none given'}; accepted: {accepted}"
+            text = f"unknown metrics: {', '.join(unknown) or 'none'}; accepted: {accepted}"
             raise PydanticCustomError("metrics", "{text}", {"text": text})
         return metrics
 
@@ -58,18 +58,18 @@ class Study(Model):
     """A study: every policy in every setting on the same tubes.
 
     Attributes:
-        question: that it answers.
-        policies: names, or tables of a ``name`` and parameters of that policy, of which lists are swept.
+        question: question of the study.
+        policies: names, or tables of a ``name`` and parameters of that policy; all combinations of lists are run.
         contexts: list of tubes.
-        limit: the first so many of them; 0: all.
+        limit: number of tubes, the first of the list; 0: all.
         tube: a plant's file or name; default: table 2's tubes.
-        seeds: of sensor noise and start.
+        seeds: seeds of sensor noise and start.
         fidelity: names of fidelities.
-        policies_know: whether policies are made for the varied task, or for the one before it was varied.
-        set: fields that are changed in all settings.
-        vary: fields and their values, of which all combinations are settings; or the settings themselves.
-        compare: what is compared.
-        figure: two metrics to draw against each other; default: the differences of the first metric.
+        policies_know: whether policies are made for the varied or the unvaried task.
+        set: changed fields of all settings.
+        vary: fields and their values, of which all combinations are settings; or a list of settings.
+        compare: the comparison.
+        figure: two metrics of a scatter plot; default: the differences of the first metric.
     """
 
     question: Annotated[str, Field(min_length=1)]
@@ -90,7 +90,7 @@ class Study(Model):
     def _families_have_names(cls, policies: tuple[str | Changes, ...]) -> tuple[str | Changes, ...]:
         for entry in policies:
             if not isinstance(entry, str) and not isinstance(entry.get("name"), str):
-                raise PydanticCustomError("policies", "a table of a policy needs its name")
+                raise PydanticCustomError("policies", "a table of a policy needs a name")
         return policies
 
     @field_validator("set", "vary")
@@ -112,7 +112,7 @@ class Study(Model):
         if self.figure and not set(self.figure) <= set(self.compare.metrics):
             raise PydanticCustomError("figure", f"figure must be two of compare.metrics (given: {self.figure})")
         if isinstance(self.vary, Mapping) and not all(self.vary.values()):
-            raise PydanticCustomError("vary", "every field of vary needs a value at least")
+            raise PydanticCustomError("vary", "every field of vary needs at least one value")
         return self
 
     @property
@@ -124,7 +124,7 @@ class Study(Model):
     def changed(
         self, limit: int | None, policies: tuple[str, ...], fidelity: tuple[str, ...], tube: Path | None
     ) -> Study:
-        """The same study with what is given instead of its own; policies that it compares with are kept.
+        """The study with other values; reference policies of the comparison remain.
 
         Raises:
             ValueError: a value is not valid.
@@ -132,8 +132,8 @@ class Study(Model):
         update: Changes = {} if limit is None else {"limit": limit}
         if policies:
             needed = [entry.get("policy") for entry in (*self.compare.baseline, self.compare.upper or {})]
-            kept = [entry for entry in self.policies if _name(entry) in needed and _name(entry) not in policies]
-            update["policies"] = (*kept, *policies)
+            references = [entry for entry in self.policies if _name(entry) in needed and _name(entry) not in policies]
+            update["policies"] = (*references, *policies)
         update |= {"fidelity": fidelity} if fidelity else {}
         update |= {"tube": str(tube)} if tube else {}
         with in_one_line():
@@ -151,14 +151,14 @@ class Study(Model):
                 yield change.get("fidelity", fidelity), rest
 
     def members(self) -> Iterator[tuple[str, Changes]]:
-        """Name of every policy and its parameters, those that are swept one after the other."""
+        """Name and parameters of every policy, with all combinations of lists."""
         for entry in self.policies:
             if isinstance(entry, str):
                 yield entry, {}
                 continue
-            swept = {k: v if isinstance(v, tuple) else (v,) for k, v in entry.items() if k != "name"}
-            for values in product(*swept.values()):
-                yield entry["name"], dict(zip(swept, values, strict=True))
+            lists = {k: v if isinstance(v, tuple) else (v,) for k, v in entry.items() if k != "name"}
+            for values in product(*lists.values()):
+                yield entry["name"], dict(zip(lists, values, strict=True))
 
 
 def _name(entry: str | Changes) -> str:

@@ -1,15 +1,13 @@
-"""The stability map: which time steps are stable and which are accurate, run and in theory.
+"""Stability of time steps: simulated map, amplification of one mass, energy of passive chains.
 
-Map: steps are multiples of the step that ``Simulator.stable_time_step`` names for the method; those of ``implicit``,
-which has no limit, are multiples of Newmark's. A stable step is wrong if bounces off a contact spring of that stiffness
-lose or gain as much as 5 % of critical damping would take; that is tried on one mass, which superelements do not have.
-Steps that a method refuses, because its rounding would show, are not run.
+Map: steps are multiples of ``Simulator.stable_time_step``; for ``implicit``, which has no limit, of Newmark's. A stable
+step is wrong if the bounces of one mass off a contact spring gain or lose more than 5 % of critical damping (not for
+superelements). Steps below a method's ``least_step`` are not run.
 
-One mass on an elastic element or on a wall's contact spring: inside each the step is linear, so one step from unit
-vectors gives the amplification matrix that theory speaks of. In between, bounces off two walls show what the switching
-of contact does: the study's contact flag is that of the step before.
+One mass on an elastic element or on a contact spring: the step is linear, so steps from unit vectors give the
+amplification matrix. Bounces between two walls show the effect of the contact flag, which is that of the step before.
 
-Passive chains: their energy after 100,000 steps.
+Passive chains: energy after 100,000 steps.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.state import State, at_rest
 
 ROWS = ("stiffness_n_per_m", "length_m", "friction")
-VERDICTS = {"stable": "#1f5fa8", "wrong": "#f5b041", "unstable": "#c0392b"}
+COLOURS = {"stable": "#1f5fa8", "wrong": "#f5b041", "unstable": "#c0392b"}
 Cell = tuple[str, float, float, float, float]
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
 LENGTHS = (10.0, 50.0)  # [m]
@@ -73,28 +71,27 @@ ROOM, FLOAT_RADIUS = 5.2e-3, 9.5e-3  # [m] of a float between the walls, and its
 OMEGA: Final = math.sqrt(STIFFNESS / (0.111 * 0.025))
 CHOSEN: Final = {"implicit": (2.5e-5, 1e-3), "explicit": (5e-6, 5.6e-6)}
 ENERGY_STEPS: Final = {name: CHOSEN.get(name, (method.usual_step, 1.8 / OMEGA)) for name, method in ON_NODES.items()}
-"""Steps [s]: the usual one and the named limit, but for ``CHOSEN``: ``implicit`` has no limit, and that of ``explicit``
-is rounded down."""
+"""Steps [s]: the usual step and the limit, except for ``CHOSEN`` (``implicit`` has no limit)."""
 DAMPING: Final = (0.0, 5e-5)  # [s]
 
 
 def run(request: Request) -> pd.DataFrame:
-    """Run the map, one mass and passive chains; writes map.csv, steps.csv, one_mass.csv, energy.csv and map.png."""
-    request.without("tube", "limit", "trials")
+    """Run map, one mass and passive chains; writes map.csv, steps.csv, one_mass.csv, energy.csv and map.png."""
+    request.reject("tube", "limit", "trials")
     output, table = request.output, run_map(cells(), request.workers.jobs)
     steps = by_step(table)
     tables = {"map": table, "steps": steps, "one_mass": run_one_mass(), "energy": run_energy()}
     for name, part in tables.items():
         write_atomically(output / f"{name}.csv", part.to_csv(index=False, float_format="%.5g"))
     write_manifest(output, [f"{name}.csv" for name in tables])
-    draw_map(verdicts(table), output / "map.png")
-    print_frame("Shares of the cells of a step (ratio to the named limit)", steps)
+    draw_map(classify(table), output / "map.png")
+    print_frame("Shares of the cells of a step (ratio to the stability limit)", steps)
     print(f"written: {output}/ ({', '.join(tables)} as .csv, map.png)")
     return table
 
 
 def cells() -> list[Cell]:
-    """Method, contact stiffness [N/m], length [m], friction and step over the named limit, of all runs."""
+    """Method, contact stiffness [N/m], length [m], friction and step over the stability limit of all runs."""
     every = product(METHODS, STIFFNESSES, LENGTHS, FRICTIONS, RATIOS)
     return [cell for cell in every if _scene_and_step(*cell)[1] >= METHODS[cell[0]].least_step]
 
@@ -103,16 +100,16 @@ def _scene_and_step(method: str, stiffness: float, length: float, friction: floa
     contact = {"stiffness": stiffness, "friction": friction}
     scene = Scene.model_validate({"carrier_length": length, "contact": contact})
     step = METHODS[method].stable_step(scene, 4)
-    named = step if 0.0 < step < np.inf else METHODS["newmark"].stable_step(scene, 4)
-    return scene, ratio * named
+    limit = step if 0.0 < step < np.inf else METHODS["newmark"].stable_step(scene, 4)
+    return scene, ratio * limit
 
 
 def run_cell(method: str, stiffness: float, length: float, friction: float, ratio: float) -> dict[str, Any]:
-    """One run from rest: the step, omega dt of a float on its contact spring, and when it diverged (NaN: stable)."""
+    """One run from rest: step, omega dt of a float on its contact spring, time of divergence (NaN: stable)."""
     scene, time_step = _scene_and_step(method, stiffness, length, friction, ratio)
     steps = int(np.ceil(DURATION.get(method, 0.5) / time_step))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are the point
+        warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are tested on purpose
         simulator = Simulator(scene, method, time_step)
     diverged = float("nan")
     try:
@@ -125,7 +122,7 @@ def run_cell(method: str, stiffness: float, length: float, friction: float, rati
 
 
 def run_map(runs: list[Cell], jobs: int) -> pd.DataFrame:
-    """A row a cell, as ``run_cell`` gives it, with bounce_damping of one mass (NaN: superelement, or diverged)."""
+    """One row of ``run_cell`` per cell, with bounce_damping of one mass (NaN: superelement, or diverged)."""
     work = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(delayed(run_cell)(*cell) for cell in runs)
     table = pd.DataFrame(tqdm(work, total=len(runs), desc="stability", unit="run"))
     table["bounce_damping"] = [_bounce_damping(*row) for row in table[["method", "omega_dt"]].itertuples(index=False)]
@@ -137,47 +134,47 @@ def _bounce_damping(method: str, omega_dt: float) -> float:
     return bounce(method, omega_dt)[1] if method in ON_NODES else float("nan")
 
 
-def verdicts(table: pd.DataFrame) -> pd.DataFrame:
-    """With a column ``verdict``: unstable, wrong (stable, but the contact's damping is off by 5 %) or stable."""
+def classify(table: pd.DataFrame) -> pd.DataFrame:
+    """Add the column ``verdict``: unstable, wrong (stable, contact damping off by 5 %) or stable."""
     wrong = ~(table["bounce_damping"].abs() <= WRONG) & table["method"].isin(list(ON_NODES))
     verdict = np.where(table["diverged_at_s"].notna(), "unstable", np.where(wrong, "wrong", "stable"))
     return table.assign(verdict=verdict)
 
 
 def by_step(table: pd.DataFrame) -> pd.DataFrame:
-    """Shares of the cells of a method and step that were stable, and that were stable but wrong.
+    """Shares of the cells of a method and step that were stable, and stable but wrong.
 
-    Columns method, ratio (step over the named limit), cells, stable, wrong.
+    Columns method, ratio (step over the stability limit), cells, stable, wrong.
     """
-    marked = verdicts(table)
+    marked = classify(table)
     marked = marked.assign(stable=marked["verdict"] != "unstable", wrong=marked["verdict"] == "wrong")
     groups = marked.groupby(["method", "ratio"], sort=False)
     return groups.agg(cells=("stable", "size"), stable=("stable", "mean"), wrong=("wrong", "mean")).reset_index()
 
 
 def draw_map(table: pd.DataFrame, path: Path) -> None:
-    """Verdicts over step, a panel a method, a row a stiffness, length and friction."""
-    methods, codes = list(dict.fromkeys(table["method"])), table["verdict"].map(list(VERDICTS).index)
+    """Verdicts over step: one panel per method, one row per stiffness, length and friction."""
+    methods, codes = list(dict.fromkeys(table["method"])), table["verdict"].map(list(COLOURS).index)
     figure, axes = plt.subplots(1, len(methods), figsize=(14, 6), sharey=True, layout="constrained", squeeze=False)
-    look: dict[str, Any] = {"cmap": ListedColormap(list(VERDICTS.values())), "vmin": 0, "vmax": 2}
+    look: dict[str, Any] = {"cmap": ListedColormap(list(COLOURS.values())), "vmin": 0, "vmax": 2}
     for axis, method in zip(axes[0], methods, strict=True):
         grid = table.assign(code=codes)[table["method"] == method].pivot_table("code", list(ROWS), "ratio")
         axis.imshow(grid.to_numpy(), aspect="auto", origin="lower", **look)
         axis.set_xticks(range(grid.shape[1]), [f"{ratio:g}" for ratio in grid.columns], fontsize=8, rotation=90)
         labels = [f"{k:.0e} N/m, {length:.0f} m, friction {mu:g}" for k, length, mu in grid.index]
         axis.set_yticks(range(grid.shape[0]), labels, fontsize=8)
-        axis.set(xlabel="step / named limit", title=method)
-    marks = [Patch(color=colour) for colour in VERDICTS.values()]
+        axis.set(xlabel="step / stability limit", title=method)
+    marks = [Patch(color=colour) for colour in COLOURS.values()]
     labels = ["stable", "stable, but bounces are off by 5 % of critical damping or more", "diverged"]
     if len(table) < len(methods) * len(table.drop_duplicates([*ROWS, "ratio"])):
         marks.append(Patch(facecolor="white", edgecolor=GREY))
-        labels.append("refused: its rounding would show")
+        labels.append("not run: below the least step")
     figure.legend(marks, labels, loc="outside lower center", ncols=len(marks), frameon=False)
     save(figure, path, dpi=90)
 
 
 def one_mass(spring: str, stiffness: float = STIFFNESS, gap: float = math.inf) -> tuple[Chain, int]:
-    """A chain of one node on a spring, and the component that it moves in."""
+    """A chain of one node on a spring, and the component of its motion."""
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
     if spring == "elastic":
         free["axial_compliance"] = 1.0 / stiffness
@@ -196,17 +193,17 @@ def _step(method: str, chain: Chain, time_step: float, start: FloatArray, compon
 
 
 def amplification(method: str, spring: str, omega_dt: float) -> tuple[float, float, float]:
-    """Spectral radius, damping ratio and relative change of the period of one mode, undamped in truth.
+    """Spectral radius, damping ratio and relative period error of one undamped mode.
 
-    The largest complex pair of the matrix counts; damping is -log|z| / arg z, NaN if no eigenvalue oscillates.
+    Values of the largest complex pair z of the matrix; damping is -log|z| / arg z, NaN if no eigenvalue oscillates.
     """
     chain, component = one_mass(spring)
     omega = math.sqrt(STIFFNESS / chain.mass)
     time_step = omega_dt / omega
-    # acceleration is part of the state of those that solve for it
+    # acceleration is part of the state of Newmark methods
     size = 3 if isinstance(METHODS[method], Newmark) else 2
     scale = np.array([1.0, omega, omega**2])
-    base = np.array([-DEEP, 0.0, 0.0])  # so deep in the contact spring that a step does not leave it
+    base = np.array([-DEEP, 0.0, 0.0])  # deep enough that a step stays in the contact spring
     rest = _step(method, chain, time_step, base * scale, component)
     steps = [_step(method, chain, time_step, (base + SMALL * unit) * scale, component) for unit in np.eye(3)[:size]]
     values = np.linalg.eigvals(np.array([(step - rest) / SMALL / scale for step in steps]).T[:size])
@@ -220,9 +217,9 @@ def amplification(method: str, spring: str, omega_dt: float) -> tuple[float, flo
 
 
 def bounce(method: str, omega_dt: float) -> tuple[float, float]:
-    """Mean restitution, speed after over before, of many bounces between two walls, and its damping ratio.
+    """Mean restitution (speed after / before) of many bounces between two walls, and its damping ratio.
 
-    A linear spring of damping ratio zeta returns exp(-pi zeta); a gain is negative damping. NaN where it diverged.
+    A linear spring of damping ratio zeta has restitution exp(-pi zeta); a gain is negative damping. NaN: diverged.
     """
     chain, component = one_mass("contact", gap=GAP)
     omega = math.sqrt(STIFFNESS / chain.mass)
@@ -235,7 +232,7 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     y = run.samples[:, component]
     if not run.held:
         return float("nan"), float("nan")
-    # speeds of free flights: steps whose both ends are between the walls
+    # speeds of free flights: steps that start and end between the walls
     inside = (y > 0.0) & (y < GAP)
     flying = inside[1:] & inside[:-1]
     speed = np.diff(y) / time_step
@@ -261,7 +258,7 @@ def run_one_mass() -> pd.DataFrame:
 
 
 def run_energy() -> pd.DataFrame:
-    """Energy after 100,000 steps over that at the start, of a frictionless chain thrown about with and without walls.
+    """Energy after 100,000 steps over initial energy, of a frictionless chain with and without walls.
 
     Columns method, time_step_s, damping_time_s, walls, ratio (infinite where it diverged).
     """

@@ -1,4 +1,4 @@
-"""The user's terminal: arguments, names and passwords enter, lines and tables leave.
+"""Terminal: fidelity arguments, names, tables, errors and progress messages.
 
-Imports nothing of the other rooms.
+Imports no other part of ``agents``.
 """

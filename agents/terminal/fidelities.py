@@ -1,4 +1,4 @@
-"""A fidelity as a command takes it: a name, or the settings that an error advises."""
+"""Parses the option --fidelity: a name or settings."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from probe_env.fidelity import Fidelity
 from probe_env.settings import explain
 
 
-def fidelity_given(text: str, field: str = "fidelity") -> str | Fidelity:
-    """The settings in braces, as errors write them; anything else is a name.
+def parse_fidelity(text: str, field: str = "fidelity") -> str | Fidelity:
+    """Settings in braces as a ``Fidelity``; any other text is a name.
 
     Args:
-        text: as on the command line.
-        field: whose value it is, for the error.
+        text: value of the option.
+        field: name of the option, for the error.
 
     Raises:
-        ValueError: not settings, or not valid ones.
+        ValueError: invalid settings.
     """
     if not text.lstrip().startswith("{"):
         return text

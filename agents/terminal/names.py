@@ -1,7 +1,7 @@
-"""Names of policies and designs: what may stand in tables, in spreadsheets, on the terminal and in reports.
+"""Names of policies and designs in tables, spreadsheets, reports and on the terminal.
 
-A name is one to ``LONGEST`` printable characters, and does not begin as a formula does: a spreadsheet would run it.
-Names that look like numbers or like nothing (``1e5``, ``NA``) are fine: tables are read with names as text.
+A name has one to ``LONGEST`` printable characters and does not start like a formula, which a spreadsheet would execute.
+Names such as ``1e5`` or ``NA`` are valid: tables are read with names as text.
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ from typing import Final
 
 LONGEST: Final = 80
 FORMULA: Final = "=+-@"
-"""What a spreadsheet takes for the beginning of a formula."""
+"""First characters of a formula in a spreadsheet."""
 
 
 def name_problem(name: str) -> str:
-    """What is wrong with a name, in words; empty if nothing."""
+    """Error text of a name; empty if it is valid."""
     if not name.strip() or len(name) > LONGEST:
         return f"is not a name of 1 to {LONGEST} characters"
     if not name.isprintable() or name != name.strip():
-        return "is not a name: it has characters that cannot be seen"
+        return "is not a name: it has invisible characters"
     if name[0] in FORMULA:
-        return f"is not a name: spreadsheets take for a formula what begins with one of {' '.join(FORMULA)}"
+        return f"is not a name: {name[0]} starts a formula in spreadsheets"
     return ""
 
 
 def checked_name(name: str, what: str, hint: str = "") -> str:
-    """The name itself.
+    """Check a name; returns it.
 
     Args:
-        name: of a policy or a design.
-        what: it is the name of, for the error.
-        hint: what to do about it, for the error.
+        name: name of a policy or a design.
+        what: kind of object, for the error.
+        hint: advice, for the error.
 
     Raises:
-        ValueError: it may not be one.
+        ValueError: the name is not valid.
     """
     problem = name_problem(name)
     if problem:
@@ -43,5 +43,5 @@ def checked_name(name: str, what: str, hint: str = "") -> str:
 
 
 def name_of(path: Path) -> str:
-    """The name that a file gives to what it holds: its own without the ending, and without what begins a formula."""
+    """Name from a file name: without its ending and without first characters of a formula."""
     return path.stem.lstrip(FORMULA)

@@ -1,4 +1,4 @@
-"""What a command says of itself while it runs, above its progress bars."""
+"""Message about compilation, printed above the progress bars."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from tqdm import tqdm
 
 
 class _Once(event.Listener):
-    """Says that kernels are compiled, at the first one that is not in numba's cache."""
+    """Prints a message at the first kernel that is not in numba's cache."""
 
-    said = False
+    announced = False
 
     def on_start(self, event: Any) -> None:
-        if not self.said:
-            self.said = True
-            tqdm.write("compiling kernels, which are kept for later runs", file=sys.stderr)
+        if not self.announced:
+            self.announced = True
+            tqdm.write("compiling kernels; later runs use the cache", file=sys.stderr)
 
     def on_end(self, event: Any) -> None:
         pass
 
 
 @contextmanager
-def said_when_compiling() -> Iterator[None]:
-    """Say so when a kernel has to be compiled while it is entered: that takes seconds to a minute."""
+def announce_compilation() -> Iterator[None]:
+    """Context that prints a message when a kernel is compiled, which takes seconds to a minute."""
     with event.install_listener("numba:compile", _Once()):
         yield

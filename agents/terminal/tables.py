@@ -1,4 +1,4 @@
-"""Tables on the terminal, never wider than it: what does not fit side by side stands below, its names repeated."""
+"""Tables that fit the terminal: columns without room continue in a table below, with the names repeated."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from rich.markup import escape
 from rich.table import Table
 
 FRAME: Final = 3
-"""Characters that a column takes besides its text."""
+"""Characters of a column in addition to its text."""
 WIDEST_TEXT: Final = 100
-"""Characters of a line of prose: longer ones are hard to read on any terminal."""
+"""Maximum characters of a line of text."""
 
 
 def print_table(
     title: str, header: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1, lines: bool = False
 ) -> None:
-    """Print a table; texts are shown as they are, also "[s]", which rich would take for markup.
+    """Print a table; texts are printed literally, also "[s]", which rich would read as markup.
 
     Args:
-        title: above it.
-        header: one text a column.
-        rows: of texts.
-        left: how many of the first columns are text: it stands to the left, is folded where there is no room, and is
-            repeated where the other columns, numbers to the right, do not all fit beside it.
-        lines: between the rows.
+        title: title above the table.
+        header: one text per column.
+        rows: texts of the cells.
+        left: number of first columns with text, aligned left, folded and repeated where there is no room; the other
+            columns are numbers, aligned right.
+        lines: whether to draw lines between the rows.
     """
     console, cells = Console(), [list(row) for row in rows]
     for number, part in enumerate(parts_of(header, cells, left, console.width)):
@@ -44,27 +44,27 @@ def print_table(
 def parts_of(
     header: Sequence[str], cells: Sequence[Sequence[str]], left: int, width: int
 ) -> list[dict[int, int | None]]:
-    """Tables that a table of texts is cut into so that its numbers fit a width unbroken.
+    """Split a table into tables whose numbers fit the terminal without folding.
 
     Args:
-        header: one text a column.
+        header: one text per column.
         cells: rows of texts.
-        left: how many of the first columns are text.
-        width: of the terminal [characters].
+        left: number of first columns with text.
+        width: width of the terminal [characters].
 
     Returns:
-        for each of them its columns and their widths [characters]; None: as wide as there is room for.
+        for each table its columns and their widths [characters]; None: no limit.
     """
     widest = [max((cell_len(row[k]) for row in cells), default=0) for k in range(len(header))]
     natural = [max(cell_len(name), widest[k]) for k, name in enumerate(header)]
     if left == len(header) or sum(natural) + FRAME * len(header) < width:
         return [dict.fromkeys(range(len(header)))]
-    beside = {k: min(natural[k], width // 3) for k in range(left)}
+    text_columns = {k: min(natural[k], width // 3) for k in range(left)}
     parts: list[dict[int, int]] = []
     for k in range(left, len(header)):
         least = max(widest[k], *map(cell_len, header[k].split() or [""]))  # a header is folded
         if not parts or sum(parts[-1].values()) + least + FRAME * (len(parts[-1]) + 1) >= width:
-            parts.append(dict(beside))
+            parts.append(dict(text_columns))
         parts[-1][k] = least
     for part in parts:
         for k in part:  # headers unfolded where there is room
@@ -74,7 +74,7 @@ def parts_of(
 
 
 def print_terms(terms: Mapping[str, str], indent: int = 2) -> None:
-    """Terms and what is said of each, in lines that fit the terminal."""
+    """Print terms with descriptions, in lines that fit the terminal."""
     width = max(map(len, terms), default=0) + indent + 2
     for term, text in terms.items():
         first = f"{'':{indent}}{term}".ljust(width)

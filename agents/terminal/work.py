@@ -1,7 +1,6 @@
-"""What a command has to do and what of it is stored: said beforehand, and when it is interrupted.
+"""Progress of a command: the remaining work, and what is stored after an interrupt.
 
-Long work is announced once, with a way to count what is stored of it; files that are written one by one are noted as
-they are. An interrupt asks for the account of both. Standard library only: interrupts are heard before packages load.
+Standard library only: an interrupt can come before packages are loaded.
 """
 
 from __future__ import annotations
@@ -18,69 +17,69 @@ class Work:
     """Equal units of work that are stored one by one.
 
     Attributes:
-        unit: what one is called, in the singular.
-        total: how many there are, stored ones included.
-        stored: counts those that are stored.
-        place: where.
-        go_on: what brings the rest.
+        unit: name of a unit, singular.
+        total: number of units, including stored ones.
+        stored: function for the number of stored units.
+        folder: where they are stored.
+        advice: how to continue.
     """
 
     unit: str
     total: int
     stored: Callable[[], int]
-    place: Path | str
-    go_on: str = "the same command goes on"
+    folder: Path | str
+    advice: str = "the same command continues"
 
-    def ahead(self) -> str:
-        """What is to be done, in words; empty if nothing."""
+    def remaining_text(self) -> str:
+        """Number of units to do; empty if none."""
         left = self.total - self.stored()
         share = _count(left, self.unit) if left == self.total else f"{left} of {_count(self.total, self.unit)}"
-        return f"{share} to do, stored in {self.place} one by one" if left > 0 else ""
+        return f"{share} to do, stored in {self.folder} one by one" if left > 0 else ""
 
-    def account(self) -> str:
-        """What is stored, in words."""
+    def stored_text(self) -> str:
+        """Number of stored units, and how to continue."""
         stored = self.stored()
         verb = "is" if stored == 1 else "are"
-        return f"{stored} of {_count(self.total, self.unit)} {verb} stored in {self.place}; {self.go_on}"
+        return f"{stored} of {_count(self.total, self.unit)} {verb} stored in {self.folder}; {self.advice}"
 
 
 _current: list[Work] = []
 _files: list[Path] = []
 
 
-def forget() -> None:
-    """A new command begins: nothing is stored yet."""
+def reset() -> None:
+    """Start a new command: nothing is stored yet."""
     _current.clear()
     _files.clear()
 
 
 def announce(work: Work, quiet: bool = False) -> None:
-    """Say what is to be done, on the package's log; an interrupt tells what is stored of it from now on."""
+    """Log the remaining work; from now on an interrupt reports what is stored of it."""
     _current[:] = [work]
-    ahead = "" if quiet else work.ahead()
-    if ahead:
+    text = "" if quiet else work.remaining_text()
+    if text:
         import logging
 
-        logging.getLogger("probe_env").info(ahead)
+        logging.getLogger("probe_env").info(text)
 
 
 def note_file(path: Path) -> None:
-    """A file was written as a whole."""
+    """Record that a file was written."""
     if path not in _files:
         _files.append(path)
 
 
-def account() -> str:
-    """What the command has stored until now, in words."""
+def stored_text() -> str:
+    """What the command has stored so far."""
     if _current:
-        return _current[0].account()
+        return _current[0].stored_text()
     files = [path for path in _files if path.exists()]
     if not files:
         return "nothing was stored"
     folders = list(dict.fromkeys(path.parent for path in files))
     names = [path.name for path in files[:FILES_NAMED]] + ["..."] * (len(files) > FILES_NAMED)
     verb = "is" if len(files) == 1 else "are"
-    return f"{', '.join(names)} {verb} stored in {', '.join(map(str, folders))}, and nothing else"
+    return f"{', '.join(names)} {verb} stored in {', '.join(map(str, folders))}; nothing else is"
 
 
 def _count(number: int, unit: str) -> str:

@@ -25,7 +25,7 @@ from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_manifest
-from agents.records.models import Stored, valid
+from agents.records.models import Stored, validate
 from agents.records.searches import JOURNAL, open_study
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
@@ -109,7 +109,7 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
     output.mkdir(parents=True, exist_ok=True)
     study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.axes), made_by()
     if "search" in study.user_attrs:
-        before, now = valid(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
+        before, now = validate(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
         different = ", ".join(name for name in now if before[name] != now[name])
         if different:
             raise FileError(output, f"holds a search with other settings ({different}): choose another folder")

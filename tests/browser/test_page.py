@@ -175,8 +175,8 @@ INVALID = [
     ("helix diameter [m]", "0.1", "helix_diameter = 0.1 m is outside the accepted range 0.3 to 50 m"),
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
-    ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
-    ("save as", "mine.txt", "mine.txt: a tube file must end with .toml"),
+    ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - shipped tubes: example"),
+    ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
 ]
 
 

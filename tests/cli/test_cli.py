@@ -28,7 +28,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
     assert main(["simulate", SCENE, *options, "--scene.contact.friction", "0.2"]) == 0
     printed = capsys.readouterr().out
     assert "radial rms" in printed
-    assert "known to hold up to 0.0003 s" in printed
+    assert "stable: up to 0.0003 s" in printed
     scene = Scene.from_toml(output / "scene.toml")
     assert (scene.contact.friction, scene.carrier_length) == (0.2, 10.0)  # override and file both count
     results = json.loads((output / "results.json").read_text())
@@ -64,10 +64,10 @@ def test_simulate_runs_every_method_with_its_usual_step(tmp_path, capsys, monkey
 STRIP = ["render", "--view", "strip"]
 REFUSED = [
     (["simulate", "nowhere.toml"], "no such file: nowhere.toml"),
-    (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a scene file, which is TOML"),
+    (["simulate", str(ROOT / "configs" / "schedules" / "example.csv")], "is not a TOML file (.toml)"),
     (["simulate", SCENE, "--duration", "1", "--statistics-from", "2"], "statistics_from = 2.0"),
     (["simulate", SCENE, "--duration", "-1"], "duration = -1.0 s is outside the accepted range 0.001 to 100000 s"),
-    (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - scenes that ship"),
+    (["simulate", str(ROOT / "configs")], f"{ROOT / 'configs'}: a folder, not a file - shipped scenes"),
     (["simulate", SCENE, "--time-step", "0.001"], "diverged at t = "),
     (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
     (
@@ -77,11 +77,11 @@ REFUSED = [
     (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
     (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),
     (["render", "--every", "0"], "every = 0"),
-    (["render", "--at", "45"], "at = 45.0 m is of the strip: add --view strip"),
-    ([*STRIP, "--at", "60"], "at = 60.0 m is outside the accepted range 5 m, where it starts, to less than 60 m"),
+    (["render", "--at", "45"], "at = 45.0 m needs --view strip"),
+    ([*STRIP, "--at", "60"], "at = 60.0 m is outside the accepted range 5 m (the start) to less than 60 m"),
     ([*STRIP, "--at", "46", "--tube", "example"], "to less than 45 m"),
     ([*STRIP, "--at", "nan"], "at = nan m"),
-    ([*STRIP, "--at", "30", "--env-id", "probe_env/Snapshot-v1"], "at = 30.0 m needs a probe that is fed in"),
+    ([*STRIP, "--at", "30", "--env-id", "probe_env/Snapshot-v1"], "at = 30.0 m needs a growing insertion"),
     ([*STRIP, "--length", "2"], "length = 2.0 m is outside the accepted range 2.5 to 1000 m"),
     ([*STRIP, "--duration", "2.5"], "duration = 2.5 s is outside the accepted range 0.005 to 2 s"),
     ([*STRIP, "--duration", "0.1005"], "duration = 0.1005 s is not a whole number"),
@@ -174,4 +174,4 @@ def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypa
     tubes = ("snr", str(TUBE), "configs/design/../tubes/snr.toml", str(tmp_path / "mine.toml"))
     targets = [target_of(Request(Path("output"), tube=Path(tube))) for tube in tubes]
     assert targets == [Path("output/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
-    assert capsys.readouterr().err.count("its map stays: the new one is output/vibration-map.npz") == 3
+    assert capsys.readouterr().err.count("is shipped with its map; the new map is output/vibration-map.npz") == 3

@@ -44,7 +44,7 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, 
     arguments = ["evaluate", "constant", "pi", "--limit", "3", "--jobs", str(jobs), "--output", str(output)]
     hook_sync("episodes.jsonl", 4, signalling(number), monkeypatch)
     assert main(arguments) == STATUS[number]
-    expected = f"probe-env: interrupted: 4 of 6 episodes are stored in {output}; the same command goes on"
+    expected = f"probe-env: interrupted: 4 of 6 episodes are stored in {output}; the same command continues"
     assert last_line(capsys) == expected
     assert len((output / "episodes.jsonl").read_bytes().splitlines()) == 4
     assert [signal.getsignal(n) for n in STATUS] == handlers
@@ -67,7 +67,7 @@ def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_
     assert not (tmp_path / "run").exists()
     hook_replace("signals.npz", 1, signalling(signal.SIGTERM), monkeypatch)
     assert main(["simulate", SCENE, *BRIEF, str(tmp_path / "run")]) == 143
-    expected = f"scene.toml, results.json are stored in {tmp_path / 'run'}, and nothing else"
+    expected = f"scene.toml, results.json are stored in {tmp_path / 'run'}; nothing else is"
     assert last_line(capsys) == f"probe-env: interrupted: {expected}"
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["results.json", "scene.toml"]
 

@@ -7,7 +7,7 @@ import pytest
 from agents.cli import main
 from agents.cli.parsing import positional
 from agents.cli.registry import COMMANDS, GROUPS, first_page
-from agents.terminal.fidelities import fidelity_given
+from agents.terminal.fidelities import parse_fidelity
 from probe_env import Fidelity
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.methods import METHODS
@@ -20,7 +20,9 @@ def test_the_first_page_has_every_command_once(capsys):
     assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
     assert max(map(len, first_page().splitlines())) <= 80
     assert main(["simulat"]) == 2
-    assert "command = 'simulat' is not one of simulate, evaluate" in capsys.readouterr().err
+    assert "no command 'simulat': did you mean simulate?" in capsys.readouterr().err
+    assert main(["zzz"]) == 2
+    assert "no command 'zzz': the commands are simulate, evaluate" in capsys.readouterr().err
 
 
 def test_every_help_has_an_example_and_units(capsys, monkeypatch):
@@ -50,10 +52,10 @@ def test_what_is_not_understood_is_one_line(capsys, monkeypatch):
     for arguments, message in (
         ("evaluate --limi 3", "Unrecognized options: --limi, 3; Perhaps you meant: --limit INT"),
         ("evaluate --zzzz", "Unrecognized options: --zzzz"),
-        ("evaluate --limit x", "Error parsing --limit: invalid literal for int() with base 10: 'x'"),
+        ("evaluate --limit x", "Error parsing --limit: 'x' is not a whole number"),
         ("evaluate pi --limit", "Missing value for argument '--limit'. Expected 1 values."),
         ("evaluate --contexts tset", "invalid choice 'tset' for argument '--contexts'. Expected one of ('train', "),
-        ("simulate", "Missing from probe-env simulate: PATH Scene file (TOML)"),
+        ("simulate", "Missing from probe-env simulate: SCENE Scene file (TOML)"),
         ("simulate fig11_l10 fig11_l20", "Unrecognized options: fig11_l20"),
         ("simulate fig11_l10 --scene.air.drag 1", "Perhaps you meant: --scene.air.drag-coefficient"),
         (
@@ -84,9 +86,9 @@ def test_the_scene_is_found_among_the_options():
 
 def test_a_fidelity_is_a_name_or_settings():
     settings = Fidelity(method="superelement32", time_step=1e-4, time_lapse=4.0)
-    assert fidelity_given("fast") == "fast"
-    assert resolve_fidelity(fidelity_given(str(settings.model_dump()))) == settings
-    assert fidelity_given(" {'method': 'imex'}") == Fidelity(method="imex")
+    assert parse_fidelity("fast") == "fast"
+    assert resolve_fidelity(parse_fidelity(str(settings.model_dump()))) == settings
+    assert parse_fidelity(" {'method': 'imex'}") == Fidelity(method="imex")
     for text, message in (
         ("{'method'", "fidelity = \"{'method'\" is neither a name nor settings"),
         ("{'method': open('x')}", "is neither a name nor settings"),
@@ -94,4 +96,4 @@ def test_a_fidelity_is_a_name_or_settings():
         ("{'method': 'euler'}", "fidelity.method"),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
-            fidelity_given(text)
+            parse_fidelity(text)

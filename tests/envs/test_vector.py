@@ -55,14 +55,14 @@ class Broken(ProbeVecEnv):
 
     def step_wait(self):
         observation, reward, done, infos = super().step_wait()
-        if self.fault == "written to later":  # one buffer for all observations
+        if self.fault == "modified later":  # one buffer for all observations
             self.buffer = observation if self.buffer is None else self.buffer
             self.buffer[:] = observation
             observation = self.buffer
         if self.fault == "terminated of step":
             for info in infos:
                 info["TimeLimit.truncated"] = False
-        if self.fault == "last observation of":
+        if self.fault == "final observation of":
             for k in np.flatnonzero(done):
                 infos[k]["terminal_observation"] = observation[k]
         return observation, reward + 1e-3 * (self.fault == "reward of step" and self.num_envs > 1), done, infos
@@ -76,7 +76,7 @@ class Broken(ProbeVecEnv):
 
 def test_broken_batches_are_found():
     env_id = "probe_env/Snapshot-v1"
-    faults = "written to later", "terminated of step", "last observation of", "first observation", "reward of step"
+    faults = "modified later", "terminated of step", "final observation of", "first observation", "reward of step"
     for fault in faults:
         with pytest.raises(AssertionError, match=fault):
             check_vector_env(lambda n, fault=fault: Broken(fault, env_id, n, **CASES[env_id]), single(env_id))

@@ -14,7 +14,7 @@ from plans import CONFIG, make_plan
 
 from agents.evaluation import evaluate
 from agents.evaluation.folder import episodes_of
-from agents.evaluation.kpis import CARRIED
+from agents.evaluation.kpis import PROFILE_COLUMNS
 from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.cases import case_of
@@ -62,7 +62,7 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
     runner, lengths, rows = RolloutRunner(plan, deque(plan.units()), 1, 1), [], []
     while not runner.over:
         if list(runner.step()):
-            rows = [row[CARRIED.index("inserted_length")] for row in runner.profile[0]]
+            rows = [row[PROFILE_COLUMNS.index("inserted_length")] for row in runner.profile[0]]
         lengths.append(runner.last.infos[0]["inserted_length"])
     assert rows == lengths[: int(np.argmax(lengths)) + 1]
     assert rows[-1] == pytest.approx(8.0, abs=0.05)
@@ -131,16 +131,16 @@ def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monke
         (make_plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), "time_limit"),
         (make_plan(probes="random"), "probes"),
     ):
-        with pytest.raises(ValueError, match=rf"evaluation holds episodes of another setting \({name} differ\)"):
+        with pytest.raises(ValueError, match=rf"evaluation has episodes with other settings \({name} differ\)"):
             run_plan(plan, stored, progress=False)
     for name, value in (("commit", "0123456789ab+changes"), ("version", "9.9")):
         with monkeypatch.context() as patch:
             patch.setattr(f"agents.evaluation.plan.{name}", lambda *_, value=value: value)
-            with pytest.raises(ValueError, match=rf"another setting \({name} differ; {name} .*, now {value[:3]}"):
+            with pytest.raises(ValueError, match=rf"other settings \({name} differ; {name} .*, now {value[:3]}"):
                 run_plan(make_plan(), stored, progress=False)
     assert {path: path.read_bytes() for path in stored.iterdir()} == before
     (stored / "setting.json").unlink()
-    with pytest.raises(ValueError, match=r"setting\.json: missing beside episodes\.jsonl"):
+    with pytest.raises(ValueError, match=r"setting\.json: missing next to episodes\.jsonl"):
         run_plan(make_plan(), stored, progress=False)
 
 

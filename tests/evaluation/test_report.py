@@ -19,7 +19,7 @@ from agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
 from agents.evaluation.kpis import CORE, KPIS
 from agents.evaluation.plan import COLUMNS, run_plan
 from agents.evaluation.profiles import downloads
-from agents.evaluation.report import informed, limit_of, verdict, write_report
+from agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
 from agents.evaluation.run import evaluate_plan
 from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
@@ -48,11 +48,11 @@ TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0
 
 
 def headline(table, policy, oracles=(), limit="0.1 mm"):
-    return verdict(table, policy, oracles, limit).headline
+    return compare_with_best(table, policy, oracles, limit).headline
 
 
 def test_the_verdict_gives_the_differences_to_the_best():
-    one = verdict(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
+    one = compare_with_best(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
     assert one.headline == "worse than the best here, best: reward -8, time +61 s, length within 0.1 mm -5 %."
     assert "361 s against 300 s; 85 % of the length within 0.1 mm against 90 %" in one.detail
     best = headline(table_of(TIMES, SHARES, REWARDS), "best")
@@ -73,8 +73,8 @@ def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
     assert headline(table, "mine").endswith("; it did not complete 2 of 20 insertions.")
     assert "; mine did not complete 2 of 20" in headline(table, "best")
-    for tubes, words in ((1, "1 tube, which says nothing about scatter"), (4, "4 tubes, too few for exact intervals")):
-        one = verdict(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
+    for tubes, words in ((1, "1 tube, without an interval"), (4, "4 tubes, too few for exact intervals")):
+        one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
         assert f"over {words}" in one.detail
         assert ("[" in one.headline) == ("95 %" in one.detail) == (tubes > 1)
     for task, words in (
@@ -230,7 +230,7 @@ def test_schedules_of_both_ways_have_their_way_back(tmp_path):
     }
     described = {name: policy.describe() for name, policy in played.items()}
     described |= {"agent": {"policy": "Agent"}, "shielded-mine": {"policy": "Shielded", "of": {"policy": "Privileged"}}}
-    episode = {"context": 0, "seed": 0, "agent": 0}
+    episode = {"context": 0, "seed": 0, "training_seed": 0}
     rows = [dict.fromkeys(CORE, 1.0) | episode | {"policy": name, "reward": -k} for k, name in enumerate(described)]
     fed = episode | {"feed_speed": 0.2, "air_supply_rate": 0.02}
     profile = [fed | {"policy": name, "inserted_length": metre} for name in described for metre in (10.0, 11.0)]
@@ -252,7 +252,7 @@ def test_oracles_are_no_rivals():
     for passes in ("in", "both"):
         policies = named_policies(names, TaskConfig(passes=passes, privileged=True))
         record = SimpleNamespace(policies={name: policy.describe() for name, policy in policies.items()})
-        assert informed(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
+        assert oracle_policies(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
 
 
 def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(tmp_path, capsys):
@@ -291,13 +291,13 @@ def test_the_page_names_passes_and_strained_cables(stored):
     table["cost_tension"] = np.where((table["policy"] == "feed 1") & (table["context"] > 0), 3.0, 0.0)
     table.to_parquet(stored / "episodes.parquet")
     page = write_report(stored).read_text()
-    assert "<li>feed 1: the root over the tension limit in 4 of 6 episodes, for 3 control periods at most</li>" in page
+    assert "<li>feed 1: the root was over the tension limit in 4 of 6 episodes, for 3 control periods at most<" in page
     assert "feed 0: the root" not in page
     assert "<dt>passes</dt>" not in page
     done = read_evaluation(stored)
     both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": BOTH_WAYS["fast"].model_dump()}
     facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
-    assert facts["passes"] == "in and back; counted is the way back"
+    assert facts["passes"] == "in and back; scored is the withdrawal"
     assert (facts["simulated with"], facts["insertions"]) == ("fast", "12, of 2 policies in the same 3 tubes")
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.evaluation.signal import STRETCH, Insertion, by_period, centred_spectra, correlation
+from agents.evaluation.signal import FILTER_SAMPLES, Insertion, by_period, centred_spectra, correlation
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import FREQUENCY
@@ -117,8 +117,8 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert record["found"]["a50_percent_wall"] == pytest.approx(20.0 * record["threshold"] / 7.5, rel=0.02)
     assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}
     said = capsys.readouterr().out
-    assert "called: 2 of the 3 flaws that were passed" in said
-    assert "not passed: the flaw at 30 m; the sensor was from 2.50 to 4.5" in said
+    assert "called: 2 of the 3 flaws passed" in said
+    assert "not passed: the flaw at 30 m; the sensor moved from 2.50 to 4.5" in said
 
 
 def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
@@ -128,7 +128,7 @@ def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
         (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
         (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
         (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
-        (["--fidelity", "fast"], "fidelity.time_lapse = 4 leaves out metres"),
+        (["--fidelity", "fast"], "fidelity.time_lapse = 4 skips metres"),
     ):
         assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
         assert message in capsys.readouterr().err
@@ -150,4 +150,4 @@ def test_the_filter_knows_a_burst_in_its_own_stretch():
 
     for samples in (100, 125, 250, 1001):
         motion = 1e-4 * np.random.default_rng(0).normal(size=samples)
-        assert len(centred_spectra(Sensor(), motion, np.full(samples, 0.2))) == -(-samples // STRETCH)
+        assert len(centred_spectra(Sensor(), motion, np.full(samples, 0.2))) == -(-samples // FILTER_SAMPLES)

@@ -15,6 +15,7 @@ from agents.evaluation.signal import draw_curves
 from agents.evaluation.statistics import (
     Interval,
     bands,
+    comparison_lines,
     depths_of,
     endings,
     grouped,
@@ -22,9 +23,8 @@ from agents.evaluation.statistics import (
     mean_interval,
     paired_difference,
     ratio_interval,
-    sentences,
     share_of_lead,
-    strained,
+    strain_lines,
     summarise,
 )
 from probe_env import Context
@@ -71,7 +71,7 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
 def test_means_of_special_cases():
     assert mean_interval(np.array([2.0])) == Interval(2.0, 2.0, 2.0)
     assert mean_interval(np.full(5, 1.5)) == Interval(1.5, 1.5, 1.5)
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="one or more finite"):
         mean_interval(np.array([1.0, np.nan]))
     assert set(CORE) | set(HIGH) <= set(KPIS)
 
@@ -93,7 +93,7 @@ def test_pairing_sees_what_the_scatter_between_contexts_hides():
     difference = paired_difference(table, "A", "B", "inspection_time_s")
     assert difference.mean == pytest.approx(-41.0, abs=1.0)
     assert difference.high - difference.low < 2.0
-    with pytest.raises(ValueError, match="nothing to pair"):
+    with pytest.raises(ValueError, match="cannot be paired"):
         paired_difference(table[~((table["policy"] == "A") & (table["context"] == 3))], "A", "B", "reward")
 
 
@@ -103,7 +103,7 @@ def test_sentences_give_difference_and_interval():
         (synthetic(41.0, contexts=1), r"A takes 4\d(\.\d)? s less than B"),  # one tube has no interval
         (synthetic(0.0), r".*no clearly different amount"),
     ):
-        (line,) = sentences(table, "B")
+        (line,) = comparison_lines(table, "B")
         assert re.match(words, line), line
 
 
@@ -115,7 +115,7 @@ def test_the_share_of_the_planners_lead():
     ]  # fmt: skip
     table = pd.DataFrame(rows)
     assert share_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
-    assert any("It has 50 [" in line for line in sentences(table, "best-schedule"))
+    assert any("It has 50 [" in line for line in comparison_lines(table, "best-schedule"))
     with pytest.raises(ValueError, match="same contexts"):
         share_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
@@ -131,18 +131,18 @@ def test_summary_endings_and_training_seeds():
     )
     assert endings(table).loc["A"].tolist() == [39, 1, 0, 40]
     table = grouped(pd.DataFrame({"policy": ["ppo@2", "a@b", "ppo"]}))
-    assert table.to_dict("list") == {"policy": ["ppo", "a@b", "ppo"], "agent": [2, 0, 0]}
+    assert table.to_dict("list") == {"policy": ["ppo", "a@b", "ppo"], "training_seed": [2, 0, 0]}
 
 
 def test_a_strained_cable_is_named():
     rows = [("a", 0.0, 0.0), ("a", 2.0, 0.0), ("b", 0.0, 0.0), ("c", 1.0, 40.0)]
     table = pd.DataFrame(rows, columns=["policy", "cost_tension", "cost_buckling"])
-    assert strained(table) == [
-        "a: the root over the tension limit in 1 of 2 episodes, for 2 control periods at most",
-        "c: the root over the tension limit in 1 of 1 episodes, for 1 control period at most",
-        "c: the root pressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
+    assert strain_lines(table) == [
+        "a: the root was over the tension limit in 1 of 2 episodes, for 2 control periods at most",
+        "c: the root was over the tension limit in 1 of 1 episodes, for 1 control period at most",
+        "c: the root was compressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
     ]
-    assert strained(table[["policy"]]) == []
+    assert strain_lines(table[["policy"]]) == []
 
 
 def found(**snr):
@@ -199,7 +199,7 @@ def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):
     whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
     assert has_curves(whole)
     assert not has_curves(whole.drop(columns=POD_NAMES[0]))
-    with pytest.raises(ValueError, match="its episodes have no curves of detection: run the evaluation again"):
+    with pytest.raises(ValueError, match="its episodes have no detection curves; run the evaluation again"):
         draw_curves(tmp_path, tmp_path / "out")
     whole.to_parquet(tmp_path / "episodes.parquet", index=False)
     draw_curves(tmp_path, tmp_path / "out")

@@ -210,8 +210,8 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
     for output in ("rig.csv", "./rig.csv", "link.csv"):
         refused(["log", "rig.csv", "--output", output], f"'{Path(output)}' is the log itself")
     refused(["log", "rig.csv", "--output", "rig.txt"], "output = 'rig.txt' is not a CSV file")
-    refused(["log", "rig.csv", "--plot", "rig.exe"], "plot = 'rig.exe' is not a figure")
-    refused(["log", "nowhere.csv"], "logs that ship, by name: example-rig")
+    refused(["log", "rig.csv", "--plot", "rig.exe"], "plot = 'rig.exe' is not a picture")
+    refused(["log", "nowhere.csv"], "shipped logs: example-rig")
     refused(["log", "example-rig", "--gap", "0"], "gap = 0.0 s is outside the accepted range 0.001 to 3600 s")
     refused(["log", "example-rig", "--air-supply", "nan"], "air_supply_rate = nan m3/s is outside the accepted range")
 

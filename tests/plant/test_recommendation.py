@@ -182,7 +182,7 @@ def test_what_is_refused_writes_nothing(
         (["--output", "my.txt"], "output = 'my.txt' is not a CSV file"),
         (["--policy", "my.txt"], "policy = 'my.txt' is not a JSON file"),
         (["nowhere.csv"], "no such file: nowhere.csv"),
-        (["own.csv", "--no-simulated"], "schedules: only a simulation compares with them"),
+        (["own.csv", "--no-simulated"], "schedules need the simulation"),
         (["--limit", "100"], "limit = 100 is outside the accepted range 0 (all) to 48"),
         (["--fidelity", "fine"], "fidelity = 'fine' is not one of"),
         (["--tube", "nowhere.toml"], "no such file: nowhere.toml"),

@@ -15,7 +15,7 @@ from plans import make_plan
 from poisons import ANYWHERE, FAST, JSON, failures_of
 from safetensors.numpy import load, save
 
-from agents.evaluation.folder import PROFILE, Compared, Episode, Evaluated, Setting, Unfinished, read_episodes
+from agents.evaluation.folder import PROFILE, Episode, Manifest, ReportSettings, Setting, Unfinished, read_episodes
 from agents.evaluation.kpis import CORE
 from agents.evaluation.run import evaluate_plan
 from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
@@ -118,8 +118,8 @@ def test_json_files(stored):
             planned | {"episodes": [["", *rest]]},
         ],
     }
-    for file, model in (("setting.json", Setting), ("manifest.json", Evaluated), ("unfinished.json", Unfinished),
-                        ("report.json", Compared)):  # fmt: skip
+    for file, model in (("setting.json", Setting), ("manifest.json", Manifest), ("unfinished.json", Unfinished),
+                        ("report.json", ReportSettings)):  # fmt: skip
         damages = JSON | {str(content): text(json.dumps(content)) for content in others.get(file, ())}
         read_json(stored / file, model)
         assert failures_of(stored / file, damages, lambda path, model=model: read_json(path, model)) == [], file
@@ -149,8 +149,8 @@ def test_parquet_tables(stored, monkeypatch):
     for name, read in (("episodes", read_episodes), ("profile", lambda path: read_parquet(path, PROFILE))):
         read(stored / f"{name}.parquet")
         assert failures_of(stored / f"{name}.parquet", TABLES, read) == [], name
-    monkeypatch.setattr("agents.records.tables.MOST_ROWS", 3)
-    with pytest.raises(FileError, match=r"episodes\.parquet: 4 rows: a table has 1 to 3"):
+    monkeypatch.setattr("agents.records.tables.MAX_ROWS", 3)
+    with pytest.raises(FileError, match=r"episodes\.parquet: 4 rows; accepted: 1 to 3"):
         read_episodes(stored / "episodes.parquet")
 
 
@@ -165,8 +165,8 @@ CSV = {
     f"{HEADER}\npi,1,1.5,1\n": "row 1: count = 1.5 is not a whole number of 0 or more",
     f"{HEADER}\npi,1,-1,1\n": "row 1: count = -1 is not a whole number of 0 or more",
     f"{HEADER}\npi,1,1,1\npi,1\n": "row 2: 2 values for 4 columns",
-    f"{HEADER},family\npi,1,1,1,pi\n": "column 'family' is there 2 times",
-    f"{HEADER},a,a\npi,1,1,1,1,1\n": "a column is there twice",
+    f"{HEADER},family\npi,1,1,1,pi\n": "column 'family' occurs 2 times",
+    f"{HEADER},a,a\npi,1,1,1,1,1\n": "a column occurs twice",
     f"{HEADER}\n=1+1,1,1,1\n": "column 'family': '=1+1' is not a name",
     f"{HEADER}\n,1,1,1\n": "column 'family': '' is not a name",
     f'{HEADER}\n"pi,1,1,1\n': "not CSV: a quote is not closed",
@@ -197,7 +197,7 @@ def test_commands_name_the_damaged_file(stored, refused):
     refused(["evaluate", stored], "report.json: against = 'nobody' is not one of the policies")
     (stored / "report.json").unlink()
     for name, column, value, message in (
-        ("profile", "policy", "somebody", "profile.parquet: of policies that are not in episodes.parquet"),
+        ("profile", "policy", "somebody", "profile.parquet: has policies that are not in episodes.parquet"),
         ("episodes", "reward", float("nan"), "row 1: reward = nan is not finite"),
     ):
         path = stored / f"{name}.parquet"
@@ -243,7 +243,7 @@ def test_a_study_is_continued_without_what_a_kill_left_unfinished(journal):
 
 def test_searches(journal):
     for directions, parameters in ((["maximize"], ["x"]), (["minimize"] * 3, ["x"]), (["minimize"], ["y"])):
-        with pytest.raises(FileError, match=r"study\.jsonl: .*study 'known' is of another search"):
+        with pytest.raises(FileError, match=r"study\.jsonl: .*study 'known' has other"):
             open_study(journal, "known", directions, parameters)
     whole = journal.read_bytes()
     damages = LINES | {

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.folder import EPISODES, EPISODES_NEWER, read_episodes
-from agents.evaluation.kpis import CORE, KPIS, shown_of
+from agents.evaluation.kpis import CORE, KPIS, displayed_kpis
 from agents.records import manifest
 from agents.records.manifest import write_json, write_manifest
 from agents.records.models import complete
@@ -61,12 +61,13 @@ def test_kpis_newer_than_a_table_are_neither_demanded_nor_shown(tmp_path, monkey
     """One that a table has is shown and checked; those of ``CORE`` are demanded."""
     path, table = tmp_path / "episodes.csv", pd.read_csv(ROOT / "results" / "evaluation" / "episodes.csv")
     table = table[table["policy"] == table["policy"][0]].iloc[:4]
-    table.to_csv(path, index=False)
+    table.assign(agent=2).to_csv(path, index=False)
+    assert read_episodes(path)["training_seed"].eq(2).all()  # stored before the column was renamed
     monkeypatch.setitem(KPIS, "jolts_per_m", ("jolts", 1.0, "1/m"))
     monkeypatch.setitem(EPISODES_NEWER, "jolts_per_m", "number")
-    assert set(shown_of(read_episodes(path))) == set(KPIS) & set(table.columns) | {"a90_95_percent_wall"}
+    assert set(displayed_kpis(read_episodes(path))) == set(KPIS) & set(table.columns) | {"a90_95_percent_wall"}
     table.assign(jolts_per_m=2.0).to_csv(path, index=False)
-    assert "jolts_per_m" in shown_of(read_episodes(path))
+    assert "jolts_per_m" in displayed_kpis(read_episodes(path))
     worse = table.assign(jolts_per_m=np.where(table.index == 3, np.nan, 2.0))
     worse.to_csv(path, index=False, na_rep="nan")
     worse.to_parquet(tmp_path / "episodes.parquet", index=False)

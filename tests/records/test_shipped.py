@@ -57,7 +57,7 @@ def test_an_installed_package_ships_its_own(installed):
         policy_file("ppo@1")
     with pytest.raises(FileNotFoundError) as caught:
         file_or_shipped("scenes", "fig11")
-    assert (caught.value.filename, caught.value.hint) == ("fig11", "scenes that ship, by name: fig11_l10")
+    assert (caught.value.filename, caught.value.hint) == ("fig11", "shipped scenes: fig11_l10")
 
 
 def test_a_path_that_exists_wins_and_a_folder_is_none(installed, tmp_path, monkeypatch):

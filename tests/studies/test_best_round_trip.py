@@ -15,7 +15,7 @@ from agents.policies.cases import case_of, round_trip
 from agents.policies.catalogue import make_policy
 from agents.studies.builtin import Request
 from agents.studies.shipped import best_round_trip as searched
-from agents.studies.shipped.best_round_trip import COLUMNS, NAME, as_given, ranges, run, starts
+from agents.studies.shipped.best_round_trip import COLUMNS, NAME, ranges, rounded_numbers, run, starts
 from probe_env import Plant
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES
@@ -86,7 +86,7 @@ def test_the_search_finds_what_is_best(folders: list[str], tmp_path: Path) -> No
     fast = starts(CONFIG, SPACE)[0]
     gain = reward(dict(best), 0) - reward(dict(fast), 0)
     assert record["gain"] == pytest.approx({"mean": gain, "low": gain, "high": gain})
-    assert set(record["validated"]) == {NAME, searched.BESIDE}
+    assert set(record["validated"]) == {NAME, searched.BASELINE}
     policy = make_policy(str(tmp_path / f"{NAME}.csv"), CONFIG)
     assert policy.describe()["back"]["feed_speed"][0] == best[COLUMNS[2]]
 
@@ -120,8 +120,8 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
     """
     case = round_trip(case_of(PLANT, "train", 6), "best")
     config, space = case.config, ranges(case.config, case.contexts)
-    given = as_given(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
-    assert [given[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])
+    rounded = rounded_numbers(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
+    assert [rounded[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])
     first = starts(config, space)
     assert all(low - 1e-9 <= one[name] <= high + 1e-9 for one in first for name, (low, high) in space.items())
     assert first[0][COLUMNS[0]] == pytest.approx(0.35)
@@ -131,6 +131,6 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
         config = CONFIG.model_copy(update={"air_supply_step": step / 3600.0})
         space = ranges(config, TUBES[:6])
         for share in np.linspace(0.0, 1.0, 41):
-            given = as_given(config, {name: low + share * (high - low) for name, (low, high) in space.items()})
-            assert given[COLUMNS[1]] >= safe_in
-            assert given[COLUMNS[3]] <= safe_back
+            rounded = rounded_numbers(config, {name: low + share * (high - low) for name, (low, high) in space.items()})
+            assert rounded[COLUMNS[1]] >= safe_in
+            assert rounded[COLUMNS[3]] <= safe_back

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from agents.records.store import Store, stored_rows
 from agents.studies.builtin import Request
 from agents.studies.chart import draw_chart, ensembles, errors, run, smooth
-from agents.studies.chart.ensembles import INSERTIONS, SETTINGS, STRETCH, Setting
+from agents.studies.chart.ensembles import INSERTIONS, SEGMENT, SETTINGS, Setting
 from agents.studies.chart.smooth import orders, resolved
 from probe_env.files import FileError
 from probe_env.physics import closed_forms
@@ -127,7 +127,7 @@ def test_an_interrupted_chart_goes_on(tmp_path):
 
 def test_an_insertion_is_a_row_a_stretch_and_member():
     insertion = ensembles.Insertion("superelement32", time_lapse=20.0, members=2)
-    rows = pd.DataFrame(insertion.rows(ensembles.START + 2 * STRETCH))
+    rows = pd.DataFrame(insertion.rows(ensembles.START + 2 * SEGMENT))
     assert rows[["from_m", "member"]].to_numpy().tolist() == [[5.0, 0], [5.0, 1], [10.0, 0], [10.0, 1]]
     assert (rows["tension_mean_n"].diff(2).dropna() > 0.0).all()  # a longer probe pulls more
 
@@ -154,11 +154,11 @@ def test_every_setting_of_the_chart_is_stored():
 def test_a_known_bias_of_time_lapse_is_found():
     """All members of a factor equal: the ratio of every output is exact, and an rms is pooled as a square."""
     rows = [
-        errors.LAPSED.key | {"time_lapse": lapse, "member": member, "from_m": start}
+        errors.NO_TIME_LAPSE.key | {"time_lapse": lapse, "member": member, "from_m": start}
         | dict.fromkeys(errors.OUTPUTS, (1.5 if lapse > 1.0 else 1.0) * (1.0 if start % 10.0 else 7.0))
-        for lapse in (1.0, 4.0) for member in range(3) for start in np.arange(5.0, 60.0, STRETCH)
+        for lapse in (1.0, 4.0) for member in range(3) for start in np.arange(5.0, 60.0, SEGMENT)
     ]  # fmt: skip
-    costs = pd.DataFrame([{"method": errors.LAPSED.method, "nodes_per_pitch": 4, "ns_per_node_step": 1.0}])
+    costs = pd.DataFrame([{"method": errors.NO_TIME_LAPSE.method, "nodes_per_pitch": 4, "ns_per_node_step": 1.0}])
     table = errors.time_lapse(pd.DataFrame(rows), costs)
     assert table["from_m"].tolist() == [20.0, 30.0, 40.0, 50.0]
     assert table["radial_rms_m:ratio"].to_numpy() == pytest.approx(1.5)

@@ -137,7 +137,7 @@ def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     run(Request(tmp_path, limit=1))  # of another duration: the first stay
     assert len(stored_rows(tmp_path / "ensemble.csv")) == 6
     assert pd.read_csv(tmp_path / "claims.csv")["case"].tolist() == []
-    assert "Claims: 1 run(s) a case, 0.6 s each" in capsys.readouterr().out
+    assert "Claims: 1 run(s) per case, 0.6 s each" in capsys.readouterr().out
 
 
 PERIOD = 1e-3

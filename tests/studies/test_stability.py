@@ -12,11 +12,11 @@ from oracles.scatter import CHANCE, reach
 from agents.evaluation.workers import Workers
 from agents.studies import stability
 from agents.studies.builtin import Request
-from agents.studies.stability import ENERGY_STEPS, amplification, bounce, by_step, cells, run_cell, run_energy, verdicts
+from agents.studies.stability import ENERGY_STEPS, amplification, bounce, by_step, cells, classify, run_cell, run_energy
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
 MAP = pd.read_csv(FOLDER / "map.csv")
-HELD = verdicts(MAP).assign(held=MAP["diverged_at_s"].isna())
+HELD = classify(MAP).assign(held=MAP["diverged_at_s"].isna())
 USUAL_STEP = {method: steps[0] for method, steps in ENERGY_STEPS.items()}
 BETWEEN_WALLS = {"newmark": 0.049, "wilson": 0.89, "imex": 0.09, "imex32": 0.087, "implicit": 0.33}
 """Standard deviation of the logarithm of the undamped chain's energy after 100,000 steps, over 16 starts."""

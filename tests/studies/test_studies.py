@@ -123,13 +123,13 @@ def test_bad_files_name_file_field_and_value(tmp_path: Path, capsys: pytest.Capt
         ('"task.ramp" = [', '"ramp" = ['): "vary: 'ramp' is not one of fidelity, probe, task.FIELD",
         ("0.05]", "-1.0]"): "ramp: -1.0 m/s2 is outside the accepted range 0.001 to 1000 m/s2",
         ("0.05]", "0.5]"): "vary: two settings are equal",
-        ("[0.5, 0.05]", "[]"): "every field of vary needs a value",
-        ('"reward"', '"rewrd"'): "compare.metrics: metrics that are not known: rewrd; accepted: a90_95",
+        ("[0.5, 0.05]", "[]"): "every field of vary needs at least one value",
+        ('"reward"', '"rewrd"'): "compare.metrics: unknown metrics: rewrd; accepted: a90_95",
         ("level =", "levl ="): "pi has no parameter 'levl'; accepted: level, proportional",
-        ("[3e-5, 6e-5]", '"low"'): "pi: level = 'low' is of another kind",
-        ('name = "pi"', 'nam = "pi"'): "a table of a policy needs its name",
+        ("[3e-5, 6e-5]", '"low"'): "pi: level = 'low' is of another type",
+        ('name = "pi"', 'nam = "pi"'): "a table of a policy needs a name",
         ('"constant", ', '"constnt", '): "policy = 'constnt' is not one of",
-        ('"constant", ', '"constant", "constant", '): "policies: constant is there twice",
+        ('"constant", ', '"constant", "constant", '): "policies: constant occurs twice",
         ('{ policy = "constant" }', '{ policy = "slow" }'): "compare.baseline: policy = 'slow' is not one of constant",
         ('{ policy = "constant" }', '{ policy = "pi" }'): "the study has no row of policy = pi",
         ('{ "task.ramp" = 0.5 }', '{ "task.ramp" = 0.4 }'): "compare.baseline: task.ramp = 0.4 is not one of 0.5",
@@ -246,10 +246,10 @@ def test_the_share_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
 
 def test_all_studies_that_ship_can_be_run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Every file expands, its baselines are rows, and the list has it with its question."""
-    with_parameters = runs._with
+    with_parameters = runs._with_parameters
     monkeypatch.setattr(runs, "_recommended", lambda name, config, plant: Constant(config))  # searched elsewhere
     monkeypatch.setattr(runs, "named_policies", lambda names, config, _: {names[0]: Constant(config)})
-    monkeypatch.setattr(runs, "_with", lambda policy, name, parameters: policy)
+    monkeypatch.setattr(runs, "_with_parameters", lambda policy, name, parameters: policy)
     for name in shipped_names("studies"):
         study = Study.from_toml(shipped_folder("studies") / f"{name}.toml").changed(1, (), (), None)
         settings = expand(study)

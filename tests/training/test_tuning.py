@@ -231,7 +231,7 @@ def test_an_interrupted_search_says_how_many_trials_are_stored(tmp_path, monkeyp
     monkeypatch.setattr(module, "train", interrupting)
     output = tmp_path / "out"
     assert main(["tune", str(written(tmp_path)), "--trials", "5", "--output", str(output)]) == 130
-    message = f"probe-env: interrupted: 2 of 5 trials are stored in {output}; the same command goes on"
+    message = f"probe-env: interrupted: 2 of 5 trials are stored in {output}; the same command continues"
     assert capsys.readouterr().err.splitlines()[-1] == message
     assert len(table_of(output)) == 2
 

@@ -12,7 +12,7 @@ from bokeh.plotting import figure
 from bokeh.themes import Theme
 
 from agents.app.state import Session
-from agents.terminal.refusals import refusal
+from agents.terminal.errors import format_error
 
 REPORT_URL: Final = "/report/"
 PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#222222", "#8a8a8a")
@@ -110,7 +110,7 @@ class Screen:
 
 def alert(problem: Exception | str) -> str:
     """An error as HTML; empty for an empty text."""
-    text = refusal(problem) if isinstance(problem, Exception) else problem
+    text = format_error(problem) if isinstance(problem, Exception) else problem
     return f'<p class="problem" role="alert">{escape(text)}</p>' if text else ""
 
 

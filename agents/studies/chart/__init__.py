@@ -1,4 +1,4 @@
-"""The chart of accuracy against cost: every method before chaos and in it, mesh and model choices, time-lapse."""
+"""Chart of accuracy against cost: methods before and in the chaotic regime, mesh and model choices, time-lapse."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from probe_env.physics.closed_forms.bare_chains import LAPACK
 from probe_env.physics.methods import METHODS, ON_NODES
 
 STUDY = CHECKOUT / "results" / "study"
-"""Stored runs of the slow methods, made by the study ``claims``."""
+"""Stored runs of the slow methods by the study ``claims``."""
 TABLES: dict[str, Columns] = {
     **dict.fromkeys(("ensembles", "insertions", "smooth"), COLUMNS),
     "costs": {**dict.fromkeys(errors.COST_COLUMNS, "number"), "method": "text", "nodes_per_pitch": "count"},
@@ -34,18 +34,18 @@ TABLES: dict[str, Columns] = {
 PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")
 COLOURS = dict(zip((*ON_NODES, LAPACK, *(m for m in METHODS if m not in ON_NODES)), cycle(PALETTE), strict=False))
 MARKERS = {4: "o", 8: "s", 16: "^"}
-"""By nodes a pitch."""
+"""Nodes per pitch -> marker."""
 PANELS = {"radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_share": "lift-off share"}
 PANELS["axial_peak_hz"] = "axial peak frequency"
 
 
 def run(request: Request) -> None:
-    """Run everything that is not stored yet in the output folder, timing last, then write the tables and figures.
+    """Run what is not stored in the output folder, then the timing; writes tables and figures.
 
     Raises:
-        FileError: something stored in the folder is damaged or of another commit; nothing was run.
+        FileError: a stored file is damaged or of another commit; nothing was run.
     """
-    request.without("tube", "limit", "trials")
+    request.reject("tube", "limit", "trials")
     for name, columns in TABLES.items():
         path = request.output / f"{name}.csv"
         if path.exists():
@@ -60,14 +60,14 @@ def run(request: Request) -> None:
 
 
 def draw_chart(output: Path) -> None:
-    """Write and print the tables, and draw the figures, of the runs stored in a folder.
+    """Write tables and figures of the stored runs of a folder, and print the tables.
 
-    measured_errors.csv is the table that ``fidelity="auto"`` goes by.
+    measured_errors.csv is the table of ``fidelity="auto"``.
     """
     ensembles, insertions, smooth, costs = (read_csv(output / f"{name}.csv", TABLES[name]) for name in TABLES)
     slow = load_rows(STUDY)
     if slow.empty:
-        warnings.warn(f"{STUDY} holds no runs of the slow methods: they are left out", stacklevel=2)
+        warnings.warn(f"{STUDY} has no runs of the slow methods: the chart lacks them", stacklevel=2)
     else:
         ensembles = pd.concat([ensembles, errors.study_members(slow)], ignore_index=True)
     constant, inserted = errors.constant_length(ensembles, costs), errors.insertion(insertions, costs)
@@ -92,7 +92,7 @@ def draw_chart(output: Path) -> None:
 
 
 def draw_smooth(table: pd.DataFrame, path: Path) -> None:
-    """Error over processor time (above) and over sweeps (below), a column a scene, crosses where a run diverged."""
+    """Error over processor time (above) and over sweeps (below), one column per scene; crosses: diverged."""
     names = ("linear", "step-load", "impact", "contact")
     figure, axes = plt.subplots(2, len(names), figsize=(15, 7.5), layout="constrained", sharey="col")
     for column, name in enumerate(names):
@@ -120,13 +120,13 @@ def _curve(axis: Axes, part: pd.DataFrame, cost: str, top: float, method: str) -
     failed = part[part["error"].isna()]
     if failed.empty:
         return
-    # a run that broke off has no cost of its own: what its steps would have cost
+    # cost of a diverged run, extrapolated from the cost of a step
     rate = float((stable[cost] * stable["time_step_s"]).median()) if len(stable) else float("nan")
     axis.plot(rate / failed["time_step_s"], [top] * len(failed), "x", ms=6, clip_on=False, **style)
 
 
 def draw_chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> None:
-    """Ratio of ensemble means to the converged mesh's, over cost: 30 m, 50 m, two bands of the insertion."""
+    """Ratio of ensemble means to those of the converged mesh over cost: 30 m, 50 m, two bands of the insertion."""
     table2 = constant[(constant["contact_stiffness_n_per_m"] == 1e5) & constant["nodes_per_pitch"].isin(MARKERS)]
     table2 = table2[(table2["walls"] == "both") & (table2["friction"] == 0.15)]
     panels = {f"l = {length:g} m": table2[table2["carrier_length_m"] == length] for length in (30.0, 50.0)}
@@ -142,12 +142,12 @@ def draw_chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> No
                 nodes, ratio = int(str(mesh)), rows[f"{output}:ratio"]
                 spread = np.abs([ratio - rows[f"{output}:low"], rows[f"{output}:high"] - ratio])
                 style = {"fmt": MARKERS[nodes], "ms": 4, "capsize": 2, "linewidth": 1, "color": COLOURS[str(name)]}
-                style["label"] = str(name) if nodes == 4 else f"{name}, {nodes} nodes a pitch"
+                style["label"] = str(name) if nodes == 4 else f"{name}, {nodes} nodes per pitch"
                 axis.errorbar(rows["cpu_s"], ratio, yerr=spread, **style)
             axis.set_xscale("log")
             axis.grid(**GRID)
             if column == 0:
-                axis.set_ylabel(f"{label}\nover the converged mesh's")
+                axis.set_ylabel(f"{label}\nover converged mesh")
         for method, rows in part[part["radial_rms_m:ratio"].isna()].groupby("method"):
             style = {"ms": 7, "color": COLOURS[str(method)], "label": f"{method}, diverged"}
             axes[0, column].plot(rows["cpu_s"], [1.0] * len(rows), "x", **style)

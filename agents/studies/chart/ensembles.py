@@ -1,7 +1,7 @@
-"""The chaotic regime: statistics of ensembles at constant length and of whole insertions, by method, step and mesh.
+"""Chaotic regime: statistics of ensembles at constant length and of insertions, by method, step and mesh.
 
-Beyond about 30 m no two trajectories agree for long, so the statistics of many runs are compared, which differ by a
-start perturbation of 0.1 micrometre. All runs of one setting share a batch.
+Beyond about 30 m trajectories diverge, so statistics of runs with a start perturbation of 0.1 um are compared. All runs
+of a setting share a batch.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ STATISTICS = (
 )
 PEAK = "axial_peak_hz"
 COLUMNS = {"time_step": "time_step_s", "length": "carrier_length_m", "stiffness": "contact_stiffness_n_per_m"}
-"""Table columns of fields that have a unit."""
+"""Field -> column with unit."""
 FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m], of an insertion
-STRETCH = 5.0  # [m] a row of an insertion
+SEGMENT = 5.0  # [m], of a row of an insertion
 
 
 class Run:
@@ -38,19 +38,19 @@ class Run:
 
     @property
     def key(self) -> dict[str, Any]:
-        """All fields but the number of members, as columns."""
+        """All fields except the number of members, as columns."""
         fields = asdict(self)  # type: ignore[call-overload]
         return {COLUMNS.get(name, name): value for name, value in fields.items() if name != "members"}
 
     @property
     def last(self) -> tuple[Any, ...]:
-        """Key of its last row in the table."""
+        """Key of the last row in the table."""
         return (*self.key.values(), self.members - 1)
 
 
 @dataclass(frozen=True)
 class Setting(Run):
-    """One way to simulate table 2's probe at a constant length, and what is changed of the scene itself."""
+    """Method, mesh and scene of runs with table 2's probe at constant length."""
 
     method: str = "imex"
     time_step: float = 2e-4
@@ -64,16 +64,16 @@ class Setting(Run):
     members: int = 16
 
     def batch(self, count: int, threads: int | None = None) -> SimulatorBatch:
-        """``count`` runs from slightly different starts."""
+        """``count`` runs with perturbed starts."""
         contact = {"stiffness": self.stiffness, "friction": self.friction, "walls": self.walls}
         scene = Scene.model_validate({"carrier_length": self.length, "contact": contact})
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are the point
+            warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are tested on purpose
             numerics = self.method, self.time_step, self.nodes_per_pitch
             return SimulatorBatch([scene] * count, *numerics, threads=threads, perturbation=PERTURBATION)
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a member: its statistics, none where it diverged."""
+        """One row per member: its statistics, missing if it diverged."""
         batch = self.batch(self.members)
         batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
         window = batch.advance(None, None, DURATION, SAMPLE_PERIOD, keep_samples=True)
@@ -86,7 +86,7 @@ class Setting(Run):
 
 @dataclass(frozen=True)
 class Insertion(Run):
-    """One way to simulate a whole insertion, 5 to 60 m at 0.2 m/s."""
+    """Method and mesh of insertions from 5 to 60 m at 0.2 m/s."""
 
     method: str = "imex"
     time_step: float = 2e-4
@@ -96,11 +96,11 @@ class Insertion(Run):
 
     @property
     def last(self) -> tuple[Any, ...]:
-        """Key of its last row in the table."""
-        return (*super().last, END - STRETCH)
+        """Key of the last row in the table."""
+        return (*super().last, END - SEGMENT)
 
     def rows(self, end: float = END) -> list[dict[str, Any]]:
-        """A row a stretch of length and member.
+        """One row per segment of length and member.
 
         Raises:
             RuntimeError: a probe diverged.
@@ -109,12 +109,12 @@ class Insertion(Run):
         options = {"growing": True, "time_lapse": self.time_lapse, "perturbation": PERTURBATION}
         batch = SimulatorBatch(scenes, self.method, self.time_step, self.nodes_per_pitch, **options)  # type: ignore[arg-type]
         rows: list[dict[str, Any]] = []
-        for stretch in tqdm(np.arange(START, end, STRETCH), desc=str(self), unit="stretch"):
-            window = batch.advance(None, None, STRETCH / FEED_SPEED / self.time_lapse, SAMPLE_PERIOD, keep_samples=True)
+        for start in tqdm(np.arange(START, end, SEGMENT), desc=str(self), unit="segment"):
+            window = batch.advance(None, None, SEGMENT / FEED_SPEED / self.time_lapse, SAMPLE_PERIOD, keep_samples=True)
             if window.diverged.any():
-                raise RuntimeError(f"{self}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
+                raise RuntimeError(f"{self}: {window.diverged.sum()} probes diverged beyond {start:g} m")
             for member in range(self.members):
-                rows.append(self.key | {"member": member, "from_m": float(stretch)} | _statistics(window, member))
+                rows.append(self.key | {"member": member, "from_m": float(start)} | _statistics(window, member))
         return rows
 
 
@@ -130,14 +130,14 @@ CHOICES: dict[str, dict[str, Any]] = {
     "friction 0.14": {"friction": 0.14},
     "friction 0.16": {"friction": 0.16},
 }
-"""What is changed of table 2's mesh and model, one at a time."""
-CONVERGED_STEP, CONVERGED_NODES = 5e-5, 16  # [s], of imex: the mesh and step that everything is measured against
+"""Single changes of table 2's mesh and model."""
+CONVERGED_STEP, CONVERGED_NODES = 5e-5, 16  # [s], of imex: the reference
 CONVERGED_LENGTHS = {10.0: 8, 30.0: 48, 40.0: 32, 50.0: 32}
-"""[m], with members of the converged reference at table 2's stiffness; others have 8."""
+"""Length [m] -> members of the converged reference at table 2's stiffness; 8 at others."""
 SUPERELEMENT_STEPS = {1e4: (1e-4, 2e-4, 2.5e-4, 5e-4), 1e5: (5e-5, 1e-4, 2e-4, 2.5e-4), 1e6: (5e-5,)}
-"""[s], by contact stiffness [N/m]: the longest that are stable, and shorter ones."""
+"""Contact stiffness [N/m] -> steps [s]: the longest stable one, and shorter ones."""
 CONVERGED = Insertion("imex32", 5e-5, nodes_per_pitch=16)
-"""The insertion that all are compared with."""
+"""The reference insertion."""
 INSERTIONS = (
     *(Insertion("imex32", time_lapse=factor) for factor in (20.0, 10.0, 4.0, 2.0, 1.0)),
     *(Insertion("imex32", 1e-4, factor) for factor in (4.0, 1.0)),
@@ -162,7 +162,7 @@ def _settings() -> Iterator[Setting]:
     for length, members in CONVERGED_LENGTHS.items():
         yield converged(length, Setting.stiffness, members)
         for dt in SUPERELEMENT_STEPS[Setting.stiffness]:
-            many = length != 10.0 and dt >= 1e-4  # steps among which a preset was chosen
+            many = length != 10.0 and dt >= 1e-4  # candidates of a preset
             yield Setting("superelement32", dt, length=length, members=128 if many else 16)
     for stiffness, length in product((1e4, 1e6), LENGTHS):
         yield converged(length, stiffness)

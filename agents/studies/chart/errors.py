@@ -1,4 +1,4 @@
-"""From ensembles to errors and costs: ratios of means to a reference's with 95 % bootstrap intervals, and times."""
+"""Errors and costs of ensembles: ratios of means to a reference with 95 % bootstrap intervals, processor times."""
 
 from __future__ import annotations
 
@@ -22,21 +22,18 @@ from probe_env.physics.methods import METHODS
 
 FLOORS = {"radial_rms_m": 1e-5, "radial_p99_m": 5e-5, "lift_off_share": 0.01, PEAK: 1.0, "axial_rms_m": 1e-5}
 FLOORS["radial_acceleration_rms_m_per_s2"] = 0.1
-"""Outputs, with the least value that matters: an error of something smaller is relative to this.
-
-Radially a tenth of the vibration limit, and a p99 five times that, as where it rings. At 10 m it is 3.5 micrometres.
-"""
+"""Output -> smallest reference of a relative error; for the radial rms a tenth of the vibration limit."""
 OUTPUTS = tuple(FLOORS)
 RADIAL = ("radial_rms_m:ratio", "radial_rms_m:low", "radial_rms_m:high")
 KEYS = list(Setting().key)
 Row = Mapping[Any, Any]
-LAPSED = Insertion("superelement32")
-"""The insertion without time-lapse that those with it are compared with: method and step of ``fast``."""
-_STRETCHES = np.arange(ensembles.START, ensembles.END, ensembles.STRETCH) + 0.5 * ensembles.STRETCH
-PITCH_SECONDS = float((_STRETCHES / 0.1).sum() * ensembles.STRETCH / ensembles.FEED_SPEED)
-"""Pitches inserted, summed over the seconds of a whole insertion."""
+NO_TIME_LAPSE = Insertion("superelement32")
+"""Reference of insertions with time-lapse: method and step of ``fast``."""
+_SEGMENTS = np.arange(ensembles.START, ensembles.END, ensembles.SEGMENT) + 0.5 * ensembles.SEGMENT
+PITCH_SECONDS = float((_SEGMENTS / 0.1).sum() * ensembles.SEGMENT / ensembles.FEED_SPEED)
+"""Sum of inserted pitches over the seconds of an insertion."""
 TIMED_NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
-"""Nodes a pitch that are timed, for other methods 4."""
+"""Nodes per pitch that are timed; 4 for other methods."""
 TIMED_LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
 LONGEST_TIMED = 1e-4  # [s], time step
 REPEATS = 5
@@ -44,9 +41,9 @@ COST_COLUMNS = ["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_st
 
 
 def run_costs(output: Path) -> None:
-    """Processor time of a node-step with full lanes on one thread, the best of ``REPEATS``; stored in costs.csv.
+    """Processor time of a node-step with full lanes on one thread, the minimum of ``REPEATS``; writes costs.csv.
 
-    Always measured as a whole, since only ratios within one run of one machine carry over.
+    All costs are measured in one run: only ratios within a run are comparable.
     """
     cells = [(m, nodes, length) for m in METHODS for nodes in TIMED_NODES.get(m, (4,)) for length in TIMED_LENGTHS]
     rows = []
@@ -54,7 +51,7 @@ def run_costs(output: Path) -> None:
         kind = METHODS[method]
         setting = Setting(method, min(kind.usual_step, LONGEST_TIMED), nodes, length)
         batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.width > 1 else 500, []
-        for _ in range(1 + REPEATS):  # the first warms it up, and brings it in contact
+        for _ in range(1 + REPEATS):  # the first is a warm-up
             begin = time.process_time()
             batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)
             seconds.append(time.process_time() - begin)
@@ -65,7 +62,7 @@ def run_costs(output: Path) -> None:
 
 
 def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
-    """Processor time [s] of one probe for a simulated second, for rows with the columns of a ``Setting``."""
+    """Processor time [s] per probe and simulated second, for rows with the columns of a ``Setting``."""
     keys = COST_COLUMNS[:3]
     node_step = settings[keys].merge(costs, how="left", on=keys)["ns_per_node_step"].to_numpy()
     nodes = (settings["carrier_length_m"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
@@ -74,7 +71,7 @@ def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
 
 
 def insertion_cost(row: Row, costs: pd.DataFrame) -> float:
-    """Processor time of a whole insertion of one probe [s], from the cost of a node-step."""
+    """Processor time of an insertion of one probe [s], from the cost of a node-step."""
     same = (costs["method"] == row["method"]) & (costs["nodes_per_pitch"] == row["nodes_per_pitch"])
     node_step = costs[same]["ns_per_node_step"].mean()
     steps = PITCH_SECONDS / row["time_lapse"] / row["time_step_s"]
@@ -140,17 +137,18 @@ def insertion(
 
 
 def time_lapse(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Bias of time-lapse: insertions of ``LAPSED``'s method and step over that without, in bands of 10 m.
+    """Bias of time-lapse: ratios of insertions to ``NO_TIME_LAPSE``, in bands of 10 m.
 
     Columns as those of ``insertion``.
     """
-    same = {name: value for name, value in LAPSED.key.items() if name != "time_lapse"}
-    table = insertion(_rows(members, same), costs, LAPSED, ((20.0, 30.0), (30.0, 40.0), (40.0, 50.0), (50.0, 60.0)))
+    same = {name: value for name, value in NO_TIME_LAPSE.key.items() if name != "time_lapse"}
+    bands = tuple((start, start + 10.0) for start in (20.0, 30.0, 40.0, 50.0))
+    table = insertion(_rows(members, same), costs, NO_TIME_LAPSE, bands)
     return table[table["time_lapse"] > 1.0].reset_index(drop=True)
 
 
 def _compared(part: pd.DataFrame, reference: pd.DataFrame) -> dict[str, float]:
-    """For every output the reference's mean, and ratio, low and high of the means' ratio."""
+    """For every output the mean of the reference, and ratio of means with interval."""
     row: dict[str, float] = {}
     for output in OUTPUTS:
         values, base = (frame[output].to_numpy(dtype=float) for frame in (part, reference))
@@ -165,17 +163,16 @@ def _rows(table: pd.DataFrame, key: Row) -> pd.DataFrame:
 
 
 def bound(row: Row, output: str) -> float:
-    """Largest error that the 95 % interval leaves room for, relative to the reference's mean or its ``FLOORS``."""
+    """Largest error within the 95 % interval, relative to the mean of the reference, at least ``FLOORS``."""
     reference = abs(row[f"{output}:reference"])  # pressed on the wall, even a 99th percentile is negative
     relative = max(abs(row[f"{output}:low"] - 1.0), abs(row[f"{output}:high"] - 1.0))
     return float(relative * reference / max(reference, FLOORS[output]))
 
 
 def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFrame:
-    """What ``probe_env.fidelity`` reads: error bound of every setting and output, and its cost.
+    """Table of ``probe_env.fidelity``: error ``bound`` of mesh and step, and cost, of every setting and output.
 
-    Errors are those of mesh and step together. Length NaN stands for a whole insertion (stiffness of table 2); cost is
-    processor time for a simulated second of a pitch [s], error is ``bound``.
+    Length NaN is an insertion (stiffness of table 2); cost is processor time per pitch and simulated second [s].
     """
     plain = (constant["walls"] == "both") & (constant["friction"] == 0.15)
     stable = constant["contact_stiffness_n_per_m"].isin(STIFFNESSES) & (constant["diverged"] == 0.0)
@@ -195,7 +192,7 @@ def measured_errors(constant: pd.DataFrame, inserted: pd.DataFrame) -> pd.DataFr
 
 
 def choices(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Radial rms by each mesh and model choice over that of table 2, at 30 and 50 m.
+    """Ratio of radial rms with each mesh and model choice to that of table 2, at 30 and 50 m.
 
     Columns choice, carrier_length_m, cost (relative to table 2's mesh), ratio, low, high.
     """
@@ -212,7 +209,7 @@ def choices(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
 
 
 def presets(constant: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Radial rms of every preset over the converged mesh's at 30 and 50 m, and the cost of an insertion.
+    """Ratio of radial rms of every preset to the converged mesh at 30 and 50 m, and cost of an insertion.
 
     Columns preset, method, time_step_s, time_lapse, carrier_length_m, ratio, low, high, insertion_cpu_s.
     """

@@ -1,8 +1,7 @@
-"""Error against cost where trajectories can be compared: linear chains, an impact, and contact before chaos.
+"""Error against cost before chaos: linear chains, an impact, and contact.
 
-Every scene runs on the kernels of the methods themselves. The error is the largest over the run of one displacement,
-over its largest value. The cost is processor time of one thread for a simulated second, and the number of sweeps over
-the chain, which does not depend on the machine.
+The error is the maximum error of one displacement over its maximum value. The cost is processor time of one thread per
+simulated second, and the number of sweeps over the chain, which does not depend on the machine.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
 """Methods and steps [s] for the scene without a closed form."""
 COLUMNS = ("scene", "method", "time_step_s", "error", "cpu_s", "sweeps")
 REFERENCE_ROWS = "references"
-"""In the column ``method``: the difference of the two references."""
+"""Value of the column ``method`` for the difference of the two references."""
 LAPACK_STEPS = 3
-"""LAPACK's solver is five times as slow: the longest steps are enough."""
+"""Number of steps that are run with LAPACK's solver, which is five times as slow."""
 LEAST_TIMED = 0.2  # [s] of processor time, repeats included
 METHODS = (*methods.ON_NODES, LAPACK)
 RESOLVED = 10.0  # errors below this multiple of the references' difference are not evaluated
@@ -46,9 +45,9 @@ class Case:
 
     Attributes:
         duration, sample_period: [s].
-        point: node and component that are observed.
-        exact: the observed displacement at times; None: two references.
-        d, v, a: at the start; a of None: zero, as printed in the study.
+        point: observed node and component.
+        exact: function from times to the observed displacement; None: two references.
+        d, v, a: initial values; a of None: zero, as in the study.
     """
 
     title: str
@@ -63,7 +62,7 @@ class Case:
     a: FloatArray | None = None
 
     def start(self, method: str, time_step: float) -> State:
-        """State at t = 0; the velocities of ``explicit`` are those half a step earlier."""
+        """State at t = 0; velocities of ``explicit`` are those half a step earlier."""
         state = at_rest(self.driven.chain.node_count)
         for target, values in zip((state.d, state.v, state.memory), (self.d, self.v, self.a), strict=True):
             if values is not None:
@@ -76,14 +75,14 @@ class Case:
 
 
 def _linear(consistent: bool) -> Case:
-    """Half a metre of cable, bent as in the helix, released from a smooth shape."""
+    """Half a metre of cable with the curvature of the helix, released from a smooth shape."""
     elements = 20
     chain = bent_chain(elements)
     position = np.linspace(1.0, 0.0, elements + 1)[:-1, None]
     load = np.zeros((elements, 3))
     load[:, 1:2] = 1e-3 * np.sin(0.5 * np.pi * position) ** 4
     shape = closed_forms.linear_chain(chain, np.zeros(1), load, 0.0 * load)[0]
-    a = -load / np.array([chain.mass, chain.mass, chain.inertia])  # what the load held back
+    a = -load / np.array([chain.mass, chain.mass, chain.inertia])  # balances the load
 
     def exact(times: FloatArray) -> FloatArray:
         return closed_forms.linear_chain(chain, times, load, 0.0 * load)[:, 0, RADIAL]
@@ -93,7 +92,7 @@ def _linear(consistent: bool) -> Case:
 
 
 def _step_load() -> Case:
-    """Five metres of cable, pulled at all floats from t = 0 on by a wind so fast that its force does not change."""
+    """Five metres of cable with a constant force on all floats from t = 0 (drag of a very fast air flow)."""
     elements, force, wind = 200, 0.01, 1e6
     nodes = np.arange(elements + 1)
     chain = plain_chain(elements, drag=np.where(nodes % 4 == 0, force / wind**2, 0.0))
@@ -107,7 +106,7 @@ def _step_load() -> Case:
 
 
 def _impact() -> Case:
-    """A mass of one node that flies at the wall's spring: 0.1 mm away, at 0.1 m/s."""
+    """A mass of one node that hits the wall's spring from 0.1 mm at 0.1 m/s."""
     stiffness, height, speed = 1e5, 1e-4, 0.1
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e6)
     chain = plain_chain(1, contact_stiffness=np.array([stiffness, 0.0]), coupling_compliance=0.0, **free)
@@ -136,9 +135,9 @@ def cases() -> dict[str, Case]:
 
 
 def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | None, float, float]:
-    """Observed displacement (k,) [m] or None where it diverges, processor time [s] and sweeps for a simulated second.
+    """Observed displacement (k,) [m] (None: diverged), processor time [s] and sweeps per simulated second.
 
-    The run is repeated until ``LEAST_TIMED`` of processor time is used; the fastest counts.
+    The run is repeated for ``LEAST_TIMED`` of processor time; the minimum is returned.
     """
     steps, every = round(case.duration / time_step), round(case.sample_period / time_step)
     used, fastest = 0.0, float("inf")
@@ -152,9 +151,9 @@ def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | N
 
 
 def run_smooth(output: Path) -> pd.DataFrame:
-    """Rows of scene, method, time_step_s, error (NaN: diverged), cpu_s and sweeps, both for a simulated second.
+    """Rows of scene, method, time_step_s, error (NaN: diverged), cpu_s and sweeps per simulated second.
 
-    The scene without a closed form has a row ``REFERENCE_ROWS``. Rows that smooth.csv has are not run again.
+    The scene without a closed form has a row ``REFERENCE_ROWS``. Stored rows of smooth.csv are not run again.
     """
     store = Store(output / "smooth.csv", COLUMNS[:3])
     cells = [
@@ -169,7 +168,7 @@ def run_smooth(output: Path) -> pd.DataFrame:
         (name, method, time_step), case = cell, cases()[cell[0]]
         if name not in truth:
             truth[name] = _truth(case, store)
-        integrate(case, method, case.time_steps[0])  # compiled and warm
+        integrate(case, method, case.time_steps[0])  # warm-up
         signal, cpu, sweeps = integrate(case, method, time_step)
         error = float("nan") if signal is None else _difference(signal, truth[name])
         return [dict(zip(COLUMNS, (name, method, time_step, error, cpu, sweeps), strict=True))]
@@ -193,7 +192,7 @@ def _difference(signal: FloatArray, truth: FloatArray) -> float:
 
 
 def resolved(table: pd.DataFrame, scene: str) -> pd.DataFrame:
-    """Rows of a scene whose error is well above the difference of its two references, failures included."""
+    """Rows of a scene with an error well above the difference of its references, diverged runs included."""
     rows = table[table["scene"] == scene]
     difference = rows.loc[rows["method"] == REFERENCE_ROWS, "error"]
     least = RESOLVED * float(difference.iloc[0]) if len(difference) else 0.0
@@ -202,10 +201,10 @@ def resolved(table: pd.DataFrame, scene: str) -> pd.DataFrame:
 
 
 def orders(table: pd.DataFrame) -> pd.DataFrame:
-    """Order of every method in every scene, fitted over the finest steps, with the error at the finest of them.
+    """Order of every method in every scene, fitted to the finest steps, with the error at the finest step.
 
-    Columns scene, method, order, error, time_step_s. The order is NaN where rounding or divergence leaves fewer than
-    three steps, and for methods whose rounding grows as the step shrinks: these have the least error and its step.
+    Columns scene, method, order, error, time_step_s. The order is NaN with fewer than three resolved steps, and for
+    methods whose rounding grows for small steps: these have the smallest error and its step.
     """
     rows = []
     for scene, method in product(cases(), methods.ON_NODES):

@@ -1,4 +1,4 @@
-"""The claims of the published study next to what the simulator gives: comparisons of ensembles of its cases."""
+"""Checks the claims of the published study with ensembles of its cases."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ RADIAL, ACCELERATION = "radial_rms_m", "radial_acceleration_rms_m_per_s2"
 GROWTH: Final = (10, 20, 30, 40, 50, 55)
 """[m] carrier lengths of the study's figure 11 and 12."""
 NOTICEABLE: Final = 0.1
-"""Share of the insertion's highest peak from which one of the return is noticeable: a tenth, -20 dB."""
+"""Share of the insertion's highest peak from which a peak of the withdrawal is noticeable: -20 dB."""
 LEAST_PEAK: Final = 1e-6
-"""Amplitude [m] from which a peak is noticeable at all: a hundredth of the vibration limit."""
+"""Minimum amplitude of a noticeable peak [m]: a hundredth of the vibration limit."""
 TUBE_BORE: Final = 24.2e-3  # [m]
 
 Test = Callable[[FloatArray, FloatArray], str]
 
 
 def run(request: Request) -> pd.DataFrame:
-    """Run what is not stored yet of the study's cases; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
+    """Run the cases that are not stored; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
 
-    ``trials`` are perturbed runs of a case; with any ``limit`` a few cases instead of all.
+    ``trials`` is the number of runs of a case; with a ``limit`` only the cases of ``SUBSET`` are run.
 
     Returns:
         the table of claims.
     """
-    request.without("tube")
+    request.reject("tube")
     members, output, duration = request.budget("trials", 1, 1000), request.output, cases.DURATION
     names = () if request.limit is None else SUBSET
     table = run_cases(output, members, names, request.workers.jobs)
@@ -52,7 +52,7 @@ def run(request: Request) -> pd.DataFrame:
     files = ("ensemble.csv", "claims.csv")
     write_manifest(output, files, commits=table["commit"], members=members, duration_s=duration)
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
-    print_frame(f"Claims: {members} run(s) a case, {duration:g} s each", claims, columns, texts=4)
+    print_frame(f"Claims: {members} run(s) per case, {duration:g} s each", claims, columns, texts=4)
     complete = Ensemble(table).has(*(f"l{length}" for length in GROWTH))
     if complete:
         draw_growth(table, output / "growth.png")
@@ -61,7 +61,7 @@ def run(request: Request) -> pd.DataFrame:
 
 
 class Ensemble:
-    """Access to the members of an ensemble table by case and statistic; ``diverged`` is 0 or 1."""
+    """Members of an ensemble table by case and statistic; ``diverged`` is 0 or 1."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         self.table = table.assign(diverged=table["diverged_at_s"].notna())
@@ -81,7 +81,7 @@ class Ensemble:
 
 
 def greater(a: FloatArray, b: FloatArray) -> bool:
-    """Whether ``a`` lies above ``b``: one-sided Mann-Whitney test, or the means if there are fewer than four values."""
+    """Whether ``a`` is greater than ``b``: one-sided Mann-Whitney test, or means with fewer than four values."""
     if min(len(a), len(b)) < 4:
         return bool(a.mean() > b.mean())
     return bool(mannwhitneyu(a, b, alternative="greater").pvalue < SIGNIFICANCE)
@@ -99,7 +99,7 @@ def _more(a: FloatArray, b: FloatArray) -> str:
 
 
 def same(a: FloatArray, b: FloatArray) -> str:
-    """Whether neither lies above the other."""
+    """Whether neither is greater than the other."""
     return NO if greater(a, b) or greater(b, a) else YES
 
 
@@ -114,7 +114,7 @@ def below(a: FloatArray, b: FloatArray, share: float = 1.0) -> str:
 
 
 def divided(a: FloatArray, b: FloatArray, factor: float) -> str:
-    """Whether the mean of ``b`` is at least so many times that of ``a``."""
+    """Whether the mean of ``b`` is at least ``factor`` times that of ``a``."""
     return YES if b.mean() >= factor * a.mean() else NO
 
 
@@ -124,7 +124,7 @@ def always(a: FloatArray, _: FloatArray) -> str:
 
 
 class Claim(NamedTuple):
-    """One row of the table: a case's statistic against that of another case or a number, and the verdict's test."""
+    """One row of the table: statistic of a case, reference (another case or a number) and test."""
 
     claim: str
     figure: str
@@ -146,7 +146,7 @@ def _one_peak(e: Ensemble) -> Test:
 
 
 def _insertion(e: Ensemble) -> Iterator[Claim]:
-    """The claims on the probe fed in."""
+    """The claims about insertion."""
     for short, long in ((10, 30), (20, 40), (30, 50)):
         yield Claim("vibration grows with length", "11", f"l{long}", f"l{short}", RADIAL, _more)
     if e.has(*(f"l{length}" for length in GROWTH)):
@@ -173,7 +173,7 @@ def _insertion(e: Ensemble) -> Iterator[Claim]:
 
 
 def _return(e: Ensemble) -> Iterator[Claim]:
-    """The study's experiment (e): the probe withdrawn, against the insertion under the same settings."""
+    """The claims about withdrawal (the study's experiment e), compared with insertion under the same settings."""
     withdrawals = [case for case in TRIPS if case.withdrawn and e.has(case.name, insertion_of(case.name))]
     for case in withdrawals:
         yield Claim("less vibration in the return", "(e)", case.name, insertion_of(case.name), RADIAL, less)
@@ -184,7 +184,7 @@ def _return(e: Ensemble) -> Iterator[Claim]:
             statistic = f"{direction}_highest_m"
             highest = max(chosen, key=lambda name, key=statistic: e.mean(name, key))  # type: ignore[misc]
             claim = f"no noticeable {direction} peak in the return from 2 s on: {probe}"
-            test = _unnoticed(e, chosen, statistic)
+            test = _not_noticeable(e, chosen, statistic)
             yield Claim(claim, "(e)", highest, insertion_of(highest), statistic, test)
     for withdrawn, direction in ((False, "insertion"), (True, "return")):
         old, new = (trip(probe, 50, withdrawn=withdrawn).name for probe in PROBES)
@@ -192,18 +192,18 @@ def _return(e: Ensemble) -> Iterator[Claim]:
         yield Claim(claim, "(e)", new, old, RADIAL, less)
 
 
-def _unnoticed(e: Ensemble, withdrawals: list[str], statistic: str) -> Test:
+def _not_noticeable(e: Ensemble, withdrawals: list[str], statistic: str) -> Test:
     peaks = np.array([e.mean(name, statistic) for name in withdrawals])
     shares = peaks / [e.mean(insertion_of(name), statistic) for name in withdrawals]
-    noticed = ((shares >= NOTICEABLE) & (peaks >= LEAST_PEAK)).any()
-    return lambda *_: UNCLEAR if noticed else YES
+    noticeable = ((shares >= NOTICEABLE) & (peaks >= LEAST_PEAK)).any()
+    return lambda *_: UNCLEAR if noticeable else YES
 
 
 def claims_of(table: pd.DataFrame) -> pd.DataFrame:
-    """Every claim that the cases in an ensemble table can answer.
+    """Every claim whose cases are in an ensemble table.
 
     Columns claim, figure, statistic, case, mean, least, greatest (of its members), reference, reference_mean, ratio
-    and holds ("yes", "no", "not clearly", or where else).
+    and holds ("yes", "no", "not clearly", "earlier" or "later").
     """
     e = Ensemble(table)
     rows = []
@@ -223,7 +223,7 @@ def claims_of(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_growth(table: pd.DataFrame, path: Path) -> None:
-    """Radial rms at the sensor against the carrier length: range and mean of the ensemble."""
+    """Radial rms at the sensor over the carrier length: range and mean of the ensemble."""
     members = [Ensemble(table).values(f"l{length}", RADIAL) * MM for length in GROWTH]
     figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
     low, high = ([f(values) for values in members] for f in (min, max))

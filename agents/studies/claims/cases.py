@@ -1,7 +1,7 @@
-"""Cases of the published study as ensembles: perturbed members of every case, run some at a time, resumable.
+"""Ensembles of the published study's cases, resumable.
 
-Beyond about 30 m the motion is chaotic, so a claim is tested on the statistics of several members that differ by a
-start perturbation of 0.1 micrometre, never on one trajectory. Member 0 has the study's start.
+Beyond about 30 m the motion is chaotic: a claim is tested on statistics of members whose start is perturbed by 0.1 um.
+Member 0 has the study's start.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ SPECTRUM_WINDOW, PEAK_REACH = 2.0, 1.0
 
 @dataclass(frozen=True)
 class Case:
-    """A scene file, what is changed of it, and the method that runs it.
+    """A scene file with changes and a method.
 
     Attributes:
-        settles: statistics of the last third only, not after a quarter.
+        settles: statistics over the last third, not after the first quarter.
         carrier_length: [m]; None: the file's.
         feed_speed: magnitude [m/s]; None: the file's.
         withdrawn: feed and air are reversed and the probe starts on the outer wall.
-        skips_start: not recorded in the first quarter, and with the highest peak of its spectra.
+        skips_start: the first quarter is not recorded; the row has the highest peaks of the spectra.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Case:
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing is changed of the scene but what method and step do."""
+        """Whether only method and step differ from the defaults."""
         return self == Case(self.name, self.scene, self.method, self.time_step)
 
     def load_scene(self) -> Scene:
@@ -89,9 +89,9 @@ INSERTED: Final = (
     *(Case(f"l{length}-explicit", f"fig11_l{length}", "explicit", 5e-6) for length in (30, 50)),
     *(Case(f"l{length}-implicit", f"fig11_l{length}", "implicit", 2.5e-5) for length in (30, 50)),
 )
-"""The probe fed in, as in the study's figures."""
+"""Insertions, as in the study's figures."""
 PROBES: Final = {"original": "fig11_l50", "improved": "fig20_improved"}
-"""Probes of the study's experiment (e), and scenes that have them, in the study's tube with its air."""
+"""Probes of the study's experiment (e) and their scenes."""
 
 
 def trip(
@@ -102,7 +102,7 @@ def trip(
     method: str = "imex",
     withdrawn: bool = True,
 ) -> Case:
-    """A probe of constant length [m] fed in or withdrawn at a speed [m/s], named after what differs from the usual."""
+    """Insertion or withdrawal at constant length [m] and speed [m/s]; the name has the differences from the usual."""
     parts = [probe, f"l{length}", f"u{1e3 * feed:.0f}"]
     parts += [f"mu{1e2 * friction:.0f}"] if friction != USUAL_FRICTION else []
     parts += [method] if method != "imex" else []
@@ -113,7 +113,7 @@ def trip(
 
 
 def insertion_of(withdrawal: str) -> str:
-    """Name of the insertion that a withdrawal is compared with."""
+    """Name of the reference insertion of a withdrawal."""
     return withdrawal.removesuffix("back") + "in"
 
 
@@ -128,17 +128,17 @@ def _trips() -> Iterator[Case]:
 
 
 TRIPS: Final = tuple(_trips())
-"""Experiment (e): the probe withdrawn, and fed in under the same settings."""
+"""Experiment (e): withdrawals, and insertions under the same settings."""
 CASES: Final = (*INSERTED, *TRIPS)
 SUBSET: Final = ("l10", "l30", "l50", "u0", "improved", "original-l10-u200-back", "original-l10-u200-in")
 
 
 def run_case(case: Case, member: int, duration: float) -> dict[str, object]:
-    """One member of a case as a row: statistics of the sensor, tip and root, or the time it diverged."""
+    """One member of a case as a row: statistics of sensor, tip and root, or the time of divergence."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StabilityWarning)  # cases beyond the limit are there on purpose
-        start, nudge = "outer" if case.withdrawn else "inner", PERTURBATION if member else 0.0
-        options = {"perturbation": nudge, "seed": member, "start": start}
+        warnings.simplefilter("ignore", StabilityWarning)  # some cases are beyond the limit on purpose
+        start, perturbation = "outer" if case.withdrawn else "inner", PERTURBATION if member else 0.0
+        options = {"perturbation": perturbation, "seed": member, "start": start}
         simulator = Simulator(case.load_scene(), case.method, case.time_step, **options)  # type: ignore[arg-type]
     row: dict[str, object] = {"case": case.name, "member": member, "duration_s": duration, "diverged_at_s": np.nan}
     skipped = round(0.25 * duration, 2) if case.skips_start else 0.0
@@ -152,7 +152,7 @@ def run_case(case: Case, member: int, duration: float) -> dict[str, object]:
     row |= point_statistics(run, "sensor", since)
     row["root_tension_mean_n"] = point_statistics(run, "root", since)["tension_mean_n"]
     if not case.skips_start:
-        return row | {"tip_radial_max_m": float(run.radial[:, run.column("tip")].max())}  # the start's swing included
+        return row | {"tip_radial_max_m": float(run.radial[:, run.column("tip")].max())}  # includes the start
     for name, signal in (("axial", run.axial[:, 0]), ("radial", run.radial[:, 0])):
         row[f"{name}_highest_hz"], row[f"{name}_highest_m"] = highest_peak(signal, run.sample_period)
     return row
@@ -162,7 +162,7 @@ def highest_peak(signal: FloatArray, sample_period: float) -> tuple[float, float
     """Frequency [Hz] and amplitude of the highest peak between 2 and 100 Hz of a signal (k,) of any unit.
 
     The amplitude is that of a sine with the power within 1 Hz of the highest value of the Welch spectrum (Hann windows
-    of 2 s, half overlapping): A = sqrt(2 P). A spectrum without a peak has a highest value too.
+    of 2 s, half overlapping): A = sqrt(2 P).
     """
     segment = min(len(signal), round(SPECTRUM_WINDOW / sample_period))
     frequency, density = welch(signal, 1.0 / sample_period, nperseg=segment)
@@ -173,9 +173,9 @@ def highest_peak(signal: FloatArray, sample_period: float) -> tuple[float, float
 
 
 def run_cases(output: Path, members: int, names: tuple[str, ...] = (), jobs: int = 2) -> pd.DataFrame:
-    """Members of the named cases (default: all) of ``DURATION``, stored in ensemble.csv as they finish.
+    """Run members of cases (default: all) for ``DURATION``, in ``jobs`` threads; each is stored in ensemble.csv.
 
-    Rows that the file has, of the same duration, are not run again; ``jobs`` threads run at the same time.
+    Stored rows of the same duration are not run again.
     """
     store = Store(output / "ensemble.csv", KEYS)
     cases = [case for case in CASES if not names or case.name in names]
@@ -185,7 +185,7 @@ def run_cases(output: Path, members: int, names: tuple[str, ...] = (), jobs: int
 
 
 def load_rows(folder: Path) -> pd.DataFrame:
-    """Stored rows of ``DURATION``; none if there is no file."""
+    """Stored rows of ``DURATION``; empty without a file."""
     path = folder / "ensemble.csv"
     if not path.exists():
         return pd.DataFrame()

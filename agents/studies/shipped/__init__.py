@@ -1,1 +1,1 @@
-"""Makers of shipped data: vibration map, best schedules, calibration response and PLC constants."""
+"""Studies that make the shipped data: vibration map, best schedules, calibration response and PLC constants."""

@@ -1,4 +1,4 @@
-"""Makes the best constant feed and the best schedules for the training tubes, by CMA-ES on the vibration map."""
+"""Optimises the constant feed and the schedules for the training tubes, by CMA-ES on the vibration map."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from probe_env.schedule import Schedule
 KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
 AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
 POPULATION, SPREAD = 16, 0.2
-"""Of a search: points of a generation, and their first standard deviation as a share of the ranges."""
+"""Points per generation, and their first standard deviation as a share of the ranges."""
 TRIALS: Final = 1200
-"""Schedules tried in a search."""
+"""Number of schedules in a search."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """A family of schedules: logarithms of feed speed at some lengths and air supply at some, each in [0, 1].
+    """A family of schedules: feed speeds (logarithmic) and air supplies at knots, each scaled to [0, 1].
 
     Attributes:
-        knots, air_knots: lengths [m] of a helix of 60 m, in proportion in others; a single one is a constant.
-        start: where the search begins.
-        helix_diameter: of the tubes that it is for [m]; None: all.
+        knots, air_knots: lengths [m] in a helix of 60 m, scaled for others; a single knot is a constant.
+        start: start of the search.
+        helix_diameter: helix diameter of its tubes [m]; None: all.
     """
 
     knots: tuple[float, ...]
@@ -56,12 +56,12 @@ class Family:
         air = value_at(np.array(x[len(self.knots) :]), (least_air(config), config.air_supply_rates[1]))
         ratio = (config.scene.tube.helix_length - FIRST) / (KNOTS[-1] - FIRST)
         knots, air_knots = ([FIRST + (knot - FIRST) * ratio for knot in part] for part in (self.knots, self.air_knots))
-        places = sorted({*knots, *air_knots})
-        fed, blown = np.interp(places, knots, feed), np.interp(places, air_knots, air)
-        return Schedule("inserted_length", "linear", tuple(places), tuple(map(float, fed)), tuple(map(float, blown)))
+        lengths = sorted({*knots, *air_knots})
+        feeds_at, air_at = (tuple(map(float, np.interp(lengths, *pair))) for pair in ((knots, feed), (air_knots, air)))
+        return Schedule("inserted_length", "linear", tuple(lengths), feeds_at, air_at)
 
     def tubes(self, contexts: tuple[Context, ...]) -> tuple[Context, ...]:
-        """Those of the contexts that it is for."""
+        """The contexts with its helix diameter."""
         return tuple(c for c in contexts if self.helix_diameter in (None, c.helix_diameter))
 
 
@@ -73,11 +73,11 @@ FAMILIES: Final[dict[str, Family]] = {
 }
 
 OF_A_PLANT: Final = ("best-constant", "best-schedule")
-"""Families that are searched for a plant unless others are asked for."""
+"""Families that are searched for a plant."""
 
 
 class MapCost:
-    """Expected cost of schedules on tubes by a map, and so their reward."""
+    """Expected reward of schedules in tubes by a vibration map."""
 
     def __init__(self, tubes: tuple[Context, ...], config: TaskConfig, vibration: VibrationMap) -> None:
         self.config, self.vibration = config, vibration
@@ -87,7 +87,7 @@ class MapCost:
         self.tubes = np.repeat(values, len(middles), axis=0)
 
     def reward(self, schedule: Schedule) -> float:
-        """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
+        """Mean reward of an insertion, without the terms that the map lacks (jerk, lost drive)."""
         feed, air = schedule.at(self.lengths)
         predicted = self.vibration.predict(self.lengths, feed, air, self.tubes, self.config.scene)
         cost = expected_cost(*predicted, feed, air, self.config)
@@ -95,26 +95,26 @@ class MapCost:
 
 
 def run(request: Request) -> None:
-    """Search all families, or for a tube of your own those that are not of one helix diameter; store and print.
+    """Search all families, or ``OF_A_PLANT`` for a custom plant; store and print.
 
-    Searches take less than a minute and are the same each time, so an interrupted one begins again; the simulated
-    episodes on the validation tubes are kept. ``trials`` are the schedules tried in each search.
+    Searches are deterministic and take less than a minute; an interrupted search starts again. Episodes in the
+    validation tubes are stored. ``trials`` is the number of schedules in each search.
 
     Raises:
-        ValueError: a budget out of range, or the map is of another vibration measure.
-        FileError: a stored episode is damaged, or of another task; nothing was tried.
+        ValueError: a budget is out of range, or the map has another vibration measure.
+        FileError: a stored episode is damaged, or of another task; nothing was run.
     """
-    request.without("limit")
+    request.reject("limit")
     trials = request.budget("trials", TRIALS)
     plant = plant_at(request.tube)
     vibration = map_of(request.tube, plant)
     if plant is not None and vibration is stored_map():
-        print(f"no map of {request.tube} is there: searched on the shipped one, of table 2's bore and air")
+        print(f"{request.tube} has no map: the shipped map is used, with table 2's bore and air")
     families = FAMILIES if plant is None else {name: FAMILIES[name] for name in OF_A_PLANT}
     for name in families:
         run_search(name, trials, request, vibration, plant)
     files = ", ".join(f"{name}.csv" for name in families)
-    print(f"written: {request.output}/ ({files}: schedules to evaluate; of each the trials and how it was made)")
+    print(f"written: {request.output}/ ({files}: schedules to evaluate; NAME-trials.csv, NAME.json)")
 
 
 def run_search(name: str, trials: int, request: Request, vibration: VibrationMap, plant: Plant | None) -> Schedule:
@@ -153,18 +153,17 @@ def search(
     rewards_of: Callable[[FloatArray], Sequence[float]], start: Sequence[float] | FloatArray, generations: int,
     name: str, spread: float = SPREAD, population: int = POPULATION,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """CMA-ES in the unit cube: points tried (n, d), their rewards (n,) and where the search ended (d,).
+    """CMA-ES in the unit cube: points (n, d), their rewards (n,) and the final mean (d,).
 
-    A generation is tried to its end or not at all, so a longer search begins as a shorter one; fewer generations once
-    it has converged.
+    The search stops when it has converged. A longer search starts with the points of a shorter one.
 
     Args:
         rewards_of: rewards (population,) of the points (population, d) of a generation.
-        start: of the search (d,).
-        generations: at most.
-        name: shown with the progress.
+        start: start of the search (d,).
+        generations: maximum number of generations.
+        name: name in the progress bar.
         spread: first standard deviation of the points.
-        population: points of a generation.
+        population: points per generation.
     """
     bounds = np.tile([0.0, 1.0], (len(start), 1))
     optimizer = CMA(np.array(start), sigma=spread, bounds=bounds, seed=0, population_size=population)

@@ -1,4 +1,4 @@
-"""A small network for the mean and the deviation of normal targets, fitted by their likelihood."""
+"""A small network for mean and standard deviation of normal targets, fitted by maximum likelihood."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def fit_network(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Weights (in, out) and biases (out,) of three layers, tanh between them, for scaled inputs (n, d), targets (n, t).
 
-    The layers give t means and then t logarithms of deviations, kept within ``clamp`` while they learn.
+    The outputs are t means and t logarithms of standard deviations, clamped to ``clamp`` in the loss.
     """
     import torch
 

@@ -1,6 +1,6 @@
-"""Makes the PLC laws' constants: CMA-ES on the vibration map, then in simulation; the trim by a grid in simulation.
+"""Optimises the PLC laws' constants: CMA-ES on the vibration map, then in simulation; the trim by a grid.
 
-The part on the map takes minutes and is the same each time, so an interrupted one begins again.
+The search on the map is deterministic and takes minutes; an interrupted one starts again.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ RANGES: Final[dict[str, tuple[float, float]]] = {
     "slow_feed": (0.05, 0.4), "slow_length": (0.0, 2.0), "slow_friction": (0.0, 2.0), "slow_diameter": (0.0, 2.0),
     "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6),
 }  # fmt: skip
-"""Where each constant is looked for; those of a magnitude by their logarithm."""
+"""Search range of each constant."""
 LOGARITHMIC: Final = ("average", "onset_length", "slow_feed", "quiet")
 POPULATION: Final = 10
 TRIALS, GENERATIONS, LIMIT = 600, 6, 12
-"""Laws tried on the map, generations that are simulated after that, and training tubes of these."""
+"""Laws on the map, generations in simulation, and training tubes of these."""
 WIDE, NEAR = 0.2, 0.05
-"""First spread of a search, as a share of the ranges: on the map, and in simulation around what the map gave."""
+"""First standard deviation as a share of the ranges: on the map, and in simulation around its result."""
 
 AIMS: Final = (2.5e-5, 3e-5, 3.5e-5, 4.2e-5, 5e-5)
-"""Noise that is aimed at, as radial rms [m]."""
+"""Target noise of the trim, as radial rms [m]."""
 TIMES: Final = (40.0, 80.0, 160.0)
-"""Of the trim [s]."""
+"""Integral times of the trim [s]."""
 UNTRIMMED: Final = "plc-law"
 TRIM_LIMIT: Final = 48
 START = 5.0
-"""[m] inserted at the beginning."""
+"""Inserted length at the start [m]."""
 
 
 def constants_at(x: FloatArray) -> Constants:
-    """Of a point (10,) in the unit cube."""
+    """Constants of a point (10,) in the unit cube."""
     values = {}
     for share, (name, (low, high)) in zip(x, RANGES.items(), strict=True):
         values[name] = low * (high / low) ** share if name in LOGARITHMIC else low + share * (high - low)
@@ -75,13 +75,13 @@ def point_of(constants: Constants) -> FloatArray:
 def run(request: Request) -> None:
     """Search the ten constants of plc-proportional, then the two of plc-integral; store and print.
 
-    Writes plc-law.json, trimmed-law.json and every trial; what was simulated is kept and not played again. ``trials``
-    are laws tried on the map, ``limit`` training tubes that are simulated, the first, which are balanced.
+    Writes plc-law.json, trimmed-law.json and every trial; stored simulations are not repeated. ``trials`` is the number
+    of laws on the map, ``limit`` the number of training tubes in simulation.
 
     Raises:
         ValueError: the limit is out of range.
     """
-    request.without("tube")
+    request.reject("tube")
     most = SPLIT_SIZES["train"]
     limit, trim_limit = request.budget("limit", LIMIT, most), request.budget("limit", TRIM_LIMIT, most)
     search_law(TRIALS if request.trials is None else request.trials, GENERATIONS, limit, request)
@@ -95,7 +95,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     whole, case = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
     config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
-    commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
+    commits, done = [commit()], 0  # of the laws on the map, which are not stored
 
     def by_map(points: FloatArray) -> list[float]:
         laws = [PlcProportional(config, constants_at(point)) for point in points]
@@ -118,7 +118,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
         centre = np.clip(mean, 0.0, 1.0)
         laws, gained = [*map(constants_at, points), constants_at(centre)], [*rewards, *reward(centre[None])]
         rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in zip(laws, gained, strict=True)]
-        best = laws[-1] if gained[-1] >= max(gained) else laws[int(np.argmax(gained))]  # of equals the search's mean
+        best = laws[-1] if gained[-1] >= max(gained) else laws[int(np.argmax(gained))]  # the mean if equal
     table = pd.DataFrame(rows)
     write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
     best_rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
@@ -129,7 +129,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
 
 
 def search_trim(limit: int, request: Request) -> Trim:
-    """The constants of plc-integral: a grid of aims and times, compared with the law without a trim."""
+    """The constants of plc-integral: a grid of aims and times, compared with plc-proportional."""
     case = case_of(None, "train", limit)
     config = case.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
@@ -148,12 +148,12 @@ def search_trim(limit: int, request: Request) -> Trim:
     write_atomically(request.output / "trimmed-law-trials.csv", trials.to_csv(index=False, float_format="%.6g"))
     record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
     write_json(request.output / "trimmed-law.json", record | {"provenance": origin(commits=table["commit"])})
-    print_frame(f"Reward less that of {UNTRIMMED}, {limit} tubes", trials, texts=0)
+    print_frame(f"Reward minus that of {UNTRIMMED}, {limit} tubes", trials, texts=0)
     return chosen
 
 
 def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibration: VibrationMap) -> FloatArray:
-    """Expected reward (n,) of insertions in which tension, noise and cost are those of steady states; without jerk."""
+    """Expected reward (n,) of insertions with tension, noise and cost of steady states; without jerk."""
     config = policy.config
     values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
     column = {name: values[:, k] for k, name in enumerate(CONTEXT)}
@@ -164,12 +164,12 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
     memory = np.zeros((count, policy.memory))
     policy.start(memory)
     for step in range(round(config.time_limit / dt)):
-        seen = {
+        observation = {
             "inserted_length": length, "feed_speed": feed, "air_supply_rate": air, "rf_noise": noise,
             "helix_diameter": column["helix_diameter"], "time": np.full(count, step * dt),
         }  # fmt: skip
-        pulled = sliding_tension(column["friction"], seen, config.scene) * column["drag_factor"]
-        feed, air = policy.targets(seen | {"root_tension": pulled}, memory)
+        tension = sliding_tension(column["friction"], observation, config.scene) * column["drag_factor"]
+        feed, air = policy.targets(observation | {"root_tension": tension}, memory)
         left = np.maximum(end - length, 0.0)
         travel = np.minimum(feed * dt, left)
         mean, deviation = vibration.predict(length + 0.5 * travel, feed, air, values, config.scene)

@@ -1,4 +1,4 @@
-"""Makes the calibration response: learnt from wandering insertions in tubes over wide ranges, some of them left out."""
+"""Fits the calibration response to insertions with random feed and air in random tubes, with cross-validation."""
 
 from __future__ import annotations
 
@@ -35,22 +35,21 @@ from probe_env.fidelity import PRESETS
 from probe_env.files import read_arrays
 
 SIZE: Final = 32
-"""Insertions side by side, in one bore."""
+"""Insertions per group, with one bore."""
 BORES: Final = (22.0e-3, 26.5e-3)
-"""Inner diameter [m]: 3 to 7.5 mm of room for table 2's floats."""
+"""Range of the bore [m]: clearance of 3 to 7.5 mm for table 2's floats."""
 LENGTHS: Final = (60.0, 45.0, 80.0)
-"""Helix length [m], in turn."""
+"""Helix lengths of the groups [m]."""
 DIAMETERS: Final = (0.8, 3.0)
-"""Of the helix [m]."""
+"""Range of the helix diameter [m]."""
 DRAG_FACTORS: Final = (0.7, 1.4)
-"""Drag over table 2's: also stands for other air and other float pitches."""
+"""Range of the drag factor; also covers other air and float pitches."""
 DAMPING: Final = (3e-5, 1.2e-4)
-"""[s]; an insertion that diverges, as some of little damping do, is learnt from as far as it went."""
+"""Range of the damping time [s]; a diverged insertion is used up to its divergence."""
 FEEDS: Final = (0.045, 0.4)  # [m/s]
 AIRS: Final = (30.0 / 3600.0, 130.0 / 3600.0)  # [m3/s]
 SEGMENT: Final = 6.0
-"""[m] over which feed and air go straight from one drawn value to the next: a step would make a vibration of its own,
-which ``fast`` draws out over metres."""
+"""Length [m] of a linear transition of feed and air between random values; a step would excite vibration."""
 SEED: Final = 20
 FIDELITY: Final = "standard"
 RECORDED: Final = {
@@ -59,16 +58,16 @@ RECORDED: Final = {
     "axial_acceleration_rms": ("axial_acceleration_rms_m_per_s2", ACCELEROMETER_FLOOR),
     "rf_noise_rms": ("radial_rms_m", RF_FLOOR),
 }
-"""Channel of a log -> statistic of a window, and the sensor's own noise that adds to it (root of the squares)."""
+"""Channel of a log -> statistic of a window, and noise of the sensor (added in squares)."""
 EPOCHS, BATCH = 150, 1024
 GROUPS: Final = 15
-"""Of insertions, for the shipped response."""
+"""Number of groups of the shipped response."""
 FOLDS: Final = 4
 REACH: Final = (20.0, 1.5)
-"""[m] over which strays fade that metres have in common: of a whole insertion's level, and of a segment."""
+"""Correlation lengths of residuals [m]: of an insertion's level, and of a segment."""
 LAGS: Final = 30  # [m]
 RARE: Final = 0.99
-"""Of the insertions that were left out, at their true figures, have no larger misfit than is held possible."""
+"""Quantile of the misfit of held-out insertions with true parameters that is accepted."""
 Program = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Feed speeds [m/s] and air supplies [m3/s] of N insertions at inserted lengths [m], (N,) each."""
 Bank = Mapping[str, FloatArray]
@@ -77,16 +76,16 @@ _ALL: Final = list(range(len(CHANNELS)))
 
 
 def run(request: Request) -> Response:
-    """Simulate the insertions (resumable), learn from them; writes response.npz and how it was made beside it.
+    """Simulate the insertions (resumable) and fit; writes response.npz and response.json.
 
-    ``limit`` is the number of groups, of 32 insertions each in one bore.
+    ``limit`` is the number of groups of 32 insertions.
 
     Raises:
         ValueError: the number of groups is out of range.
     """
-    import_module("torch")  # for the network, which comes after hours of simulation
+    import_module("torch")  # fails before hours of simulation
 
-    request.without("trials", "tube")
+    request.reject("trials", "tube")
     parts = list(make_bank(request.budget("limit", GROUPS, 256), request.output))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     response, quality = fit_response(bank)
@@ -102,14 +101,14 @@ def run(request: Request) -> Response:
 
 
 class Specimen(NamedTuple):
-    """A tube with a probe in it: context, and the damping time of the cable [s]."""
+    """Context, and damping time of the cable [s]."""
 
     context: Context
     damping_time: float
 
 
 def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
-    """Plant and specimens of a group; together they fill what may be evenly."""
+    """Plant and specimens of a group, from a Sobol sequence over the ranges."""
     spread = qmc.Sobol(5, rng=np.random.default_rng(SEED))
     shares = spread.fast_forward(group * SIZE).random(SIZE) if group else spread.random(SIZE)
     bore = float(value_at(qmc.Halton(1, scramble=False).fast_forward(group + 1).random(1)[0, 0], BORES))
@@ -127,13 +126,13 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
 
 
 def wandering(group: int) -> Program:
-    """Feed and air drawn anew every ``SEGMENT``, straight between; slow feeds are rarer, for they take the time."""
+    """Random feed and air at every ``SEGMENT``, linear in between; slow feeds are rarer, as they take longer."""
     knots = np.arange(0.0, max(LENGTHS) + SEGMENT, SEGMENT)
     shares = np.random.default_rng([SEED, group]).random((2, SIZE, len(knots)))
 
     def program(length: FloatArray) -> tuple[FloatArray, FloatArray]:
         feed, air = (
-            np.array([np.interp(place, knots, row) for place, row in zip(length, share, strict=True)])
+            np.array([np.interp(position, knots, row) for position, row in zip(length, share, strict=True)])
             for share in shares
         )
         return _geometric(FEEDS, feed**0.7), value_at(air, AIRS)
@@ -144,9 +143,9 @@ def wandering(group: int) -> Program:
 def insert(
     specimens: Sequence[Specimen], program: Program, config: TaskConfig, fidelity: Fidelity, seed: Sequence[int]
 ) -> list[Log]:
-    """Logs of insertions side by side, to the end of the helix, the time limit or a period that diverges.
+    """Logs of a batch of insertions, to the end of the helix, the time limit or divergence.
 
-    They are without sensor noise but for the floors of ``RECORDED``.
+    Their only sensor noise is that of ``RECORDED``.
     """
     count = len(specimens)
     episodes = Episodes(count, config, fidelity=fidelity)
@@ -167,7 +166,7 @@ def insert(
             fed = (after[k] - length[k]) / config.period
             rows[k].append((time[k], length[k], fed, window.air_supply_rate[k], *(column[k] for column in measured)))
         length, time = np.where(active, after, length), time + config.period * active
-    tables = (np.array(listed, dtype=float).reshape(-1, 4 + len(RECORDED)) for listed in rows)
+    tables = (np.array(log, dtype=float).reshape(-1, 4 + len(RECORDED)) for log in rows)
     return [
         Log(t[:, 0], t[:, 1], t[:, 2], t[:, 3], MappingProxyType(dict(zip(RECORDED, t[:, 4:].T, strict=True))))
         for t in tables
@@ -175,10 +174,10 @@ def insert(
 
 
 def simulated(group: int) -> dict[str, FloatArray]:
-    """Metres of all insertions of a group, one row each: specimen, tube, feed, air and ``CHANNELS`` by name."""
+    """Columns of the metres of a group: specimen, tube, feed, air and ``CHANNELS``."""
     plant, specimens = tubes_of(group)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StabilityWarning)  # of little damping nobody measured the limit
+        warnings.simplefilter("ignore", StabilityWarning)  # the limit is not known for low damping
         logs = insert(specimens, wandering(group), plant.configured(), PRESETS[FIDELITY], [SEED, group])
     metres = [metres_of(log) for log in logs]
     row = np.repeat(np.arange(len(metres)), [len(part) for part in metres])
@@ -194,7 +193,7 @@ def simulated(group: int) -> dict[str, FloatArray]:
 
 
 def make_bank(groups: int, output: Path) -> Iterator[dict[str, FloatArray]]:
-    """The groups, simulated where they are not in ``output`` yet; one that was interrupted goes on."""
+    """The groups; those that are not stored in ``output`` are simulated."""
     files = [output / f"{FIDELITY}-{group:03d}.npz" for group in range(groups)]
     announce(Work("group", groups, lambda: sum(file.exists() for file in files), output))
     output.mkdir(parents=True, exist_ok=True)
@@ -211,7 +210,7 @@ def _geometric(range_: tuple[float, float], share: FloatArray | float) -> FloatA
 
 
 def learning_rows(bank: Bank) -> tuple[FloatArray, FloatArray]:
-    """Inputs (rows, 10) of a bank's metres, and what the network is to tell of them (rows, c)."""
+    """Network inputs (rows, 10) and targets (rows, c) of the metres of a bank."""
     inputs, targets = np.empty((len(bank["length"]), INPUTS)), np.empty((len(bank["length"]), len(CHANNELS)))
     for specimen in np.unique(bank["specimen"]):
         rows = np.flatnonzero(bank["specimen"] == specimen)
@@ -223,18 +222,17 @@ def learning_rows(bank: Bank) -> tuple[FloatArray, FloatArray]:
         table = np.array(
             [[*(bank[n][rows[0]] for n in ("friction", "contact_stiffness")), drag, bank["damping_time"][rows[0]]]]
         )
-        shown, tension = inputs_of(table, metres, scene)
-        inputs[rows], targets[rows] = shown[0], observed(metres, _ALL)
+        features, tension = inputs_of(table, metres, scene)
+        inputs[rows], targets[rows] = features[0], observed(metres, _ALL)
         targets[rows, 0] -= np.log10(tension[0])
     return inputs, targets
 
 
 def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]:
-    """Learn from all insertions; the strays are those of insertions that were left out, a fourth at a time.
+    """Fit the response to all insertions; the residuals are those of ``FOLDS``-fold cross-validation.
 
     Returns:
-        the response; of each channel the root mean square of the strays in decades and
-        the share of its variance that is told.
+        the response; for each channel the rms error [decades] and the explained variance of held-out insertions.
     """
     inputs, targets = learning_rows(bank)
     scaling = np.array([inputs.mean(axis=0), inputs.std(axis=0)])
@@ -242,11 +240,11 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
     number = bank["specimen"].astype(int)
     mean, spread = np.empty_like(targets), np.empty_like(targets)
     for fold in range(FOLDS):
-        out = number % FOLDS == fold
-        layers = _network(x[~out], targets[~out], seed)
-        mean[out], spread[out] = _forward(layers, x[out])
-    strays = (targets - mean) / spread
-    alike = _alike(np.clip(strays, -4.0, 4.0), number, bank["length"])
+        held_out = number % FOLDS == fold
+        layers = _network(x[~held_out], targets[~held_out], seed)
+        mean[held_out], spread[held_out] = _forward(layers, x[held_out])
+    residuals = (targets - mean) / spread
+    covariances = _covariances(np.clip(residuals, -4.0, 4.0), number, bank["length"])
     layers = _network(x, targets, seed)
     quality = {}
     for k, name in enumerate(CHANNELS):
@@ -256,13 +254,13 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
     clearance = bank["inner_diameter"] - Scene().probe.carrier_float_diameter
     covered = bank["length"], bank["feed"], np.exp(inputs[:, 4]), bank["helix_diameter"], clearance
     ranges = np.array([[v.min() for v in covered], [v.max() for v in covered]])
-    plain = Response(layers, scaling, ranges, alike, np.array(REACH), np.zeros(len(CHANNELS) + 1))
+    response = Response(layers, scaling, ranges, covariances, np.array(REACH), np.zeros(len(CHANNELS) + 1))
     misfits = [
-        plain.misfit_of(strays[rows], bank["length"][rows], _ALL)
+        response.misfit_of(residuals[rows], bank["length"][rows], _ALL)
         for rows in (np.flatnonzero(number == specimen) for specimen in np.unique(number))
         if len(rows) >= LEAST_METRES
     ]
-    return replace(plain, misfit=np.quantile(misfits, RARE, axis=0)), quality
+    return replace(response, misfit=np.quantile(misfits, RARE, axis=0)), quality
 
 
 def _network(x: FloatArray, y: FloatArray, seed: int) -> Layers:
@@ -288,15 +286,15 @@ def _forward(layers: Layers, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     return values[:, :half], np.exp(np.clip(values[:, half:], -6.0, 1.0))
 
 
-def _alike(strays: FloatArray, number: FloatArray, length: FloatArray) -> FloatArray:
-    """(3, c, c) covariances whose mixture over ``REACH`` comes nearest to that of metres up to ``LAGS`` apart."""
-    size = strays.shape[1]
+def _covariances(residuals: FloatArray, number: FloatArray, length: FloatArray) -> FloatArray:
+    """(3, c, c) covariances of the ``REACH`` kernels and white noise, fitted to residuals up to ``LAGS`` apart."""
+    size = residuals.shape[1]
     sums, counts = np.zeros((LAGS + 1, size, size)), np.zeros(LAGS + 1)
     for specimen in np.unique(number):
         rows = np.flatnonzero(number == specimen)
         metre = np.floor(length[rows]).astype(int)
         grid = np.full((metre.max() + 1, size), np.nan)
-        grid[metre] = strays[rows]
+        grid[metre] = residuals[rows]
         for lag in range(min(LAGS + 1, len(grid))):
             a, b = grid[: len(grid) - lag], grid[lag:]
             both = ~np.isnan(a[:, 0]) & ~np.isnan(b[:, 0])

@@ -1,4 +1,4 @@
-"""What was refused or failed as the one line that the terminal and the app tell."""
+"""Formats errors for the terminal and the app."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from probe_env.files import one_line
 from probe_env.settings import explain
 
 
-def refusal(error: Exception) -> str:
+def format_error(error: Exception) -> str:
     """An error as one line."""
     if isinstance(error, ValidationError):
         return one_line(explain(error))
