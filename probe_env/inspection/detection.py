@@ -49,7 +49,7 @@ def pod_gaussian(snr: FloatArray, z: float) -> FloatArray:
     return np.asarray(ndtr(np.asarray(snr) - z))
 
 
-def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray) -> FloatArray:
+def pod_empirical(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray) -> FloatArray:
     """(n, d) the same with the motion's part of the noise distributed as it was seen.
 
     ``share`` (n,) of the noise's variance is motion, ``counts`` (len(MIDDLES),) are those of its excursions.
@@ -63,16 +63,16 @@ def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray
     return values
 
 
-def threshold_as_seen(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
+def threshold_empirical(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
     """The threshold that noise as it was seen exceeds over as much of the length as Gaussian noise does ``z``.
 
     Never below ``z``: what the few excursions of one tube do not show may come in the next. ``lengths`` (n,) are those
-    of the places [m]; the rest as in ``pod_as_seen``.
+    of the places [m]; the rest as in ``pod_empirical``.
     """
     weights = lengths / lengths.sum()
 
     def above(level: float) -> float:
-        exceeded = pod_as_seen(np.zeros((len(share), 1)), level, share, counts)[:, 0]
+        exceeded = pod_empirical(np.zeros((len(share), 1)), level, share, counts)[:, 0]
         return float((weights * exceeded).sum() / ndtr(-z) - 1.0)
 
     return z if above(z) <= 0.0 else float(brentq(above, z, EDGES[-1] + 2.0 * z, xtol=1e-3))

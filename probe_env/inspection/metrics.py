@@ -19,11 +19,11 @@ from probe_env.inspection.detection import (
     DEPTHS,
     EDGES,
     depth_found,
-    pod_as_seen,
+    pod_empirical,
     pod_gaussian,
     snr_at,
     threshold,
-    threshold_as_seen,
+    threshold_empirical,
 )
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import COUNT, FilteredSignal
@@ -74,12 +74,12 @@ class DetectionMetrics:
         z, lengths = threshold(self.sensor, tube_length), np.array(self.lengths)
         if self.gaussian or lengths.sum() <= 0.0:
             return z
-        return threshold_as_seen(z, lengths, np.array(self.shares), self.counts)
+        return threshold_empirical(z, lengths, np.array(self.shares), self.counts)
 
     def pod(self, z: float) -> FloatArray:
         """(n, d) probability of detection at the places and ``DEPTHS``, for a threshold."""
         snr = snr_at(self.sensor, np.array(self.snr))
-        return pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, np.array(self.shares), self.counts)
+        return pod_gaussian(snr, z) if self.gaussian else pod_empirical(snr, z, np.array(self.shares), self.counts)
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
         """Figures by name; ``length`` is all that was to be inspected [m], depths are in % of the wall.

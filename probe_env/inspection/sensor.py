@@ -111,7 +111,7 @@ class Sensor(Model):
         return self.groove_signal * math.sqrt(2.0 * ENERGY * BAND * added) / ANCHOR_RMS
 
     @property
-    def seen_gain(self) -> float:
+    def flaw_gain(self) -> float:
         """Gain [V/m] of radial motion along the direction of the flaw, in which calls are made."""
         return self.gain * math.cos(self.flaw_angle)
 
@@ -121,5 +121,5 @@ class Sensor(Model):
 
     def equivalent_rms(self, noise_to_signal: FloatArray) -> FloatArray:
         """Radial rms [m] in the flaw's band that alone would make this noise over the 20 % groove's signal."""
-        gain = max(abs(self.seen_gain), 1e-12)
+        gain = max(abs(self.flaw_gain), 1e-12)
         return np.asarray(self.groove_signal * math.sqrt(2.0 * ENERGY * BAND) / gain * noise_to_signal)

@@ -121,7 +121,7 @@ def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Float
     ``motion`` (N, m) is the one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
     """
     passing = passing_time(sensor, feed)
-    noise = sensor.seen_gain**2 * motion + sensor.noise_density
+    noise = sensor.flaw_gain**2 * motion + sensor.noise_density
     return _snr(sensor, passing, power(FREQUENCY * passing[:, None]) / noise)
 
 
@@ -144,7 +144,7 @@ def unbiased(sensor: Sensor, spectrum: FloatArray, inverse: float) -> FloatArray
     electronics' S_e the mean of 1/(S + S_e) is, to second order, (1 + (c - 1) s^2) / (S + S_e), s = S/(S + S_e), where
     S times 1 + (c - 1) s takes that back.
     """
-    moved = sensor.seen_gain**2 * spectrum
+    moved = sensor.flaw_gain**2 * spectrum
     return np.asarray(spectrum * (1.0 + (inverse - 1.0) * moved / (moved + sensor.noise_density)))
 
 
@@ -160,7 +160,7 @@ def filtered_signal(
         spectrum: (N, m) its mean density [m2/Hz].
         inverse: the mean of its inverse over the inverse of its mean, see ``inverse``.
     """
-    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, passing_time(sensor, feed)
+    gain, electronics, passing = sensor.flaw_gain, sensor.noise_density, passing_time(sensor, feed)
     noise = gain**2 * unbiased(sensor, spectrum, inverse) + electronics
     flaw = power(FREQUENCY * passing[:, None])
     weights, moved = flaw / noise, gain**2 * spectrum

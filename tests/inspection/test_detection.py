@@ -16,7 +16,7 @@ from probe_env.inspection.detection import (
     EDGES,
     MIDDLES,
     depth_found,
-    pod_as_seen,
+    pod_empirical,
     pod_gaussian,
     snr_at,
     threshold,
@@ -61,7 +61,7 @@ def test_gaussian_excursions_give_the_gaussian_curve():
     snr = snr_at(SENSOR, np.array([2.0, 4.0, 12.0]))
     share = np.array([0.0, 0.5, 0.9])
     steepest = norm.pdf(1.0) * 0.5 * 0.25**2 / 12.0  # of a change of variance: phi'(x) / 2, the most at x = 1
-    assert pod_as_seen(snr, z, share, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
+    assert pod_empirical(snr, z, share, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
 
 
 def test_spiky_excursions_hide_flaws():
@@ -70,7 +70,7 @@ def test_spiky_excursions_hide_flaws():
     counts[np.abs(MIDDLES - 0.125) < 0.01] = 48.0
     counts[np.abs(np.abs(MIDDLES) - 4.875) < 0.01] = 1.0  # one of each sign
     share, snr, z, draws = 0.8, 6.0, 4.585, 200_000
-    predicted = float(pod_as_seen(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
+    predicted = float(pod_empirical(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
     rng = np.random.default_rng(0)
     spikes = rng.choice(MIDDLES, size=draws, p=counts / counts.sum())
     hits = int((snr + np.sqrt(share) * spikes + np.sqrt(1.0 - share) * rng.normal(size=draws) > z).sum())
@@ -163,9 +163,9 @@ def _called(motion, spectrum, depth, feed, z, rng):
     noise = rng.normal(size=len(time)) * math.sqrt(SENSOR.noise_density * 500.0)
     lines = slice(1, len(FREQUENCY) + 1)
     signal, seen = (np.fft.rfft(values)[lines] for values in (
-        SENSOR.seen_gain * level + float(SENSOR.amplitude(depth)) * seen + noise, seen
+        SENSOR.flaw_gain * level + float(SENSOR.amplitude(depth)) * seen + noise, seen
     ))  # fmt: skip
-    density = SENSOR.seen_gain**2 * spectrum + SENSOR.noise_density
+    density = SENSOR.flaw_gain**2 * spectrum + SENSOR.noise_density
     # a line holds S * 500 Hz * samples, half of it in phase with the flaw
     deviation = math.sqrt((np.abs(seen) ** 2 / density).sum() * 250.0 * len(time))
     return (signal * seen.conj() / density).real.sum() / deviation > z

@@ -193,7 +193,7 @@ class Samples(NamedTuple):
         return self.rows[done // self.every : (done + steps) // self.every]
 
 
-class Recording:
+class Recorder:
     """Signals of p points every so many steps of a run, from its start on, and snapshots when told to.
 
     Args:

@@ -17,7 +17,7 @@ from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import State, at_rest, check_points, check_state
-from probe_env.physics.simulation.run import Recording, Run, Samples, node_of, shown, snapshot_steps
+from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, shown, snapshot_steps
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps, within
@@ -369,7 +369,7 @@ class Simulator:
         if self._error is not None:
             raise self._error
         self.check_fits()
-        recording = Recording(self.chain, self.state, self.root, nodes, steps, every)
+        recording = Recorder(self.chain, self.state, self.root, nodes, steps, every)
         self.set_targets(feed_speed, air_supply_rate)
         first, done = self.steps_done, 0
         with shown(progress, self.time, steps * self.time_step) as tell:
