@@ -161,7 +161,7 @@ def test_both_ways_find_what_either_finds():
     better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
     assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
     assert (curves["best"] > better + 1e-3).any()
-    metres = {stretch: sum(tally.lengths) for stretch, tally in detection.tallies.items()}
+    metres = {segment: sum(part.lengths) for segment, part in detection.segments.items()}
     assert metres["in"] == pytest.approx(3.0)
     assert metres["turn"] + metres["back"] == pytest.approx(3.0)
     assert metres["turn"] == pytest.approx(8.0 - back[round(TURN)], abs=1e-6)  # periods of a second, without time-lapse
