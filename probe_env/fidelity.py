@@ -165,7 +165,7 @@ def resolve_fidelity(
 
     Raises:
         ValueError: no such preset, settings that are not valid, a tolerance that nothing measured keeps, or a method
-            that does not simulate the way back.
+            that does not simulate withdrawal.
     """
     if both_ways:
         return _both_ways(fidelity)
@@ -232,7 +232,7 @@ def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     chosen = _named(fidelity, Scene(), growing=True)
     if not (chosen.simulates and METHODS[chosen.method].draws_back):
         raise ValueError(
-            f"fidelity = {fidelity!r}: {chosen.method} does not simulate the way back; give one of {known}, or settings"
+            f"fidelity = {fidelity!r}: {chosen.method} does not simulate withdrawal; give one of {known}, or settings"
             f" with one of {names_of(lambda method: method.draws_back)}"
         )
     return chosen

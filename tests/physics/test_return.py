@@ -249,7 +249,7 @@ def test_outer_start_of_two_float_sizes():
 def test_methods_that_do_not_go_back(method, given):
     simulator = Simulator(Scene(carrier_length=5.0), method, 2e-4, growing=True)
     message = (
-        f"{given} = -0.1 m3?/s: {method} does not simulate the return; newmark, wilson, imex, implicit, explicit do"
+        f"{given} = -0.1 m3?/s: {method} does not simulate withdrawal; use newmark, wilson, imex, implicit, explicit"
     )
     with pytest.raises(ValueError, match=message):
         simulator.advance(**{given: -0.1}, duration=0.1)

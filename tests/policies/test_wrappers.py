@@ -148,6 +148,6 @@ def test_what_it_cannot_do_is_refused():
     for passes in ("in", "both"):
         with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).full_observation)
-    with pytest.raises(ValueError, match="'reference': superelement does not simulate the way back; give one of stan"):
+    with pytest.raises(ValueError, match="'reference': superelement does not simulate withdrawal; give one of stan"):
         resolve_fidelity("reference", both_ways=True)
     assert resolve_fidelity("fast", both_ways=True) == BOTH_WAYS["fast"]

@@ -341,6 +341,6 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
 def test_both_ways_need_a_method_that_goes_back():
     for part in ("environment", "validation"):
         settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
-        with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
+        with pytest.raises(ValueError, match="superelement32 does not simulate withdrawal; give one of"):
             Training(**settings)
     assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), BothWays)
