@@ -28,7 +28,7 @@ class SimulationError(RuntimeError):
         else:
             hint = (
                 f"the step is within the known limit of {stable:.2g} s: most likely compression buckled the cable"
-                " between floats; a shorter step does not help, but contact.cable = true makes the walls support the cable"
+                " between floats; a shorter step does not help; contact.cable = true makes the walls support the cable"
             )
         super().__init__(
             f"{method} with time_step {time_step:g} s diverged at t = {time:.6g} s;"

@@ -30,7 +30,7 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods import METHODS, ON_NODES, check_step, names_of
 from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
-from probe_env.settings import Model, in_one_line, quantity
+from probe_env.settings import Model, one_line_errors, quantity
 
 SURROGATE: Final = "surrogate"
 """Method of the fidelity that predicts from a vibration map and simulates no motion."""
@@ -53,7 +53,7 @@ MESH_NODES, MESH_STEP = 8, 1.25e-4
 LOGGER: Final = logging.getLogger(__name__)
 
 
-def _known(method: str) -> str:
+def _check_method(method: str) -> str:
     if method not in (*METHODS, SURROGATE):
         raise PydanticCustomError("method", "{text}", {"text": f"not one of {', '.join((*METHODS, SURROGATE))}"})
     return method
@@ -66,7 +66,7 @@ class Fidelity(Model):
     ``STEADY_CHANGE``. The method "surrogate" has no other settings.
     """
 
-    method: Annotated[str, AfterValidator(_known)] = "superelement32"
+    method: Annotated[str, AfterValidator(_check_method)] = "superelement32"
     time_step: Annotated[float, quantity(1e-7, 1e-2, "s")] = 2e-4
     nodes_per_pitch: Annotated[int, Field(ge=1, le=64)] = 4
     time_lapse: Annotated[float, quantity(1.0, 1000.0, "")] = 1.0
@@ -124,7 +124,7 @@ PRESETS: Final[dict[str, Fidelity]] = {
 }
 ALIASES: Final = {"map": SURROGATE}
 """Other accepted names of presets."""
-BOTH_WAYS: Final[dict[str, Fidelity]] = {
+ROUND_TRIP_PRESETS: Final[dict[str, Fidelity]] = {
     "standard": Fidelity(method="imex", time_step=1.25e-4, nodes_per_pitch=8),
     "fast": Fidelity(method="imex", time_lapse=4.0),
 }
@@ -132,7 +132,7 @@ BOTH_WAYS: Final[dict[str, Fidelity]] = {
 displacements of 0.4 m, which take double precision. "fast" has four nodes a pitch, and time-lapse on the way in."""
 
 
-def lapse_in_words(fidelity: Fidelity) -> str:
+def time_lapse_text(fidelity: Fidelity) -> str:
     """The time-lapse; empty where there is none."""
     if fidelity.time_lapse == 1.0:
         return ""
@@ -140,19 +140,19 @@ def lapse_in_words(fidelity: Fidelity) -> str:
     return f"time-lapse {fidelity.time_lapse:g}{steady}"
 
 
-def in_words(fidelity: Fidelity) -> str:
+def summary_text(fidelity: Fidelity) -> str:
     """All settings, in a line."""
     if not fidelity.simulates:
         return fidelity.method
     mesh = f"{fidelity.nodes_per_pitch} nodes a pitch" if fidelity.nodes_per_pitch != 4 else ""
-    return ", ".join(filter(None, (f"{fidelity.method} at {fidelity.time_step:g} s", mesh, lapse_in_words(fidelity))))
+    return ", ".join(filter(None, (f"{fidelity.method} at {fidelity.time_step:g} s", mesh, time_lapse_text(fidelity))))
 
 
 def resolve_fidelity(
     fidelity: str | Fidelity | Mapping[str, Any],
     scene: Scene | None = None,
     growing: bool = True,
-    both_ways: bool = False,
+    round_trip: bool = False,
 ) -> Fidelity:
     """The settings of a preset by name, of "auto" or "auto:TOLERANCE", or custom ones.
 
@@ -161,16 +161,16 @@ def resolve_fidelity(
         scene: that "auto" chooses for; where its cable meets the walls between floats, or its couple counts from the
             tangent, superelements give way to a mesh of nodes. Default: table 2's.
         growing: whether the probe is fed in, for "auto".
-        both_ways: whether it is drawn back, too.
+        round_trip: whether it is drawn back, too.
 
     Raises:
         ValueError: no such preset, settings that are not valid, a tolerance that nothing measured keeps, or a method
             that does not simulate withdrawal.
     """
-    if both_ways:
-        return _both_ways(fidelity)
+    if round_trip:
+        return _round_trip(fidelity)
     scene = scene or Scene()
-    return _with_nodes(_named(fidelity, scene, growing), scene)
+    return _with_nodes(_preset_or_settings(fidelity, scene, growing), scene)
 
 
 def _with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
@@ -186,7 +186,7 @@ def _with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
     step = min(fidelity.time_step, MESH_STEP)
     update = {"method": ON_MESH[fidelity.method], "nodes_per_pitch": MESH_NODES, "time_step": step}
     taken = fidelity.model_copy(update=update)
-    _log_nodes(fidelity.method, in_words(taken))
+    _log_nodes(fidelity.method, summary_text(taken))
     return taken
 
 
@@ -198,12 +198,12 @@ def _log_nodes(method: str, taken: str) -> None:
     )  # fmt: skip
 
 
-def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: bool) -> Fidelity:
+def _preset_or_settings(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: bool) -> Fidelity:
     """``resolve_fidelity`` for the way in, without the nodes that the scene may need."""
     if isinstance(fidelity, Fidelity):
         return fidelity
     if not isinstance(fidelity, str):
-        with in_one_line():
+        with one_line_errors():
             return Fidelity.model_validate(dict(fidelity))
     name = ALIASES.get(fidelity, fidelity)
     if name in PRESETS:
@@ -222,14 +222,14 @@ def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: 
     return choose_fidelity(scene, tolerance, growing=growing).fidelity
 
 
-def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
+def _round_trip(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     """``resolve_fidelity`` for a probe that is drawn back."""
-    if isinstance(fidelity, str) and fidelity in BOTH_WAYS:
-        return BOTH_WAYS[fidelity]
-    known = ", ".join((*BOTH_WAYS, "study"))
+    if isinstance(fidelity, str) and fidelity in ROUND_TRIP_PRESETS:
+        return ROUND_TRIP_PRESETS[fidelity]
+    known = ", ".join((*ROUND_TRIP_PRESETS, "study"))
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
         raise ValueError(f"fidelity = {fidelity!r}: nothing was measured on the way back; give one of {known}")
-    chosen = _named(fidelity, Scene(), growing=True)
+    chosen = _preset_or_settings(fidelity, Scene(), growing=True)
     if not (chosen.simulates and METHODS[chosen.method].draws_back):
         raise ValueError(
             f"fidelity = {fidelity!r}: {chosen.method} does not simulate withdrawal; give one of {known}, or settings"
@@ -245,7 +245,7 @@ def is_surrogate(fidelity: str | Fidelity | Mapping[str, Any]) -> bool:
     return (fidelity.method if isinstance(fidelity, Fidelity) else fidelity.get("method")) == SURROGATE
 
 
-class Measured(NamedTuple):
+class MeasuredError(NamedTuple):
     """Error of one output for one setting; ``length`` is None for a whole insertion."""
 
     fidelity: Fidelity
@@ -266,11 +266,11 @@ class Choice(NamedTuple):
 
 
 @lru_cache
-def measured() -> tuple[Measured, ...]:
+def measured_errors() -> tuple[MeasuredError, ...]:
     """The shipped table of measured errors."""
     text = files("probe_env").joinpath("data/measured_errors.csv").read_text()
     return tuple(
-        Measured(
+        MeasuredError(
             Fidelity(
                 method=row["method"],
                 time_step=float(row["time_step_s"]),
@@ -286,7 +286,7 @@ def measured() -> tuple[Measured, ...]:
 
 def outputs() -> tuple[str, ...]:
     """Outputs with measured errors, by the names of ``signals.point_statistics``."""
-    return tuple(dict.fromkeys(row.output for row in measured()))
+    return tuple(dict.fromkeys(row.output for row in measured_errors()))
 
 
 def choose_fidelity(
@@ -314,12 +314,14 @@ def choose_fidelity(
     stiffnesses = _stiffnesses(scene)
     lengths = _lengths(scene, growing, stiffnesses)
     relevant = [
-        row for row in measured() if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
+        row
+        for row in measured_errors()
+        if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
     ]
     most = MOST_TIME_LAPSE if growing else 1.0
     places = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
     rated = []
-    for fidelity in dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most):
+    for fidelity in dict.fromkeys(row.fidelity for row in measured_errors() if row.fidelity.time_lapse <= most):
         try:
             holds = fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
         except ValueError:  # its contact asks for more modes than a superelement has room for
@@ -333,11 +335,13 @@ def choose_fidelity(
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
         least = min(rated, default=None)
-        known = f"the least measured is {least[0]:.2g} ({in_words(least[2])})" if least else "nothing measured fits it"
+        known = (
+            f"the least measured is {least[0]:.2g} ({summary_text(least[2])})" if least else "nothing measured fits it"
+        )
         raise ValueError(f"tolerance = {tolerance:g} is not kept by any setting for this scene: {known}")
     error, cost, chosen = min(within, key=lambda entry: (entry[1], entry[0]))
     reason = (
-        f"{in_words(chosen)}: {', '.join(needed)} within {error:.2g} where measured (tolerance {tolerance:g}),"
+        f"{summary_text(chosen)}: {', '.join(needed)} within {error:.2g} where measured (tolerance {tolerance:g}),"
         f" the cheapest of {len(within)} of {len(rated)} settings"
     )
     LOGGER.info("fidelity auto: %s", reason)
@@ -345,8 +349,8 @@ def choose_fidelity(
 
 
 def _stiffnesses(scene: Scene) -> list[float]:
-    """Measured contact stiffnesses to go by: one within ``NEAR`` of the scene's, or the two around it."""
-    known = sorted({row.stiffness for row in measured()})
+    """MeasuredError contact stiffnesses to go by: one within ``NEAR`` of the scene's, or the two around it."""
+    known = sorted({row.stiffness for row in measured_errors()})
     stiffness = scene.contact.stiffness
     near = [value for value in known if max(value / stiffness, stiffness / value) <= NEAR]
     if not near and not known[0] <= stiffness <= known[-1]:
@@ -361,7 +365,7 @@ def _lengths(scene: Scene, growing: bool, stiffnesses: Sequence[float]) -> list[
 
     Of a growing probe all up to its end, and the insertions (None).
     """
-    of = [{row.length for row in measured() if row.stiffness == value} - {None} for value in stiffnesses]
+    of = [{row.length for row in measured_errors() if row.stiffness == value} - {None} for value in stiffnesses]
     known = sorted(value for value in set.intersection(*of) if value is not None)
     if growing:
         end = scene.tube.helix_length - scene.probe.guide_length

@@ -26,11 +26,11 @@ POSITIONS: Final[dict[str, tuple[Over, float, str]]] = {
 }
 FEED, AIR = "feed_speed_m_per_s", "air_supply_m3_per_h"
 RANGES: Final = {FEED: (0.0, 2.0, "m/s"), AIR: (0.0, 720.0, "m3/h")}
-FORTH: Final = {FEED: FEED, AIR: AIR}
+INSERTION: Final = {FEED: FEED, AIR: AIR}
 """Columns of the way in."""
-BACK: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per_h"}
+WITHDRAWAL: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per_h"}
 """Columns of the way back, beside those of the way in."""
-COLUMNS: Final = (*POSITIONS, *RANGES, *BACK.values())
+COLUMNS: Final = (*POSITIONS, *RANGES, *WITHDRAWAL.values())
 CSV_COMMENT = "# interpolation:"
 SEPARATED: Final = (
     " - semicolons or decimal commas? A schedule has commas between columns and points in numbers; logs over time with"
@@ -65,7 +65,7 @@ class Schedule:
         k = np.clip(np.searchsorted(self.position, where + 1e-5, side="right") - 1, 0, None)
         return np.asarray(self.feed_speed)[k], np.asarray(self.air_supply_rate)[k]
 
-    def fed(self, time: npt.ArrayLike) -> FloatArray:
+    def fed_length(self, time: npt.ArrayLike) -> FloatArray:
         """Length [m] that a schedule over time feeds from its first point to times of any shape [s]; before it < 0."""
         when, (position, feed, whole) = np.asarray(time, dtype=float), self._integral
         k = np.clip(np.searchsorted(position, when, side="right") - 1, 0, None)
@@ -113,11 +113,11 @@ class Schedule:
         return _validated(path, interpolation, rows)  # type: ignore[arg-type]
 
     @classmethod
-    def read_back(cls, path: str | Path) -> Schedule | None:
+    def read_withdrawal(cls, path: str | Path) -> Schedule | None:
         """The way back of a schedule over inserted length: how fast the probe is drawn and how much air blows it out.
 
         Returns:
-            None if the file has neither of the columns of ``BACK``.
+            None if the file has neither of the columns of ``WITHDRAWAL``.
 
         Raises:
             FileNotFoundError, FileError: as ``read``; one of the columns without the other, or over time.
@@ -125,18 +125,18 @@ class Schedule:
         path = Path(path)
         forth = cls.read(path)
         _, rows = _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
-        given = [name for name in BACK.values() if any(name in row for _, row in rows)]
+        given = [name for name in WITHDRAWAL.values() if any(name in row for _, row in rows)]
         if not given:
             return None
-        if len(given) < len(BACK) or forth.over == "time":
-            raise FileError(path, f"{' and '.join(BACK.values())} go together, beside inserted_length_m")
-        return _validated(path, forth.interpolation, rows, BACK)
+        if len(given) < len(WITHDRAWAL) or forth.over == "time":
+            raise FileError(path, f"{' and '.join(WITHDRAWAL.values())} go together, beside inserted_length_m")
+        return _validated(path, forth.interpolation, rows, WITHDRAWAL)
 
     def to_csv(self) -> str:
         """The schedule as CSV text that ``read`` takes."""
         columns = {next(name for name, (over, _, _) in POSITIONS.items() if over == self.over): self.position}
         if self.start_length is not None:
-            columns["inserted_length_m"] = tuple((self.start_length + self.fed(self.position)).tolist())
+            columns["inserted_length_m"] = tuple((self.start_length + self.fed_length(self.position)).tolist())
         lines = [f"{CSV_COMMENT} {self.interpolation}", ",".join((*columns, FEED, AIR))]
         for *places, feed, air in zip(*columns.values(), self.feed_speed, self.air_supply_rate, strict=True):
             lines.append(",".join((*(f"{place:g}" for place in places), f"{feed:.6g}", f"{air * 3600.0:.6g}")))
@@ -214,7 +214,7 @@ def _validated(
     path: Path,
     interpolation: Interpolation,
     rows: Iterable[tuple[str, Mapping[str, Any]]],
-    columns: Mapping[str, str] = FORTH,
+    columns: Mapping[str, str] = INSERTION,
 ) -> Schedule:
     rows = list(rows)
     if rows[0][0] == "header":

@@ -130,7 +130,7 @@ def explain(error: ValidationError, within: str = "") -> str:
 
 
 @contextmanager
-def in_one_line() -> Iterator[None]:
+def one_line_errors() -> Iterator[None]:
     """Pydantic's errors as a ValueError of one line, see ``explain``; a decorator, too."""
     try:
         yield
@@ -173,7 +173,7 @@ def within(name: str, value: float, low: float, high: float, unit: str, exclude_
         raise ValueError(f"{name} = {value!r}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
 
 
-def check_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> None:
     """Raise TypeError, as Python does, where a keyword argument is not one of those that there are."""
     unknown = sorted(set(given) - set(known))
     if unknown:

@@ -186,7 +186,7 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, cl
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
         return _agent(file, config)
-    back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
+    back = Schedule.read_withdrawal(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, way back", back, config)
     return BothWays(config, make_policy(spec, way_in(config), vibration, classes), back or fastest_back(config))

@@ -37,7 +37,7 @@ from probe_env.fidelity import PRESETS, SURROGATE, Fidelity, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
 from probe_env.physics.model.drive import moved_on
 from probe_env.scene import Scene
-from probe_env.settings import check_known
+from probe_env.settings import check_keywords
 
 DRAWS: Final = 7
 """Normal draws a probe and period: vibration slow and quick, tension, two accelerations, two sensors."""
@@ -160,7 +160,7 @@ class SurrogateEpisodes:
         noise: Noise = MEASURED,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_known(type(self).__name__, settings, DEFAULTS)
+        check_keywords(type(self).__name__, settings, DEFAULTS)
         config, settings = placed({}, config, settings)
         arguments = DEFAULTS | settings
         vibration = arguments["surrogate_map"]

@@ -33,13 +33,13 @@ from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
-from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, INSERTION, WITHDRAWAL, Schedule
 
 FIDELITY: Final = "fast"
 NAME: Final = "best-both-ways"
 TRIALS, LIMIT = 40, 12
 """Schedules tried, and training tubes of each."""
-COLUMNS: Final = (*FORTH.values(), *BACK.values())
+COLUMNS: Final = (*INSERTION.values(), *WITHDRAWAL.values())
 """What is searched: the columns of a schedule file."""
 DRAWN: Final = 5
 """Trials that are drawn over the ranges before the process leads, those of ``starts`` among them."""
@@ -72,7 +72,7 @@ def starts(config: TaskConfig, space: Space) -> list[Numbers]:
 def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     """To three digits of the feed and whole cubic metres an hour, as near as the device comes to that."""
     given: dict[str, float] = {}
-    for columns in (FORTH, BACK):
+    for columns in (INSERTION, WITHDRAWAL):
         wanted = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
         feed, air = (float(value) for value in config.given(*wanted)[0])
         given |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
@@ -83,7 +83,7 @@ def policy_of(config: TaskConfig, numbers: Numbers) -> BothWays:
     """A schedule of one feed and air each way."""
     ways = [
         Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
-        for columns in (FORTH, BACK)
+        for columns in (INSERTION, WITHDRAWAL)
     ]
     return BothWays(config, Scheduled(way_in(config), ways[0]), ways[1])
 
@@ -145,7 +145,7 @@ def _tried(
     study = optuna.create_study(direction="maximize", sampler=sampler)  # in memory: equal rewards, equal trials
     for numbers in starts(config, space):
         study.enqueue_trial(dict(numbers))
-    feeds = FORTH[FEED], BACK[FEED]
+    feeds = INSERTION[FEED], WITHDRAWAL[FEED]
     drawn: dict[str, optuna.distributions.BaseDistribution] = {}
     for name in COLUMNS:
         drawn[name] = optuna.distributions.FloatDistribution(*space[name], log=name in feeds)
@@ -162,5 +162,5 @@ def _tried(
 
 
 def _plan(policies: Mapping[str, Policy], place: EvaluationCase) -> Plan:
-    fidelity = resolve_fidelity(FIDELITY, both_ways=True)
+    fidelity = resolve_fidelity(FIDELITY, round_trip=True)
     return Plan(policies, place.contexts, config=place.config.full_observation, fidelity=fidelity)

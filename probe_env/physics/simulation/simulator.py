@@ -20,7 +20,7 @@ from probe_env.physics.model.state import State, at_rest, check_points, check_st
 from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_reporter, snapshot_steps
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
-from probe_env.settings import check_known, whole_steps, within
+from probe_env.settings import check_keywords, whole_steps, within
 
 STEPS_PER_CALL: Final = 2000
 """Most steps in one kernel call; progress and interrupts are handled between calls."""
@@ -127,7 +127,7 @@ class Simulator:
         seed: int = 0,
         **options: Unpack[Options],
     ) -> None:
-        check_known(type(self).__name__, options, DEFAULTS)
+        check_keywords(type(self).__name__, options, DEFAULTS)
         settings = DEFAULTS | options
         self.method: Final = method_named(method, settings["solver"])
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
@@ -156,9 +156,11 @@ class Simulator:
         self.stable_time_step = self.method.stable_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             stable = self.stable_time_step
-            limit = f"the known stable limit {stable:.2g} s" if stable else "the stable limit, which is not known,"
+            limit = (
+                f"is beyond the known stable limit {stable:.2g} s of" if stable else "has no known stable limit with"
+            )
             warnings.warn(
-                f"time_step = {time_step:g} s is beyond {limit} of {self.method.name} for this scene; the run"
+                f"time_step = {time_step:g} s {limit} {self.method.name} for this scene; the run"
                 " stops with SimulationError if it diverges",
                 StabilityWarning,
                 stacklevel=2,
