@@ -207,7 +207,7 @@ def test_columns_of_the_way_back_go_together(tmp_path):
 def test_what_does_not_simulate_the_way_back_is_refused():
     for fidelity, message in (
         ("reference", "superelement does not simulate withdrawal; give one of standard, fast, study"),
-        ("auto", "nothing was measured on the way back"),
+        ("auto", "no errors are known for withdrawal"),
         ({"method": "imex32"}, "imex32 does not simulate withdrawal"),
     ):
         with pytest.raises(ValueError, match=message):
