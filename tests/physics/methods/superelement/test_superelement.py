@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.envs.trials import HARDEST
-from probe_env.physics.closed_forms.bare_chains import Driven, bent_chain, run_chain
+from probe_env.physics.closed_forms.bare_chains import DrivenChain, bent_chain, run_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement import contact, tables
@@ -80,7 +80,7 @@ def test_with_all_modes_it_is_the_mesh(monkeypatch):
     ended = {}
     for name, (chain, places) in chains.items():
         start = METHODS[name].at_rest(chain, places, STEP, chain.node_count - 1, d[:: 3 - places])
-        run_chain(name, Driven(chain, nodes_per_pitch=places), STEP, start, steps, steps)
+        run_chain(name, DrivenChain(chain, nodes_per_pitch=places), STEP, start, steps, steps)
         ended[name] = start.d[::places]
     scale = np.abs(ended["imex"]).max(axis=0)
     assert (scale > 1e-5).all()
