@@ -231,10 +231,10 @@ def _round_trip(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
         raise ValueError(f"fidelity = {fidelity!r}: no errors are known for withdrawal; give one of {known}")
     chosen = _preset_or_settings(fidelity, Scene(), growing=True)
-    if not (chosen.simulates and METHODS[chosen.method].draws_back):
+    if not (chosen.simulates and METHODS[chosen.method].simulates_withdrawal):
         raise ValueError(
             f"fidelity = {fidelity!r}: {chosen.method} does not simulate withdrawal; give one of {known}, or settings"
-            f" with one of {names_of(lambda method: method.draws_back)}"
+            f" with one of {names_of(lambda method: method.simulates_withdrawal)}"
         )
     return chosen
 

@@ -155,7 +155,7 @@ def test_drawing_out_does_not_shake_a_quiet_probe():
 def test_a_growing_and_a_shrinking_probe_are_restored_to_the_bit(method):
     step = 5e-6 if method == "explicit" else 1e-4
     cases = [({}, 0.4, 0.03, {"ramp": 0.5, "time_lapse": 20.0}), (IN, -2.0, -63.0 / 3600.0, {"ramp": 500.0})]
-    for change, feed_speed, air, options in cases[: 1 + METHODS[method].draws_back]:
+    for change, feed_speed, air, options in cases[: 1 + METHODS[method].simulates_withdrawal]:
         scene = Scene.model_validate(change | {"carrier_length": 1.0})
         simulator = Simulator(scene, method, step, growing=True, **options)
         simulator.advance(feed_speed, air, 0.02)

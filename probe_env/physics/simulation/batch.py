@@ -37,7 +37,7 @@ def groups_of(simulators: Sequence[Simulator], running: Sequence[int]) -> list[l
         method = simulators[same[0]].method
         for start in range(0, len(same), method.width):
             group = same[start : start + method.width]
-            groups += [[k] for k in group] if len(group) * method.alone_share < 1.0 else [group]
+            groups += [[k] for k in group] if len(group) * method.single_share < 1.0 else [group]
     return groups
 
 

@@ -435,8 +435,8 @@ class Simulator:
             if value is None:
                 continue
             within(name, value, -most, most, unit)
-            if value < 0.0 and not self.method.draws_back:
-                able = names_of(lambda method: method.draws_back)
+            if value < 0.0 and not self.method.simulates_withdrawal:
+                able = names_of(lambda method: method.simulates_withdrawal)
                 raise ValueError(
                     f"{name} = {value!r} {unit}: {self.method.name} does not simulate withdrawal; use {able}"
                 )

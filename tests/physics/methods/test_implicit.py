@@ -21,13 +21,13 @@ def integrate(chain, time_step, steps, state=None, feed=0.0, every=1):
     nodes = chain.node_count
     state = at_rest(nodes) if state is None else state
     weights = (time_step, *implicit_weights(chain.damping_time, time_step))
-    limits, places = implicit.couple_limits(chain, 4), implicit.contact_places(chain)
+    limits, walls = implicit.couple_limits(chain, 4), implicit.contact_walls(chain)
     work, counts = implicit.workspace(nodes), np.zeros(2, dtype=np.int64)
     d, v = [], []
     for _ in range(steps // every):
         inputs = Drive(feed, 0.0).inputs_of_steps(every, time_step, chain.element_length, 0)
         status, *_ = implicit.advance(
-            chain, weights, limits, places, inputs, nodes - 1, state, work,
+            chain, weights, limits, walls, inputs, nodes - 1, state, work,
             every + 1, 1, np.array([0]), np.zeros((0, 1, 4)), np.zeros(nodes), counts,
         )  # fmt: skip
         assert status == 0
@@ -70,13 +70,13 @@ def test_a_passive_probe_gains_no_energy(time_step, damping_time):
     state = at_rest(41)
     state.v[:-1] = rng.normal(size=(40, 3)) * (1.0, 1.0, 20.0)
     M, K = matrices(chain)
-    places = implicit.contact_places(chain)
+    walls = implicit.contact_walls(chain)
 
     def energy(d, v):
         y, x = d[:-1, 1], d[:-1].ravel()
-        deep = np.maximum(places[:-1, 0] - y, 0.0) + np.maximum(y - places[:-1, 1], 0.0)
+        deep = np.maximum(walls[:-1, 0] - y, 0.0) + np.maximum(y - walls[:-1, 1], 0.0)
         hard = np.maximum(deep - implicit.HARD_DEPTH, 0.0)
-        wall = 0.5 * places[:-1, 3] * deep**2 + 0.5 * (implicit.HARD_STIFFNESS - places[:-1, 3]) * hard**2
+        wall = 0.5 * walls[:-1, 3] * deep**2 + 0.5 * (implicit.HARD_STIFFNESS - walls[:-1, 3]) * hard**2
         return 0.5 * v[:-1].ravel() @ M @ v[:-1].ravel() + 0.5 * x @ K @ x + wall.sum()
 
     start = energy(state.d, state.v)

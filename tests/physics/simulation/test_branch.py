@@ -75,7 +75,7 @@ def test_what_does_not_fit_is_refused() -> None:
         batch.branch([])
     with pytest.raises(ValueError, match=r"which\[1\] = 99 is none of \d probes"):
         batch.branch([0, 99])
-    with pytest.raises(ValueError, match=r"active of shape \(9,\): one truth value for each of \d probes"):
+    with pytest.raises(ValueError, match=r"active has shape \(9,\); \(\d,\), a value for each probe"):
         batch.advance(active=np.ones(9, dtype=bool))
 
 

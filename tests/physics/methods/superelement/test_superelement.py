@@ -118,7 +118,7 @@ def test_the_compliance_in_steps_is_that_of_the_steps():
         v = A @ (p - theta * STEP * (K @ d))
         p, d = p - STEP * (K @ (d + tau * v)), d + STEP * v
     answer = d[1] * np.exp(-1j * omega * 2000 * STEP)
-    endless = contact.Endless(piece)
+    endless = contact.PeriodicRow(piece)
     endless.stiffness[:, [0, 1], [0, 1]] += 1e5
     own = endless.stepped_compliance(omega, chain.damping_time, STEP)
     assert abs(answer / own - 1.0) < 1e-6  # the start is gone: the slowest motion decays by 230 a second
@@ -130,7 +130,7 @@ def test_contact_is_fitted_where_the_step_shows():
     share = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
     assert_allclose(share, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
     more = contact.fitted_stiffness(
-        *(tables._piece(linear_part(chain), 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
+        *(tables._piece(linear_part(chain), 4, 16, 4).select_modes(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
     )
     assert more == pytest.approx(1e5, rel=2e-3)
 
@@ -156,7 +156,7 @@ def test_modes_are_chosen_by_the_contact():
         (4, {"contact": {"stiffness": 1.1e6}}, "nodes_per_pitch = 4: .* fewer than the 5 even and 5 odd modes"),
         (4, {"contact": {"stiffness": 1e7}}, "contact.stiffness asks for modes up to .* room for 5 and 5"),
         (4, {"contact": {"cable": True}}, r"contact\.cable = true: superelement has no nodes between floats; imex"),
-        (4, {"couple": "tangent"}, 'couple = "tangent": superelement knows "frame" only; imex'),
+        (4, {"couple": "tangent"}, 'couple = "tangent": superelement supports "frame" only; imex'),
     ],
 )
 def test_unsupported_scenes_are_refused(nodes, change, message):
