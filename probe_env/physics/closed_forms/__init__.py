@@ -62,8 +62,8 @@ def buckling_load(probe: Probe) -> float:
 
     Floats on a wall restrain the cable sideways but not in rotation. Compression is nearly equal in neighbouring spans,
     which bend to opposite sides and do not restrain each other: each is a bar with hinged ends. The initial deflection
-    p^2 / 8 r from the helix (2 mm for table 2) grows near the load but does not change it. If floats have left the wall,
-    the cable bends over several pitches and buckles at a lower load.
+    p^2 / 8 r from the helix (2 mm for table 2) grows near the load but does not change it. If floats have left the
+    wall, the cable bends over several pitches and buckles at a lower load.
     """
     return math.pi**2 * probe.flexural_rigidity / probe.float_pitch**2
 

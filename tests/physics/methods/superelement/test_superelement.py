@@ -28,14 +28,14 @@ def dense(pieces, matrices, tip):
     return whole[:-3, :-3]
 
 
-@pytest.mark.parametrize("places", [1, 2, 3, 4])
-def test_the_sweeps_solve_the_chain(places):
+@pytest.mark.parametrize("per_pitch", [1, 2, 3, 4])
+def test_the_sweeps_solve_the_chain(per_pitch):
     """(M + theta dt tau K) v = r of six whole pitches and a part of one: factors and modes against a dense solution."""
     chain = build_chain(Scene(), 4)._replace(frame_inertia=0.0)
     theta, tau = linear_weights(chain.damping_time, STEP)
     weight = theta * STEP * tau
     own = tables.tables(chain, 4, STEP)
-    whole = [tables._piece(linear_part(chain), 4, tables.ELEMENTS, n) for n in (4, places)]
+    whole = [tables._piece(linear_part(chain), 4, tables.ELEMENTS, n) for n in (4, per_pitch)]
     cut = [tables._chosen(piece, own.even, own.odd, weight) for piece in whole]
     pieces = [cut[0]] * 6 + [cut[1]]
     fine = refined(chain, 4, tables.ELEMENTS, 4)
@@ -47,7 +47,7 @@ def test_the_sweeps_solve_the_chain(places):
     left = [p.mass[:ENDS, ENDS:] @ row[3:] for p, row in zip(pieces, rows, strict=True)]  # modes of A are one
     u, before, carried = [], np.zeros(3), np.zeros(3)
     for i in range(7):
-        table = own.root_factors[places - 1] if i == 6 else own.factors
+        table = own.root_factors[per_pitch - 1] if i == 6 else own.factors
         E, F, _ = table[min(i, len(own.factors) - 1)].reshape(3, 3, 3)
         before = E @ (rows[i, :3] - left[i][:3] - carried) - F @ before
         carried = left[i][3:]
@@ -78,10 +78,10 @@ def test_with_all_modes_it_is_the_mesh(monkeypatch):
     d[::2] = ends
     d[1::2] = np.hstack([ends[:-1], ends[1:]]) @ shape.T  # no mode is in it
     ended = {}
-    for name, (chain, places) in chains.items():
-        start = METHODS[name].at_rest(chain, places, STEP, chain.node_count - 1, d[:: 3 - places])
-        run_chain(name, DrivenChain(chain, nodes_per_pitch=places), STEP, start, steps, steps)
-        ended[name] = start.d[::places]
+    for name, (chain, per_pitch) in chains.items():
+        start = METHODS[name].at_rest(chain, per_pitch, STEP, chain.node_count - 1, d[:: 3 - per_pitch])
+        run_chain(name, DrivenChain(chain, nodes_per_pitch=per_pitch), STEP, start, steps, steps)
+        ended[name] = start.d[::per_pitch]
     scale = np.abs(ended["imex"]).max(axis=0)
     assert (scale > 1e-5).all()
     assert_allclose(ended["superelement"] / scale, ended["imex"] / scale, atol=1e-8)  # rounding of 200 steps
@@ -137,15 +137,15 @@ def test_contact_is_fitted_where_the_step_shows():
 
 def test_modes_are_chosen_by_the_contact():
     """Three on table 2; stiffer contact asks for more, and a probe of a longer pitch too."""
-    kept = {}
+    modes = {}
     for name, scene in {
         "table 2": Scene(), "stiff": Scene(contact={"stiffness": 4e5}), "soft": Scene(contact={"stiffness": 1e4})
     }.items():  # fmt: skip
         own = tables.tables(build_chain(scene, 4), 4, 1e-4)
-        kept[name] = (own.even, own.odd)
-    assert kept["table 2"] == kept["soft"] == (2, 1)
-    assert kept["stiff"][0] > 2
-    assert kept["stiff"][1] > 1
+        modes[name] = (own.even, own.odd)
+    assert modes["table 2"] == modes["soft"] == (2, 1)
+    assert modes["stiff"][0] > 2
+    assert modes["stiff"][1] > 1
 
 
 @pytest.mark.parametrize(
