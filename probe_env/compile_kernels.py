@@ -23,8 +23,8 @@ def compile_kernels() -> None:
         Simulator(short, method, method.usual_step).run(1e-3)
         if method.single_share < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
-    pressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
-    Simulator(pressed, ROUND_TRIP_PRESETS["standard"].method, 1e-4).run(1e-3)
+    compressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
+    Simulator(compressed, ROUND_TRIP_PRESETS["standard"].method, 1e-4).run(1e-3)
 
 
 if __name__ == "__main__":

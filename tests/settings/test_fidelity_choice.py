@@ -10,7 +10,7 @@ from probe_env.fidelity import MOST_TIME_LAPSE, PRESETS, choose_fidelity, measur
 from probe_env.physics.methods import METHODS
 
 
-def stated(fidelity, length):
+def stated_error(fidelity, length):
     """The stated error of the radial rms on table 2's stiffness."""
     (row,) = [
         r for r in measured_errors()
@@ -19,7 +19,7 @@ def stated(fidelity, length):
     return row.error
 
 
-def test_the_cheapest_within_the_tolerance_is_taken_and_the_reason_told():
+def test_the_cheapest_settings_within_the_tolerance():
     scene = Scene(carrier_length=30.0)
     loose = choose_fidelity(scene, 0.3)
     tolerance = 0.99 * loose.error
@@ -29,7 +29,7 @@ def test_the_cheapest_within_the_tolerance_is_taken_and_the_reason_told():
     assert loose.cost < tight.cost
     for choice in (loose, tight):
         assert f"{choice.fidelity.time_step:g} s" in choice.reason
-        assert "radial_rms_m within" in choice.reason
+        assert "measured error of radial_rms_m at most" in choice.reason
         fidelity = choice.fidelity
         limit = METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
         assert fidelity.time_step <= limit
@@ -37,7 +37,7 @@ def test_the_cheapest_within_the_tolerance_is_taken_and_the_reason_told():
     assert all(r.error > tolerance for r in cheaper if r.cost < 0.99 * tight.cost)
 
 
-def test_superelements_and_finer_meshes_are_known():
+def test_errors_of_superelements_and_meshes():
     """A default and its double by name; the converged mesh itself where nothing cheaper is near enough."""
     kinds = {(row.fidelity.method, row.fidelity.nodes_per_pitch) for row in measured_errors()}
     assert len(measured_errors()) > 200
@@ -51,11 +51,11 @@ def test_superelements_and_finer_meshes_are_known():
     assert choose_fidelity(hard, 1.0).fidelity.method.startswith("imex")
 
 
-def test_length_stiffness_and_outputs_count():
+def test_length_stiffness_and_outputs():
     short, long = (choose_fidelity(Scene(carrier_length=length), 0.3) for length in (10.0, 50.0))
-    assert (short.error, long.error) == (stated(short.fidelity, 10.0), stated(long.fidelity, 50.0))
+    assert (short.error, long.error) == (stated_error(short.fidelity, 10.0), stated_error(long.fidelity, 50.0))
     between = choose_fidelity(Scene(carrier_length=45.0), 0.3)
-    assert between.error == max(stated(between.fidelity, 40.0), stated(between.fidelity, 50.0))
+    assert between.error == max(stated_error(between.fidelity, 40.0), stated_error(between.fidelity, 50.0))
     soft = Scene.model_validate({"carrier_length": 30.0, "contact": {"stiffness": 1e4}})
     assert (
         choose_fidelity(soft, 0.2).fidelity.time_step
@@ -130,7 +130,7 @@ def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
 
     11 % are stated (a member +- 12 and 13 %). With 16 against 12 chance is another 21 %: a third is noticed.
     """
-    error = max(stated(PRESETS["standard"], 30.0), stated(PRESETS["standard"], 50.0))
+    error = max(stated_error(PRESETS["standard"], 30.0), stated_error(PRESETS["standard"], 50.0))
     assert error < 0.15
     difference = apart(
         *(rms_at_constant_length(PRESETS[n], seeds(k)) for n, k in (("standard", 16), ("reference", 12)))
