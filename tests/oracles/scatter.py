@@ -2,7 +2,7 @@
 
 At more than about 30 m of carrier, runs that differ in the last digit soon agree in their statistics only, so that
 another processor gives another random sample. A bound is the quantile of Student's t that the logarithm of a ratio of
-means exceeds with probability ``CHANCE``; t instead of normal, because deviations were measured on ``MEASURED`` members.
+means exceeds with probability ``CHANCE``; t, because deviations were measured on ``MEASURED`` members.
 
 A true shift by the bound is detected with probability 0.5, by twice the bound with probability 1 - ``CHANCE``.
 """
@@ -65,5 +65,5 @@ def apart(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def hits_within(trials: int, least: float, most: float, chance: float = CHANCE) -> tuple[int, int]:
-    """Fewest and most successes of trials with a probability between two bounds; ``chance`` is the error on each side."""
+    """Fewest and most successes of trials with a probability between two bounds; ``chance``: error on each side."""
     return int(binom.ppf(chance, trials, least)), int(binom.isf(chance, trials, most))
