@@ -77,21 +77,21 @@ def support_signal(sensor: Sensor, position: FloatArray, supports: FloatArray) -
 
 def channels(
     sensor: Sensor,
-    recording: Recording,
+    motion: Recording,
     bore: float,
     flaws: Sequence[Flaw],
     supports: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
     """(k, 2) voltages X and Y of a run [V], means subtracted; bore and positions of supports in m."""
-    moved = recording.radial - recording.radial.mean()
+    moved = motion.radial - motion.radial.mean()
     voltages = sensor.gain * np.outer(moved, channel_shares(sensor, 0.0))
     voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]
     amplitudes = [float(sensor.amplitude(flaw.depth)) for flaw in flaws]
-    signal = _pulses(recording.position, [flaw.position for flaw in flaws], amplitudes, sensor.flaw_width)
+    signal = _pulses(motion.position, [flaw.position for flaw in flaws], amplitudes, sensor.flaw_width)
     voltages += np.outer(signal, channel_shares(sensor, sensor.flaw_angle))
-    voltages += support_signal(sensor, recording.position, supports)[:, None]
-    deviation = math.sqrt(0.5 * sensor.noise_density / recording.sample_period)
+    voltages += support_signal(sensor, motion.position, supports)[:, None]
+    deviation = math.sqrt(0.5 * sensor.noise_density / motion.sample_period)
     voltages += deviation * rng.normal(size=voltages.shape)
     return np.asarray(voltages - voltages.mean(axis=0))
 

@@ -24,6 +24,7 @@ CHANNELS: Final = 4
 """Values of a sample: x, y, theta and V."""
 QUANTITIES: Final = {"axial": "m", "radial": "m", "rotation": "rad", "tension": "N"}
 """Signals of a run and their units."""
+Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -156,9 +157,7 @@ def point_name(point: str | float) -> str:
 
 
 @contextmanager
-def progress_reporter(
-    progress: Callable[[float], None] | bool, start: float, duration: float
-) -> Iterator[Callable[[float], None]]:
+def progress_bar(progress: Progress | bool, start: float, duration: float) -> Iterator[Progress]:
     """A function of the simulated time [s] that updates a progress bar, or the function given as ``progress``."""
     if callable(progress):
         yield progress

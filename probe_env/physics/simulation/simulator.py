@@ -17,7 +17,7 @@ from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import State, at_rest, check_points, check_state
-from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_reporter, snapshot_steps
+from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_bar, snapshot_steps
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
 from probe_env.settings import check_keywords, whole_steps, within
@@ -60,16 +60,8 @@ def advance_together(simulators: Sequence[Simulator], samples: Sequence[Samples]
     """
     first = simulators[0]
     lanes = [
-        Lane(
-            s.constants,
-            s.state,
-            s.root,
-            s.inputs_of_steps(steps),
-            record.points,
-            record.due(done, steps),
-            record.tension_sum,
-        )
-        for s, record in zip(simulators, samples, strict=True)
+        Lane(s.constants, s.state, s.root, s.inputs_of_steps(steps), r.points, r.due(done, steps), r.tension_sum)
+        for s, r in zip(simulators, samples, strict=True)
     ]
     every = samples[0].every
     seconds = first.method.run(lanes, first.time_step, first.nodes_per_pitch, every - done % every, every)
@@ -156,9 +148,7 @@ class Simulator:
         self.stable_time_step = self.method.stable_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             stable = self.stable_time_step
-            limit = (
-                f"is beyond the known stable limit {stable:.2g} s of" if stable else "has no known stable limit with"
-            )
+            limit = f"is beyond the known stable limit {stable:.2g} s of" if stable else "has no known limit with"
             warnings.warn(
                 f"time_step = {time_step:g} s {limit} {self.method.name} for this scene; the run"
                 " stops with SimulationError if it diverges",
@@ -381,7 +371,7 @@ class Simulator:
         recording = Recorder(self.chain, self.state, self.root, nodes, steps, every)
         self.set_targets(feed_speed, air_supply_rate)
         first, done = self.steps_done, 0
-        with progress_reporter(progress, self.time, steps * self.time_step) as report:
+        with progress_bar(progress, self.time, steps * self.time_step) as report:
             while True:
                 if done in stops:
                     recording.add_snapshot(self.time, self.state)
