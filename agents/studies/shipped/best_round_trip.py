@@ -89,7 +89,7 @@ def policy_of(config: TaskConfig, numbers: Numbers) -> BothWays:
 
 
 def csv_of(config: TaskConfig, numbers: Numbers) -> str:
-    """The file of such a schedule, which ``Schedule.read`` and ``read_back`` take."""
+    """The file of such a schedule, which ``Schedule.read`` and ``read_withdrawal`` take."""
     values = ",".join(f"{numbers[name]:.6g}" for name in COLUMNS)
     ends = (FIRST, config.scene.tube.helix_length)
     lines = (f"{CSV_COMMENT} linear", ",".join(("inserted_length_m", *COLUMNS)), *(f"{end:g},{values}" for end in ends))
