@@ -159,20 +159,19 @@ class RoundTripMetrics:
         gaussian = all(metrics.gaussian for metrics in inspected.values())
         return detection_kpis(lengths, snr.max(axis=0), peaks, 1.0 - missed, length, z, gaussian)
 
-
-def _intervals(
-    self, segments: tuple[Segment, ...], thresholds: Mapping[Segment, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Ends (n, 2) [m] of the intervals of a pass, ascending, and S/N, peak to peak [V] and POD (n, 2 + d)."""
-    ends, rows = [np.zeros((0, 2))], [np.zeros((0, 2 + len(DEPTHS)))]
-    for segment in segments:
-        if segment in thresholds:
-            metrics = self.segments[segment]
-            ends.append(np.array(self._ends[segment]))
-            rows.append(np.column_stack([metrics.snr, metrics.peaks, metrics.pod(thresholds[segment])]))
-    joined = np.concatenate(ends)
-    order = np.argsort(joined[:, 0], kind="stable")
-    return joined[order], np.concatenate(rows)[order]
+    def _intervals(
+        self, segments: tuple[Segment, ...], thresholds: Mapping[Segment, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Ends (n, 2) [m] of the intervals of a pass, ascending, and S/N, peak to peak [V] and POD (n, 2 + d)."""
+        ends, rows = [np.zeros((0, 2))], [np.zeros((0, 2 + len(DEPTHS)))]
+        for segment in segments:
+            if segment in thresholds:
+                metrics = self.segments[segment]
+                ends.append(np.array(self._ends[segment]))
+                rows.append(np.column_stack([metrics.snr, metrics.peaks, metrics.pod(thresholds[segment])]))
+        joined = np.concatenate(ends)
+        order = np.argsort(joined[:, 0], kind="stable")
+        return joined[order], np.concatenate(rows)[order]
 
 
 def _values_at(ends: FloatArray, values: FloatArray, lengths: FloatArray) -> tuple[BoolArray, FloatArray]:
