@@ -30,7 +30,7 @@ def at(end):
     zero = np.zeros(1)
     return StepRecord(
         stepped=ONE, good=ONE, before=ONE, after=np.array([end]), helix_length=np.array([9.0]), air=zero, seconds=zero,
-        action_change=zero, buckling_load=zero, window=None, readings={},
+        action_change=zero, buckling_load=zero, window=None, signals={},
     )  # fmt: skip
 
 
@@ -60,11 +60,11 @@ def shown(inspects, way_in, way_back):
 
 def test_a_metre_counts_for_what_the_task_says():
     for inspects, expected in (
-        ("in", [4.0, 0.5 + 2.0 + 4.0 + 9.0, 1.0, 15.5]),
+        ("in", [4.0, 0.5 + 0.9 + 4.0 + 9.0, 2.0, 14.4]),
         ("back", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
-        ("best", [4.0, 0.2 + 2.0 + 0.6 + 9.0, 2.0, 11.8]),
+        ("best", [4.0, 0.2 + 0.9 + 0.6 + 9.0, 3.0, 10.7]),
     ):
-        assert shown(inspects, (0.5, 2.0, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
+        assert shown(inspects, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
 
 
 def test_a_metre_may_be_cut_anywhere():
@@ -161,7 +161,7 @@ def test_both_ways_find_what_either_finds():
     better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
     assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
     assert (curves["best"] > better + 1e-3).any()
-    metres = {segment: sum(part.lengths) for segment, part in detection.segments.items()}
+    metres = {segment: sum(metrics.lengths) for segment, metrics in detection.segments.items()}
     assert metres["in"] == pytest.approx(3.0)
     assert metres["turn"] + metres["back"] == pytest.approx(3.0)
     assert metres["turn"] == pytest.approx(8.0 - back[round(TURN)], abs=1e-6)  # periods of a second, without time-lapse
