@@ -17,7 +17,7 @@ from sphinx.application import Sphinx
 from sphinx.util.typing import stringify_annotation
 
 from probe_env import Scene
-from probe_env.fidelity import PRESETS, Fidelity, lapse_in_words
+from probe_env.fidelity import PRESETS, Fidelity, time_lapse_text
 from probe_env.physics.methods import METHODS
 from probe_env.settings import Model, range_of
 
@@ -73,7 +73,7 @@ def presets() -> str:
 
 
 def _lapse(fidelity: Fidelity) -> str:
-    return lapse_in_words(fidelity).removeprefix("time-lapse ") or "none"
+    return time_lapse_text(fidelity).removeprefix("time-lapse ") or "none"
 
 
 MAKERS: Final[dict[str, Callable[..., str]]] = {f.__name__: f for f in (docstring, fields, methods, presets)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from probe_env.envs.episodes.starts import WAY_BACK
-from probe_env.fidelity import BOTH_WAYS
+from probe_env.fidelity import ROUND_TRIP_PRESETS
 from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.simulator import Simulator
@@ -21,10 +21,10 @@ def compile_kernels() -> None:
         print(f"kernels of {method.name} ({number} of {len(METHODS)})", file=sys.stderr)
         short = Scene(carrier_length=1.0)
         Simulator(short, method, method.usual_step).run(1e-3)
-        if method.alone_share < 1.0:  # then one probe has a kernel of its own
+        if method.single_share < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
-    pressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
-    Simulator(pressed, BOTH_WAYS["standard"].method, 1e-4).run(1e-3)
+    compressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
+    Simulator(compressed, ROUND_TRIP_PRESETS["standard"].method, 1e-4).run(1e-3)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Which probe to build: the design space.
+"""Probe designs: the design space and its coordinates.
 
-The study names 10 m as the longest guide that can be handled and 20 mm as the largest float that passes the weld
-projections. The other ranges, around table 2's cable, are assumptions of what can be bought.
+A guide of more than 10 m cannot be handled and a float of more than 20 mm does not pass the weld projections (study).
+The other ranges are assumptions of what can be bought, around the cable of table 2.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ RANGES: Final[dict[str, tuple[float, float, str]]] = {
     "flexural_rigidity": (2.5e-2, 1.0e-1, "N m2"),
     "line_density": (0.09, 0.14, "kg/m"),
 }
-"""Field -> lowest, highest, unit: the axes of the design space, in the order of ``Design.from_unit``."""
+"""Field -> lowest value, highest value, unit: axes of the design space, in the order of ``Design.from_unit``."""
 
 CLEARANCE: Final = 1e-3
-"""[m] that the design space leaves at least between a float and the bore, and a float and its cable, in diameter; an
-assumption: the study's largest float leaves 4.2 mm."""
+"""Least difference in diameter between float and bore, and between float and cable [m]; an assumption: the largest
+float of the study leaves 4.2 mm."""
 
 
 def ranges_in(scene: Scene) -> dict[str, tuple[float, float, str]]:
-    """``RANGES``, those of the floats cut to what fits the bore and the cable of a scene.
+    """``RANGES``, with float diameters limited by the bore and the cable of a scene.
 
     Raises:
         ValueError: no float of the design space fits.
@@ -56,7 +56,7 @@ def _axis(name: str) -> Any:
 
 
 class Design(Model):
-    """A probe that can be built: fields of ``scene.Probe`` within what can be bought, table 2's by default."""
+    """Design of a probe: fields of ``scene.Probe`` within ``RANGES``; defaults are those of table 2."""
 
     guide_length: Annotated[float, _axis("guide_length")] = 2.5
     guide_float_diameter: Annotated[float, _axis("guide_float_diameter")] = 0.019
@@ -68,7 +68,7 @@ class Design(Model):
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> Self:
-        """Drawn evenly from the whole design space."""
+        """A random design, uniform in the design space."""
         return cls.from_unit(rng.random(len(RANGES)))
 
     @classmethod
@@ -81,23 +81,23 @@ class Design(Model):
         return cls(**{name: float(low + share * (high - low)) for (name, (low, high, _)), share in pairs})
 
     def to_unit(self) -> FloatArray:
-        """Its point (7,) of the unit cube."""
+        """Point (7,) of the design in the unit cube."""
         return np.array([(getattr(self, name) - low) / (high - low) for name, (low, high, _) in RANGES.items()])
 
     @property
     def built(self) -> Design:
-        """As it is built: the pitch in whole millimetres and the guide in whole pitches."""
+        """The design with a pitch of whole millimetres and a guide of whole pitches."""
         pitch = round(self.float_pitch, 3)
         low, high, _ = RANGES["guide_length"]
         floats = min(max(round(self.guide_length / pitch), int(np.ceil(low / pitch - 1e-9))), int(high / pitch + 1e-9))
         return self.model_copy(update={"float_pitch": pitch, "guide_length": round(floats * pitch, 6)})
 
     def probe(self, base: Probe | None = None) -> Probe:
-        """The probe as it is built; what the design does not name is ``base``'s (default: table 2's)."""
+        """The probe of the design as built; other fields are those of ``base`` (default: table 2)."""
         return (base or Probe()).model_copy(update=self.built.model_dump())
 
     def cut_to(self, scene: Scene) -> Design:
-        """The nearest design whose floats fit the bore and the cable of a scene; itself where they do.
+        """The nearest design whose floats fit the bore and the cable of a scene.
 
         Raises:
             ValueError: no float of the design space fits.
@@ -107,7 +107,7 @@ class Design(Model):
         return self if cut == self.model_dump() else self.model_copy(update=cut)
 
     def completed(self, base: Probe) -> Design:
-        """The design of which what was not given is a probe's.
+        """The design with fields that were not set taken from a probe.
 
         Raises:
             ValueError: such a value is outside the design space.
@@ -123,5 +123,5 @@ class Design(Model):
         return self.model_copy(update=rest)
 
     def to_toml(self) -> str:
-        """The design as TOML text, with every field."""
+        """The design as TOML text with all fields."""
         return tomli_w.dumps(self.model_dump())

@@ -1,13 +1,12 @@
-"""How closely an environment simulates: presets, the choice that "auto" makes, and settings of method, step and mesh.
+"""Fidelity of the simulation: presets, automatic choice with "auto", and settings of method, time step and mesh.
 
-Time-lapse takes ringing for steady: metres are left out, and the motion has a fraction of the time in which the probe
-passes them. Where the feed is fast or changing, the ringing is about to change, and a schedule looks better than it is;
-``steady_feed`` limits time-lapse to slower, steady feeds.
+Time-lapse shortens the time that the motion has per metre of feed, which is valid for steady vibration. If the feed is
+fast or changes, the vibration is underestimated; ``steady_feed`` limits time-lapse to slow, steady feeds.
 
-"auto" goes by the errors that the accuracy study measured against the converged mesh with a fine step, each the largest
-that a 95 % interval leaves room for: at constant lengths of 10, 30, 40 and 50 m with contact stiffnesses of 1e4, 1e5
-and 1e6 N/m, and over whole insertions, where time-lapse comes in. They are errors in time and mesh; the error of the
-model (walls, contact stiffness) is larger (docs/accuracy.md).
+"auto" uses the errors of the accuracy study relative to a converged mesh with a fine step, upper ends of 95 %
+intervals: at constant lengths of 10, 30, 40 and 50 m with contact stiffnesses of 1e4, 1e5 and 1e6 N/m, and over whole
+insertions with time-lapse. They are errors in time and mesh; the error of the model (walls, contact stiffness) is
+larger (docs/accuracy.md).
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import logging
 import math
 import re
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from functools import lru_cache
 from importlib.resources import files
 from typing import Annotated, Any, Final, NamedTuple, Self
@@ -30,43 +30,43 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods import METHODS, ON_NODES, check_step, names_of
 from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
-from probe_env.settings import Model, in_one_line, quantity
+from probe_env.settings import Model, one_line_errors, quantity
 
 SURROGATE: Final = "surrogate"
-"""Method of the fidelity that predicts from a vibration map and simulates no motion."""
+"""Method of the fidelity that predicts vibration from a map instead of a simulation."""
 STEADY_CHANGE: Final = 0.05
-"""[m/s] Largest change of the feed that counts as steady: it mistakes (time-lapse - 1) change^2 / (2 ramp) of the
-length, 7.5 mm with a ramp of 0.5 m/s2 and a time-lapse of 4."""
+"""Largest change of a steady feed [m/s]. The error in length is (time-lapse - 1) change^2 / (2 ramp), 7.5 mm with a
+ramp of 0.5 m/s2 and a time-lapse of 4."""
 ROUNDING: Final = 1e-6
-"""[m/s] What an action's single precision may add to a feed."""
+"""Rounding of a feed by the single precision of an action [m/s]."""
 TOLERANCE: Final = 0.25
-"""Relative error of "auto"."""
+"""Default tolerance of "auto", a relative error."""
 NEAR: Final = 2.0
-"""A measured stiffness stands for those within this factor of it."""
+"""Errors measured at one stiffness are used for stiffnesses within this factor."""
 MOST_TIME_LAPSE: Final = 4.0
-"""Errors of time-lapse were measured at a steady feed; a controller at 8 already outran its vibration."""
+"""Errors of time-lapse were measured at steady feeds; at 8, a controller feeds faster than the vibration develops."""
 AUTO: Final = re.compile(r"auto(?::(?P<tolerance>[^:]+))?")
 ON_MESH: Final = {"superelement": "imex", "superelement32": "imex32"}
-"""Replacements of superelements where the cable is more than elastic between floats, in the same precision."""
+"""Methods with nodes between floats that replace superelements, in the same precision."""
 MESH_NODES, MESH_STEP = 8, 1.25e-4
-"""Nodes a pitch, and longest step [s] there: all scenes drawn under pressure hold on them (simulation/return.md)."""
+"""Nodes per pitch and longest step [s] of replacements; all random scenes under compression are stable with them."""
 LOGGER: Final = logging.getLogger(__name__)
 
 
-def _known(method: str) -> str:
+def _check_method(method: str) -> str:
     if method not in (*METHODS, SURROGATE):
         raise PydanticCustomError("method", "{text}", {"text": f"not one of {', '.join((*METHODS, SURROGATE))}"})
     return method
 
 
 class Fidelity(Model):
-    """Settings of the simulator behind an environment; ``time_lapse`` needs a growing probe, and is for the way in.
+    """Settings of the simulator of an environment; ``time_lapse`` needs a growing probe and applies to insertion only.
 
-    With ``steady_feed`` only periods have time-lapse whose feed is no faster than that, and changes by no more than
-    ``STEADY_CHANGE``. The method "surrogate" has no other settings.
+    With ``steady_feed``, time-lapse applies only to periods with a feed of at most ``steady_feed`` that changes by at
+    most ``STEADY_CHANGE``. The method "surrogate" has no other settings.
     """
 
-    method: Annotated[str, AfterValidator(_known)] = "superelement32"
+    method: Annotated[str, AfterValidator(_check_method)] = "superelement32"
     time_step: Annotated[float, quantity(1e-7, 1e-2, "s")] = 2e-4
     nodes_per_pitch: Annotated[int, Field(ge=1, le=64)] = 4
     time_lapse: Annotated[float, quantity(1.0, 1000.0, "")] = 1.0
@@ -75,7 +75,7 @@ class Fidelity(Model):
     @model_validator(mode="after")
     def _fields_fit_together(self) -> Self:
         if self.steady_feed is not None and self.time_lapse == 1.0:
-            raise PydanticCustomError("time_lapse", "steady_feed needs a time_lapse above 1 (here it is 1)")
+            raise PydanticCustomError("time_lapse", "steady_feed needs a time_lapse above 1, but time_lapse is 1")
         if self.simulates:
             try:
                 check_step(METHODS[self.method], self.time_step)
@@ -84,34 +84,34 @@ class Fidelity(Model):
             return self
         for name, info in type(self).model_fields.items():
             if name != "method" and getattr(self, name) != info.default:
-                raise PydanticCustomError("surrogate", f"{name}: method = 'surrogate' simulates no motion and has none")
+                raise PydanticCustomError("surrogate", f"{name}: not accepted, method = 'surrogate' does not simulate")
         return self
 
     @model_serializer(mode="wrap")
     def _without_absent_steady_feed(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Settings without ``steady_feed`` are written without it: stored rows are identified by their settings."""
+        """Omit ``steady_feed`` if it is None: stored rows are identified by their settings."""
         return {name: value for name, value in write(self).items() if name != "steady_feed" or value is not None}
 
     @property
     def simulates(self) -> bool:
-        """Whether motion is simulated, rather than predicted from a vibration map."""
+        """Whether motion is simulated instead of predicted from a vibration map."""
         return self.method != SURROGATE
 
     @property
     def numerics(self) -> tuple[Method, float, int]:
-        """Method, time step [s] and nodes a pitch, as ``Simulator`` takes them."""
+        """Method, time step [s] and nodes per pitch, the arguments of ``Simulator``."""
         return METHODS[self.method], self.time_step, self.nodes_per_pitch
 
     def time_lapse_of(self, feed_speed: npt.ArrayLike, target: npt.ArrayLike) -> FloatArray:
-        """(N,) how many times faster than the motion's clock the length changes in a period on the way in.
+        """(N,) time-lapse of a control period of insertion: change of length over the motion's feed.
 
-        ``feed_speed`` (N,) is that at its beginning, ``target`` (N,) that of the period [m/s].
+        ``feed_speed`` (N,) is the present one, ``target`` (N,) that of the period [m/s].
         """
-        now, aim = np.asarray(feed_speed, dtype=float), np.asarray(target, dtype=float)
+        feed, targets = np.asarray(feed_speed, dtype=float), np.asarray(target, dtype=float)
         if self.steady_feed is None:
-            return np.full(aim.shape, self.time_lapse)
-        steady = np.maximum(now, aim) <= self.steady_feed + ROUNDING
-        steady &= np.abs(aim - now) <= STEADY_CHANGE + ROUNDING
+            return np.full(targets.shape, self.time_lapse)
+        steady = np.maximum(feed, targets) <= self.steady_feed + ROUNDING
+        steady &= np.abs(targets - feed) <= STEADY_CHANGE + ROUNDING
         return np.where(steady, self.time_lapse, 1.0)
 
 
@@ -124,86 +124,85 @@ PRESETS: Final[dict[str, Fidelity]] = {
 }
 ALIASES: Final = {"map": SURROGATE}
 """Other accepted names of presets."""
-BOTH_WAYS: Final[dict[str, Fidelity]] = {
+ROUND_TRIP_PRESETS: Final[dict[str, Fidelity]] = {
     "standard": Fidelity(method="imex", time_step=1.25e-4, nodes_per_pitch=8),
     "fast": Fidelity(method="imex", time_lapse=4.0),
 }
-"""Presets of round trips: under pressure the cable meets the walls between its floats, which takes nodes there, and
-displacements of 0.4 m, which take double precision. "fast" has four nodes a pitch, and time-lapse on the way in."""
+"""Presets of round trips. Compression presses the cable against the walls between floats, which needs nodes there, and
+displaces it by 0.4 m, which needs double precision. "fast" has 4 nodes per pitch, and time-lapse during insertion."""
 
 
-def lapse_in_words(fidelity: Fidelity) -> str:
-    """The time-lapse; empty where there is none."""
+def time_lapse_text(fidelity: Fidelity) -> str:
+    """Time-lapse as text; empty if there is none."""
     if fidelity.time_lapse == 1.0:
         return ""
     steady = f" up to {fidelity.steady_feed:g} m/s" if fidelity.steady_feed is not None else ""
     return f"time-lapse {fidelity.time_lapse:g}{steady}"
 
 
-def in_words(fidelity: Fidelity) -> str:
-    """All settings, in a line."""
+def summary_text(fidelity: Fidelity) -> str:
+    """All settings in one line."""
     if not fidelity.simulates:
         return fidelity.method
     mesh = f"{fidelity.nodes_per_pitch} nodes a pitch" if fidelity.nodes_per_pitch != 4 else ""
-    return ", ".join(filter(None, (f"{fidelity.method} at {fidelity.time_step:g} s", mesh, lapse_in_words(fidelity))))
+    return ", ".join(filter(None, (f"{fidelity.method} at {fidelity.time_step:g} s", mesh, time_lapse_text(fidelity))))
 
 
 def resolve_fidelity(
     fidelity: str | Fidelity | Mapping[str, Any],
     scene: Scene | None = None,
     growing: bool = True,
-    both_ways: bool = False,
+    round_trip: bool = False,
 ) -> Fidelity:
-    """The settings of a preset by name, of "auto" or "auto:TOLERANCE", or custom ones.
+    """Settings of a preset, of "auto" or "auto:TOLERANCE", or custom settings.
 
     Args:
-        fidelity: name, settings, or a mapping of them.
-        scene: that "auto" chooses for; where its cable meets the walls between floats, or its couple counts from the
-            tangent, superelements give way to a mesh of nodes. Default: table 2's.
-        growing: whether the probe is fed in, for "auto".
-        both_ways: whether it is drawn back, too.
+        fidelity: name, settings, or a mapping of settings.
+        scene: scene for "auto"; default: table 2. If its cable touches the walls between floats, or its couple counts
+            from the tangent, a mesh of nodes replaces superelements.
+        growing: whether the probe is inserted, for "auto".
+        round_trip: whether the probe is also withdrawn.
 
     Raises:
-        ValueError: no such preset, settings that are not valid, a tolerance that nothing measured keeps, or a method
-            that does not simulate the way back.
+        ValueError: unknown preset, invalid settings, a tolerance below all measured errors, or a method that does not
+            simulate withdrawal.
     """
-    if both_ways:
-        return _both_ways(fidelity)
+    if round_trip:
+        return _round_trip(fidelity)
     scene = scene or Scene()
-    return _with_nodes(_named(fidelity, scene, growing), scene)
+    return _with_nodes(_preset_or_settings(fidelity, scene, growing), scene)
 
 
 def _with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
-    """The settings, with nodes between the floats if the scene needs some and they have none; logged once.
+    """The settings, with a mesh of nodes in place of superelements if the scene needs nodes between floats.
 
-    Between floats, a superelement's cable bends and stretches, no more: where it meets the walls itself, or its couple
-    counts from the tangent, the method of ``ON_MESH`` is taken with ``MESH_NODES`` a pitch, at the same time-lapse and
-    the same step, or ``MESH_STEP``.
+    This is the case if the cable touches the walls or the couple counts from the tangent. The method is that of
+    ``ON_MESH`` with ``MESH_NODES`` per pitch, equal time-lapse, and a step of at most ``MESH_STEP``. Logged once.
     """
     needs_nodes = scene.contact.cable or scene.couple == "tangent"
     if not needs_nodes or fidelity.method in ON_NODES or not fidelity.simulates:
         return fidelity
     step = min(fidelity.time_step, MESH_STEP)
     update = {"method": ON_MESH[fidelity.method], "nodes_per_pitch": MESH_NODES, "time_step": step}
-    taken = fidelity.model_copy(update=update)
-    _log_nodes(fidelity.method, in_words(taken))
-    return taken
+    replacement = fidelity.model_copy(update=update)
+    _log_nodes(fidelity.method, summary_text(replacement))
+    return replacement
 
 
 @lru_cache
-def _log_nodes(method: str, taken: str) -> None:
+def _log_nodes(method: str, replacement: str) -> None:
     LOGGER.warning(
-        "fidelity: %s has no nodes between floats, which contact.cable and couple = 'tangent' ask for: %s is taken",
-        method, taken,
+        "fidelity: %s has no nodes between floats, which contact.cable and couple = 'tangent' need; using %s",
+        method, replacement,
     )  # fmt: skip
 
 
-def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: bool) -> Fidelity:
-    """``resolve_fidelity`` for the way in, without the nodes that the scene may need."""
+def _preset_or_settings(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: bool) -> Fidelity:
+    """``resolve_fidelity`` for insertion, without replacing superelements."""
     if isinstance(fidelity, Fidelity):
         return fidelity
     if not isinstance(fidelity, str):
-        with in_one_line():
+        with one_line_errors():
             return Fidelity.model_validate(dict(fidelity))
     name = ALIASES.get(fidelity, fidelity)
     if name in PRESETS:
@@ -211,42 +210,44 @@ def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: 
     auto = AUTO.fullmatch(fidelity)
     if auto is None:
         known = ", ".join((*PRESETS, "auto", "auto:TOLERANCE"))
-        raise ValueError(f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings")
+        close = get_close_matches(fidelity, PRESETS, 1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise ValueError(f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings{hint}")
     try:
         tolerance = float(auto["tolerance"] or TOLERANCE)
     except ValueError:
         raise ValueError(
-            f"fidelity = {fidelity!r}: {auto['tolerance']!r} is not a number; a tolerance is a relative error, such as"
-            f" auto:{TOLERANCE:g}"
+            f"fidelity = {fidelity!r}: the tolerance {auto['tolerance']!r} is not a number; give a relative error, such"
+            f" as auto:{TOLERANCE:g}"
         ) from None
     return choose_fidelity(scene, tolerance, growing=growing).fidelity
 
 
-def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
-    """``resolve_fidelity`` for a probe that is drawn back."""
-    if isinstance(fidelity, str) and fidelity in BOTH_WAYS:
-        return BOTH_WAYS[fidelity]
-    known = ", ".join((*BOTH_WAYS, "study"))
+def _round_trip(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
+    """``resolve_fidelity`` for a round trip."""
+    if isinstance(fidelity, str) and fidelity in ROUND_TRIP_PRESETS:
+        return ROUND_TRIP_PRESETS[fidelity]
+    known = ", ".join((*ROUND_TRIP_PRESETS, "study"))
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
-        raise ValueError(f"fidelity = {fidelity!r}: nothing was measured on the way back; give one of {known}")
-    chosen = _named(fidelity, Scene(), growing=True)
-    if not (chosen.simulates and METHODS[chosen.method].draws_back):
+        raise ValueError(f"fidelity = {fidelity!r}: no errors are known for withdrawal; give one of {known}")
+    chosen = _preset_or_settings(fidelity, Scene(), growing=True)
+    if not (chosen.simulates and METHODS[chosen.method].simulates_withdrawal):
         raise ValueError(
-            f"fidelity = {fidelity!r}: {chosen.method} does not simulate the way back; give one of {known}, or settings"
-            f" with one of {names_of(lambda method: method.draws_back)}"
+            f"fidelity = {fidelity!r}: {chosen.method} does not simulate withdrawal; give one of {known}, or settings"
+            f" with one of {names_of(lambda method: method.simulates_withdrawal)}"
         )
     return chosen
 
 
 def is_surrogate(fidelity: str | Fidelity | Mapping[str, Any]) -> bool:
-    """Whether a fidelity, as ``resolve_fidelity`` takes it, is that of the vibration map."""
+    """Whether a fidelity, an argument of ``resolve_fidelity``, is that of the vibration map."""
     if isinstance(fidelity, str):
         return ALIASES.get(fidelity, fidelity) == SURROGATE
     return (fidelity.method if isinstance(fidelity, Fidelity) else fidelity.get("method")) == SURROGATE
 
 
-class Measured(NamedTuple):
-    """Error of one output for one setting; ``length`` is None for a whole insertion."""
+class MeasuredError(NamedTuple):
+    """Measured error of one output for one setting; ``length`` is None for a whole insertion."""
 
     fidelity: Fidelity
     length: float | None
@@ -257,7 +258,7 @@ class Measured(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A chosen setting and why; ``error`` bounds the worst of the outputs, ``cost`` is in s per pitch and second."""
+    """Chosen settings and the reason; ``error`` bounds that of all outputs, ``cost`` is in s per pitch and second."""
 
     fidelity: Fidelity
     error: float
@@ -266,11 +267,11 @@ class Choice(NamedTuple):
 
 
 @lru_cache
-def measured() -> tuple[Measured, ...]:
-    """The shipped table of measured errors."""
+def measured_errors() -> tuple[MeasuredError, ...]:
+    """Shipped table of measured errors."""
     text = files("probe_env").joinpath("data/measured_errors.csv").read_text()
     return tuple(
-        Measured(
+        MeasuredError(
             Fidelity(
                 method=row["method"],
                 time_step=float(row["time_step_s"]),
@@ -285,26 +286,26 @@ def measured() -> tuple[Measured, ...]:
 
 
 def outputs() -> tuple[str, ...]:
-    """Outputs with measured errors, by the names of ``signals.point_statistics``."""
-    return tuple(dict.fromkeys(row.output for row in measured()))
+    """Outputs with measured errors, names as in ``signals.point_statistics``."""
+    return tuple(dict.fromkeys(row.output for row in measured_errors()))
 
 
 def choose_fidelity(
     scene: Scene, tolerance: float = TOLERANCE, needed: Sequence[str] = ("radial_rms_m",), growing: bool = False
 ) -> Choice:
-    """The cheapest setting whose measured error is within the tolerance for all needed outputs.
+    """The cheapest settings whose measured error is within the tolerance for all needed outputs.
 
-    Lengths and stiffnesses between measured ones take the worse of both neighbours; a growing probe takes all lengths
-    up to the helix's, and the insertions' errors if its stiffness is near table 2's.
+    Between measured lengths and stiffnesses, the larger error of both neighbours counts. For a growing probe, all
+    lengths up to that of the helix count, and the errors of insertions if its stiffness is near that of table 2.
 
     Args:
-        scene: length and contact stiffness count.
+        scene: its length and contact stiffness are used.
         tolerance: largest relative error of an ensemble mean.
-        needed: some of ``outputs``.
-        growing: whether the probe is fed in; only then time-lapse is considered.
+        needed: names from ``outputs``.
+        growing: whether the probe is inserted; time-lapse is considered only then.
 
     Raises:
-        ValueError: an unknown output, a stiffness outside what was measured, or no setting is within the tolerance.
+        ValueError: an unknown output, a stiffness outside the measured range, or no settings within the tolerance.
     """
     unknown = [name for name in needed if name not in outputs()]
     if unknown or not needed:
@@ -314,30 +315,33 @@ def choose_fidelity(
     stiffnesses = _stiffnesses(scene)
     lengths = _lengths(scene, growing, stiffnesses)
     relevant = [
-        row for row in measured() if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
+        row
+        for row in measured_errors()
+        if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
     ]
     most = MOST_TIME_LAPSE if growing else 1.0
-    places = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
+    cases = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
     rated = []
-    for fidelity in dict.fromkeys(row.fidelity for row in measured() if row.fidelity.time_lapse <= most):
+    for fidelity in dict.fromkeys(row.fidelity for row in measured_errors() if row.fidelity.time_lapse <= most):
         try:
-            holds = fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
-        except ValueError:  # its contact asks for more modes than a superelement has room for
+            stable = fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
+        except ValueError:  # the contact stiffness needs more modes than a superelement supports
             continue
-        own = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]
-        # measured wherever any was; with time-lapse also in the insertions
-        complete = places <= {(row.length, row.stiffness, row.output) for row in own}
-        inserted = any(row.length is None and row.fidelity == fidelity for row in own)
-        if holds and complete and (fidelity.time_lapse == 1.0 or inserted):
-            rated.append((max(row.error for row in own), max(row.cost for row in own) / fidelity.time_lapse, fidelity))
+        rows = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]
+        # measured in all cases; with time-lapse also in insertions
+        complete = cases <= {(row.length, row.stiffness, row.output) for row in rows}
+        inserted = any(row.length is None and row.fidelity == fidelity for row in rows)
+        if stable and complete and (fidelity.time_lapse == 1.0 or inserted):
+            error, cost = max(row.error for row in rows), max(row.cost for row in rows)
+            rated.append((error, cost / fidelity.time_lapse, fidelity))
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
         least = min(rated, default=None)
-        known = f"the least measured is {least[0]:.2g} ({in_words(least[2])})" if least else "nothing measured fits it"
-        raise ValueError(f"tolerance = {tolerance:g} is not kept by any setting for this scene: {known}")
+        best = f"the least error is {least[0]:.2g} ({summary_text(least[2])})" if least else "no errors were measured"
+        raise ValueError(f"tolerance = {tolerance:g} is not met by any settings for this scene: {best}")
     error, cost, chosen = min(within, key=lambda entry: (entry[1], entry[0]))
     reason = (
-        f"{in_words(chosen)}: {', '.join(needed)} within {error:.2g} where measured (tolerance {tolerance:g}),"
+        f"{summary_text(chosen)}: measured error of {', '.join(needed)} at most {error:.2g} (tolerance {tolerance:g}),"
         f" the cheapest of {len(within)} of {len(rated)} settings"
     )
     LOGGER.info("fidelity auto: %s", reason)
@@ -345,31 +349,28 @@ def choose_fidelity(
 
 
 def _stiffnesses(scene: Scene) -> list[float]:
-    """Measured contact stiffnesses to go by: one within ``NEAR`` of the scene's, or the two around it."""
-    known = sorted({row.stiffness for row in measured()})
+    """Measured contact stiffnesses to use: one within the factor ``NEAR`` of the scene's, or the two around it."""
+    measured = sorted({row.stiffness for row in measured_errors()})
     stiffness = scene.contact.stiffness
-    near = [value for value in known if max(value / stiffness, stiffness / value) <= NEAR]
-    if not near and not known[0] <= stiffness <= known[-1]:
+    near = [value for value in measured if max(value / stiffness, stiffness / value) <= NEAR]
+    if not near and not measured[0] <= stiffness <= measured[-1]:
         raise ValueError(
-            f"contact.stiffness = {stiffness:g} is outside what was measured, {known[0]:g} to {known[-1]:g}"
+            f"contact.stiffness = {stiffness:g} is outside the measured range {measured[0]:g} to {measured[-1]:g}"
         )
-    return near or _around(known, stiffness)
+    return near or _around(measured, stiffness)
 
 
 def _lengths(scene: Scene, growing: bool, stiffnesses: Sequence[float]) -> list[float | None]:
-    """Carrier lengths measured with all these stiffnesses to go by.
-
-    Of a growing probe all up to its end, and the insertions (None).
-    """
-    of = [{row.length for row in measured() if row.stiffness == value} - {None} for value in stiffnesses]
-    known = sorted(value for value in set.intersection(*of) if value is not None)
+    """Carrier lengths measured at all these stiffnesses; of a growing probe all up to its end, and None (insertion)."""
+    lengths = [{row.length for row in measured_errors() if row.stiffness == value} - {None} for value in stiffnesses]
+    measured = sorted(value for value in set.intersection(*lengths) if value is not None)
     if growing:
         end = scene.tube.helix_length - scene.probe.guide_length
-        return [*(value for value in known if value <= _around(known, end)[-1]), None]
-    return list(_around(known, scene.carrier_length))
+        return [*(value for value in measured if value <= _around(measured, end)[-1]), None]
+    return list(_around(measured, scene.carrier_length))
 
 
-def _around(known: Sequence[float], value: float) -> list[float]:
-    """The measured value itself or the two around it; beyond the ends the nearest."""
-    value = min(max(value, known[0]), known[-1])
-    return sorted({max(v for v in known if v <= value), min(v for v in known if v >= value)})
+def _around(measured: Sequence[float], value: float) -> list[float]:
+    """The measured values around a value, or the nearest one if it is equal or beyond the ends."""
+    value = min(max(value, measured[0]), measured[-1])
+    return sorted({max(v for v in measured if v <= value), min(v for v in measured if v >= value)})

@@ -1,7 +1,6 @@
-"""Files that somebody else may have made: regular ones only, of bounded size, text where text is due.
+"""Reads untrusted files: regular files of bounded size, text in UTF-8, TOML and NumPy archives of expected arrays.
 
-Every error is one line, ``FILE: place: what is wrong``, whatever stands in the file or in its name. Of NumPy's archives
-nothing is unpacked that is not expected.
+Every error is one line, ``FILE: location: problem``, whatever the content or the name of the file.
 """
 
 from __future__ import annotations
@@ -21,45 +20,43 @@ import numpy.typing as npt
 
 MEBI: Final = 1 << 20
 FLAGS: Final = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
-"""Of opening, where the system has them: a pipe would wait for its other end, between a look and its opening too."""
+"""Flags of opening, if the system has them; without ``O_NONBLOCK`` opening a pipe would wait for its other end."""
 LONGEST_LINE: Final = 2000
-"""Characters of an error."""
+"""Most characters of an error."""
 DEEPEST_KEY: Final = 16
-"""Parts of a dotted key in TOML; the parser takes a time that grows with the square of them."""
+"""Most parts of a dotted key in TOML; the parser's time is quadratic in their number."""
 DEEP_KEY: Final = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){%d}""" % DEEPEST_KEY  # noqa: UP031
 )
-
-
 ENDLESS_NUMBER: Final = re.compile(r"(?<![0-9])[0-9]{4301}")
-"""More digits than Python reads of a whole number; Python's own error has no file name."""
+"""More digits than Python accepts in an integer; Python's error has no file name."""
 
 
 class FileError(ValueError):
-    """A file is not what it should be: ``problem`` says where in it and why; nothing in it was run or changed."""
+    """Raised for an invalid file; ``problem`` is location and reason. Nothing in the file was run or changed."""
 
     def __init__(self, path: str | Path, problem: str) -> None:
         self.path, self.problem = str(path), problem
         super().__init__(one_line(f"{path}: {problem}"))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Keep the error picklable, so that it can leave a worker process."""
+        """Make the error picklable, for worker processes."""
         return type(self), (self.path, self.problem)
 
 
 def one_line(text: str) -> str:
-    """A text for a terminal: what is not printable (line ends, escape sequences) as escapes, and not endless."""
+    """A text of bounded length for a terminal, with characters that are not printable replaced by escapes."""
     joined = "; ".join(part.strip() for part in text.splitlines() if part.strip()) if "\n" in text else text
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in joined)
-    return shown if len(shown) <= LONGEST_LINE else f"{shown[:LONGEST_LINE]} ..."
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in joined)
+    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
 
 
 def open_regular(path: str | Path, most: int) -> BinaryIO:
-    """Open a file for reading if it is a regular one of at most so many bytes.
+    """Open a regular file of at most ``most`` bytes for reading.
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: a folder, pipe or device, too large, or not to be read.
+        FileError: a folder, pipe or device, too large, or not readable.
     """
     try:
         handle = os.open(path, FLAGS)
@@ -80,13 +77,13 @@ def open_regular(path: str | Path, most: int) -> BinaryIO:
 
 
 def read_bytes(path: str | Path, most: int) -> bytes:
-    """The content of a regular file of at most so many bytes; raises as ``open_regular``."""
+    """The content of a regular file of at most ``most`` bytes; raises as ``open_regular``."""
     with open_regular(path, most) as file:
         try:
             content = file.read(most + 1)
         except OSError as error:
             raise FileError(path, f"cannot be read: {error.strerror}") from error
-    if len(content) > most:  # it grew, or its kind of file system does not tell sizes
+    if len(content) > most:  # it grew, or the file system does not report sizes
         raise FileError(path, f"more than the {most} bytes that such a file may have")
     return content
 
@@ -100,17 +97,17 @@ def as_text(path: str | Path, content: bytes, first: int = 1) -> str:
     """Bytes of a file as text; ``first`` is the number of their first line.
 
     Raises:
-        FileError: not UTF-8, or with a NUL character or a number of thousands of digits, which no text has.
+        FileError: not UTF-8, a NUL character, or a number of thousands of digits.
     """
     try:
         text = content.decode("utf-8-sig")
-        place = text.find("\0")
+        nul = text.find("\0")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + first
         problem = f"line {line}: not a text file in UTF-8 (byte 0x{content[error.start]:02x}): save it as UTF-8"
         raise FileError(path, problem) from error
-    if place >= 0:
-        raise FileError(path, f"line {text.count(chr(10), 0, place) + first}: not a text file: a NUL character")
+    if nul >= 0:
+        raise FileError(path, f"line {text.count(chr(10), 0, nul) + first}: not a text file: a NUL character")
     endless = ENDLESS_NUMBER.search(text)
     if endless:
         line = text.count("\n", 0, endless.start()) + first
@@ -123,7 +120,7 @@ def read_toml(path: str | Path, most: int = MEBI) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: as ``read_text``, not TOML, or nested beyond any use.
+        FileError: as ``read_text``, not TOML, or nested too deeply.
     """
     text = read_text(path, most).replace("\r\n", "\n")
     deep = DEEP_KEY.search(text)
@@ -147,11 +144,11 @@ _BROKEN = (zipfile.BadZipFile, zlib.error, ValueError, KeyError, OSError, EOFErr
 def read_arrays(path: Path, expected: Callable[[str], str]) -> dict[str, Array]:
     """The arrays of a .npz file by name.
 
-    ``expected`` is the kind of the array of a name ("f": float32 or float64, "U": text), "" if there must be none.
+    ``expected`` returns the kind of the array of a name ("f": float32 or float64, "U": text), "" if it is unexpected.
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: not such an archive, too large, or an array that is unexpected, of another kind or not finite.
+        FileError: not an archive, too large, or an array that is unexpected, of another kind or not finite.
     """
     try:
         with open_regular(path, MOST_BYTES) as file:

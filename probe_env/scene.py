@@ -1,8 +1,7 @@
-"""What is simulated: tube, probe, contact, air and feed as frozen, validated models in SI units.
+"""Scene of a simulation: tube, probe, contact, air and feed as frozen, validated models in SI units.
 
-Defaults are the study's table 2 with a carrier cable of 50 m. A scene is read from and written to TOML;
-unknown keys, NaN, values out of range and impossible geometry raise a ``ValueError`` that names the
-field, the value and the accepted range.
+Defaults are table 2 of the study with a carrier of 50 m. Scenes are read from and written to TOML; unknown keys, NaN,
+values out of range and impossible geometry raise a ``ValueError`` that names field, value and accepted range.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from probe_env.settings import Model, quantity
 
 LENGTH_TOLERANCE = 1e-6
-"""How far, in metres, a cable length may be from a whole multiple of the float pitch."""
+"""Greatest difference of a cable length from a whole multiple of the float pitch [m]."""
 
 
 class Tube(Model):
@@ -152,23 +151,23 @@ class Scene(Model):
 
     @classmethod
     def fitted(cls, values: Mapping[str, Any]) -> Self:
-        """A scene of what differs from table 2's; the carrier, unless it is given, as long as the helix has room for.
+        """A scene from values that differ from table 2; the default carrier is shortened to fit the helix.
 
         Raises:
-            ValueError: a field that is not known or not valid.
+            ValueError: an unknown or invalid field.
         """
-        given = dict(values)
+        fields = dict(values)
         try:
-            tube = Tube.model_validate(given.get("tube", {}))
-            probe = Probe.model_validate(given.get("probe", {}))
+            tube = Tube.model_validate(fields.get("tube", {}))
+            probe = Probe.model_validate(fields.get("probe", {}))
         except ValidationError:
-            return cls.model_validate(given)  # which tells where the field is
-        room = min(cls.model_fields["carrier_length"].default, tube.helix_length - probe.guide_length)
-        given.setdefault("carrier_length", max(whole_pitches(room, probe), probe.float_pitch))
-        return cls.model_validate(given)
+            return cls.model_validate(fields)  # raises an error with the full name of the field
+        longest = min(cls.model_fields["carrier_length"].default, tube.helix_length - probe.guide_length)
+        fields.setdefault("carrier_length", max(whole_pitches(longest, probe), probe.float_pitch))
+        return cls.model_validate(fields)
 
     def to_toml(self, path: str | Path | None = None) -> str:
-        """The scene as TOML text, with every field; written to ``path`` if given."""
+        """The scene as TOML text with all fields; also written to ``path`` if given."""
         text = tomli_w.dumps(self.model_dump())
         if path is not None:
             Path(path).write_text(text)
@@ -176,7 +175,7 @@ class Scene(Model):
 
 
 def whole_pitches(length: float, probe: Probe) -> float:
-    """A length cut to whole float pitches [m]."""
+    """A length rounded down to whole float pitches [m]."""
     return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
 
 

@@ -1,4 +1,4 @@
-"""Feed schedules: feed speed and air supply over time or over inserted length, read from CSV or TOML."""
+"""Feed schedules: feed speed and air supply over time or inserted length, read from CSV or TOML."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ POSITIONS: Final[dict[str, tuple[Over, float, str]]] = {
 }
 FEED, AIR = "feed_speed_m_per_s", "air_supply_m3_per_h"
 RANGES: Final = {FEED: (0.0, 2.0, "m/s"), AIR: (0.0, 720.0, "m3/h")}
-FORTH: Final = {FEED: FEED, AIR: AIR}
-"""Columns of the way in."""
-BACK: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per_h"}
-"""Columns of the way back, beside those of the way in."""
-COLUMNS: Final = (*POSITIONS, *RANGES, *BACK.values())
+INSERTION: Final = {FEED: FEED, AIR: AIR}
+"""Columns of insertion."""
+WITHDRAWAL: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_m3_per_h"}
+"""Columns of withdrawal, in addition to those of insertion."""
+COLUMNS: Final = (*POSITIONS, *RANGES, *WITHDRAWAL.values())
 CSV_COMMENT = "# interpolation:"
-SEPARATED: Final = (
-    " - semicolons or decimal commas? A schedule has commas between columns and points in numbers; logs over time with"
-    " others are read, and made schedules of, by probe-env log"
+SEPARATORS: Final = (
+    " - semicolons or decimal commas? A schedule has commas between columns and decimal points; probe-env log reads"
+    " logs over time with other separators and converts them to schedules"
 )
 MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
-"""What a file may hold: three hours of a log at 100 Hz."""
+"""Limits of a file; enough for three hours of a log at 100 Hz."""
 
 
 @dataclass(frozen=True)
 class Schedule:
     """Feed speed [m/s] and air supply [m3/s] over time [s] or inserted length [m]; constant beyond its ends.
 
-    With "linear" values go straight from point to point, with "steps" each holds until the next point.
+    The interpolation between points is "linear", or "steps": constant up to the next point.
     """
 
     over: Over
@@ -53,31 +53,31 @@ class Schedule:
     feed_speed: tuple[float, ...]
     air_supply_rate: tuple[float, ...]
     start_length: float | None = None
-    """Inserted length at the first point of a schedule over time [m]; None: wherever it begins."""
+    """Inserted length at the first point of a schedule over time [m]; None: any."""
 
     def at(self, position: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Feed speed and air supply at positions of any shape, SI units."""
-        where = np.asarray(position, dtype=float)
+        """Feed speed and air supply at times or lengths ``position`` of any shape, SI units."""
+        points = np.asarray(position, dtype=float)
         if self.interpolation == "linear":
-            feed, air = (np.interp(where, self.position, values) for values in (self.feed_speed, self.air_supply_rate))
+            feed, air = (np.interp(points, self.position, values) for values in (self.feed_speed, self.air_supply_rate))
             return np.asarray(feed), np.asarray(air)
-        # a float32 length just short of a point counts as on it
-        k = np.clip(np.searchsorted(self.position, where + 1e-5, side="right") - 1, 0, None)
+        # tolerance for lengths in single precision
+        k = np.clip(np.searchsorted(self.position, points + 1e-5, side="right") - 1, 0, None)
         return np.asarray(self.feed_speed)[k], np.asarray(self.air_supply_rate)[k]
 
-    def fed(self, time: npt.ArrayLike) -> FloatArray:
-        """Length [m] that a schedule over time feeds from its first point to times of any shape [s]; before it < 0."""
-        when, (position, feed, whole) = np.asarray(time, dtype=float), self._integral
-        k = np.clip(np.searchsorted(position, when, side="right") - 1, 0, None)
-        mean = feed[k] if self.interpolation == "steps" else 0.5 * (feed[k] + np.interp(when, position, feed))
-        return np.asarray(whole[k] + mean * (when - position[k]))
+    def fed_length(self, time: npt.ArrayLike) -> FloatArray:
+        """Length [m] fed from the first point of a schedule over time to times of any shape [s]; < 0 before it."""
+        times, (position, feed, lengths) = np.asarray(time, dtype=float), self._integral
+        k = np.clip(np.searchsorted(position, times, side="right") - 1, 0, None)
+        mean = feed[k] if self.interpolation == "steps" else 0.5 * (feed[k] + np.interp(times, position, feed))
+        return np.asarray(lengths[k] + mean * (times - position[k]))
 
     def time_at(self, inserted: FloatArray) -> FloatArray:
-        """Times (N,) [s] from which a schedule over time goes on where so much is in [m]; 0 if it does not say."""
+        """Times (N,) [s] at which a schedule over time reaches lengths (N,) [m]; 0 without ``start_length``."""
         if self.start_length is None:
             return np.zeros(len(inserted))
-        position, _, whole = self._integral
-        lengths = self.start_length + whole
+        position, _, fed = self._integral
+        lengths = self.start_length + fed
         k = np.searchsorted(lengths, inserted - 1e-5)  # float32 lengths
         before, after = np.clip(k - 1, 0, None), np.clip(k, None, len(position) - 1)
         share = (inserted - lengths[before]) / np.maximum(lengths[after] - lengths[before], 1e-9)
@@ -85,7 +85,7 @@ class Schedule:
 
     @cached_property
     def _integral(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions, feeds and what is fed up to them, (n,) each."""
+        """Times, feed speeds and lengths fed up to these times, (n,) each."""
         position, feed = np.array(self.position), np.array(self.feed_speed)
         means = feed[:-1] if self.interpolation == "steps" else 0.5 * (feed[:-1] + feed[1:])
         return position, feed, np.concatenate([[0.0], np.cumsum(means * np.diff(position))])
@@ -95,14 +95,14 @@ class Schedule:
         """Read a schedule or a measured log.
 
         A CSV file has the columns ``time_s`` or ``inserted_length_m``, ``feed_speed_m_per_s`` and
-        ``air_supply_m3_per_h`` (others are ignored, so a log can be replayed; one with time and length goes by time,
-        in which standstills last, from its first length on), over length also ``return_feed_speed_m_per_s`` and
-        ``return_air_supply_m3_per_h`` for the way back, and may begin with the line
+        ``air_supply_m3_per_h``; other columns are ignored, so that logs can be replayed. A file with both time and
+        length is a schedule over time that starts at the first length. A schedule over length may have
+        ``return_feed_speed_m_per_s`` and ``return_air_supply_m3_per_h`` for withdrawal. The first line may be
         ``# interpolation: steps``. A TOML file has ``interpolation`` and ``points``, a list of tables with these keys.
 
         Raises:
             FileNotFoundError: no such file.
-            FileError: not a valid schedule; names file, row, column, value and accepted range.
+            FileError: not a valid schedule; names file, line, column, value and accepted range.
         """
         path = Path(path)
         if path.suffix not in (".csv", ".toml"):
@@ -113,33 +113,33 @@ class Schedule:
         return _validated(path, interpolation, rows)  # type: ignore[arg-type]
 
     @classmethod
-    def read_back(cls, path: str | Path) -> Schedule | None:
-        """The way back of a schedule over inserted length: how fast the probe is drawn and how much air blows it out.
+    def read_withdrawal(cls, path: str | Path) -> Schedule | None:
+        """Read feed speed and air supply of withdrawal from a schedule over inserted length.
 
         Returns:
-            None if the file has neither of the columns of ``BACK``.
+            the schedule, or None if the file has no column of ``WITHDRAWAL``.
 
         Raises:
-            FileNotFoundError, FileError: as ``read``; one of the columns without the other, or over time.
+            FileNotFoundError, FileError: as ``read``; only one of the columns, or a schedule over time.
         """
         path = Path(path)
-        forth = cls.read(path)
+        insertion = cls.read(path)
         _, rows = _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
-        given = [name for name in BACK.values() if any(name in row for _, row in rows)]
-        if not given:
+        found = [name for name in WITHDRAWAL.values() if any(name in row for _, row in rows)]
+        if not found:
             return None
-        if len(given) < len(BACK) or forth.over == "time":
-            raise FileError(path, f"{' and '.join(BACK.values())} go together, beside inserted_length_m")
-        return _validated(path, forth.interpolation, rows, BACK)
+        if len(found) < len(WITHDRAWAL) or insertion.over == "time":
+            raise FileError(path, f"{' and '.join(WITHDRAWAL.values())} go together, and need inserted_length_m")
+        return _validated(path, insertion.interpolation, rows, WITHDRAWAL)
 
     def to_csv(self) -> str:
-        """The schedule as CSV text that ``read`` takes."""
+        """The schedule as CSV text for ``read``."""
         columns = {next(name for name, (over, _, _) in POSITIONS.items() if over == self.over): self.position}
         if self.start_length is not None:
-            columns["inserted_length_m"] = tuple((self.start_length + self.fed(self.position)).tolist())
+            columns["inserted_length_m"] = tuple((self.start_length + self.fed_length(self.position)).tolist())
         lines = [f"{CSV_COMMENT} {self.interpolation}", ",".join((*columns, FEED, AIR))]
-        for *places, feed, air in zip(*columns.values(), self.feed_speed, self.air_supply_rate, strict=True):
-            lines.append(",".join((*(f"{place:g}" for place in places), f"{feed:.6g}", f"{air * 3600.0:.6g}")))
+        for *points, feed, air in zip(*columns.values(), self.feed_speed, self.air_supply_rate, strict=True):
+            lines.append(",".join((*(f"{point:g}" for point in points), f"{feed:.6g}", f"{air * 3600.0:.6g}")))
         return "\n".join(lines) + "\n"
 
 
@@ -161,7 +161,7 @@ def _from_csv(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
             if not header:
                 header = _header(path, line, row)
             elif len(row) != len(header):
-                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns{SEPARATED}")
+                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns{SEPARATORS}")
             else:
                 used = ((name, value) for name, value in zip(header, row, strict=True) if name in COLUMNS)
                 named.append((f"line {line}", dict(used)))
@@ -198,15 +198,16 @@ def _from_toml(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
 
 
 def _check_columns(path: Path, columns: Iterable[str]) -> None:
-    columns_given = set(columns)
-    listed = ", ".join(sorted(columns_given)) or "none"
-    if not columns_given & set(POSITIONS):
+    found = set(columns)
+    listed = ", ".join(sorted(found)) or "none"
+    if not found & set(POSITIONS):
         raise FileError(
             path,
-            f"one of the columns {', '.join(POSITIONS)} is needed; found: {listed}{SEPARATED if ';' in listed else ''}",
+            f"one of the columns {', '.join(POSITIONS)} is needed; found: {listed}"
+            + (SEPARATORS if ";" in listed else ""),
         )
     for name in (FEED, AIR):
-        if name not in columns_given:
+        if name not in found:
             raise FileError(path, f"the column {name} is missing; found: {listed}")
 
 
@@ -214,7 +215,7 @@ def _validated(
     path: Path,
     interpolation: Interpolation,
     rows: Iterable[tuple[str, Mapping[str, Any]]],
-    columns: Mapping[str, str] = FORTH,
+    columns: Mapping[str, str] = INSERTION,
 ) -> Schedule:
     rows = list(rows)
     if rows[0][0] == "header":
@@ -224,35 +225,35 @@ def _validated(
     ranges = {columns[name]: range_ for name, range_ in RANGES.items()}
     values: dict[str, list[float]] = {column: [], columns[FEED]: [], columns[AIR]: []}
     start, length = None, "inserted_length_m"
-    if over == "time" and length in rows[0][1]:  # where a log begins, if it says so
+    if over == "time" and length in rows[0][1]:  # initial length of a log
         start, (_, longest, metres) = _number(path, rows[0][0], length, rows[0][1][length]), POSITIONS[length]
         if not 0.0 <= start <= longest:
             raise FileError(
                 path, f"{rows[0][0]}, {length} = {start!r} is outside the accepted range 0 to {longest:g} {metres}"
             )
-    for place, row in rows:
+    for location, row in rows:
         for name in values:
             low, high, its_unit = ranges.get(name, (0.0, most, unit))
-            value = _number(path, place, name, row.get(name))
+            value = _number(path, location, name, row.get(name))
             if not low <= value <= high:
                 raise FileError(
-                    path, f"{place}, {name} = {value!r} is outside the accepted range {low:g} to {high:g} {its_unit}"
+                    path, f"{location}, {name} = {value!r} is outside the accepted range {low:g} to {high:g} {its_unit}"
                 )
             values[name].append(value)
         if len(values[column]) > 1 and values[column][-1] <= values[column][-2]:
             before, now = values[column][-2:]
-            raise FileError(path, f"{place}, {column} = {now!r} must be greater than {before!r} before it")
+            raise FileError(path, f"{location}, {column} = {now!r} must be greater than {before!r} before it")
     air = tuple(value / 3600.0 for value in values[columns[AIR]])
     return Schedule(over, interpolation, tuple(values[column]), tuple(values[columns[FEED]]), air, start)
 
 
-def _number(path: Path, place: str, name: str, given: Any) -> float:
+def _number(path: Path, location: str, name: str, value: Any) -> float:
     try:
-        if given is None or isinstance(given, bool):
+        if value is None or isinstance(value, bool):
             raise ValueError
-        value = float(given)
+        number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise FileError(path, f"{place}, {name} = {reprlib.repr(given)} is not a number") from None
-    if not math.isfinite(value):
-        raise FileError(path, f"{place}, {name} = {given!r} is not finite")
-    return value
+        raise FileError(path, f"{location}, {name} = {reprlib.repr(value)} is not a number") from None
+    if not math.isfinite(number):
+        raise FileError(path, f"{location}, {name} = {value!r} is not finite")
+    return number

@@ -1,7 +1,6 @@
-"""What every model of settings has in common, and checks of arguments.
+"""Base class of all validated settings, and checks of arguments.
 
-A model is frozen, strict about types and knows no other keys; every error names the field, the value and what is
-accepted.
+Models are frozen, have strict types and accept no unknown keys. Errors name field, value and accepted range.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from probe_env.files import FileError, read_toml
 
 MOST_ERRORS = 8
-"""Errors of one file that are told, so that the line can be read."""
+"""Most errors in one message."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Accepted range of a field, as metadata that ``range_of`` reads; nothing is checked by it."""
+    """Metadata of a field for ``range_of``: accepted range, not validated."""
 
     low: float
     high: float
@@ -32,13 +31,13 @@ class Range:
 
 
 class Quantity(Range):
-    """Metadata of a physical quantity, which is validated: finite and within [low, high] ``unit``."""
+    """Metadata of a physical quantity that is validated: finite and within [low, high] ``unit``."""
 
     def check(self, value: Any) -> Any:
-        """The value.
+        """The value, if it is in the range.
 
         Raises:
-            PydanticCustomError: it is outside; names value, range and unit.
+            PydanticCustomError: out of range; names value, range and unit.
         """
         if not self.low <= value <= self.high:  # also catches NaN
             unit = self.unit and f" {self.unit}"
@@ -58,7 +57,7 @@ quantity = Quantity
 
 
 class Model(BaseModel):
-    """Base of all models that files describe: frozen, strict about types, no unknown keys."""
+    """Base class of settings: frozen, strict types, no unknown keys."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, validate_default=True, use_attribute_docstrings=True
@@ -70,7 +69,7 @@ class Model(BaseModel):
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: not TOML, or not valid; names the file and every offending field.
+            ValueError: not TOML, or not valid; names the file and all invalid fields.
         """
         data = read_toml(path)
         try:
@@ -81,7 +80,7 @@ class Model(BaseModel):
             raise FileError(path, str(error)) from error
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Copy with changed fields, validated (pydantic's own copy is not); mappings update sub-models."""
+        """Copy with changed fields, validated (unlike in pydantic); mappings update sub-models."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         for name, value in (update or {}).items():
             inner = fields.get(name)
@@ -92,7 +91,7 @@ class Model(BaseModel):
 
 
 def range_of(model: type[Model], field: str) -> Range | None:
-    """The accepted range of a field, such as "contact.friction", by its metadata; None if it has none.
+    """Accepted range of a field, such as "contact.friction", from its metadata; None if it has none.
 
     Raises:
         KeyError: there is no such field.
@@ -112,13 +111,13 @@ def range_of(model: type[Model], field: str) -> Range | None:
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
-    """A type and, if it is a choice of several, those."""
+    """A type and the members of a union."""
     yield annotation
     yield from get_args(annotation)
 
 
 def explain(error: ValidationError, within: str = "") -> str:
-    """Pydantic's errors in one line: field, what is wrong, the value given; ``within`` is what the fields are of."""
+    """Pydantic's errors in one line: fields with the prefix ``within``, problems and values."""
     lines, problems = [], error.errors(include_url=False, include_context=False)
     for item in problems[:MOST_ERRORS]:
         field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
@@ -130,18 +129,18 @@ def explain(error: ValidationError, within: str = "") -> str:
 
 
 @contextmanager
-def in_one_line() -> Iterator[None]:
-    """Pydantic's errors as a ValueError of one line, see ``explain``; a decorator, too."""
+def one_line_errors() -> Iterator[None]:
+    """Context manager and decorator that raises pydantic's errors as a ValueError of one line, see ``explain``."""
     try:
         yield
     except ValidationError as error:
         raise ValueError(explain(error)) from error
 
 
-def _no_such_field(title: str, place: tuple[int | str, ...]) -> str:
-    """That a field is not known, and which are: those of the model at this place of the model of this title."""
+def _no_such_field(title: str, location: tuple[int | str, ...]) -> str:
+    """Message for an unknown field at a location in the model named ``title``, with the accepted fields."""
     model = next((kind for kind in _models(Model) if kind.__name__ == title), None)
-    for part in place[:-1]:
+    for part in location[:-1]:
         inner = model.model_fields[str(part)].annotation if model and part in model.model_fields else None
         model = next((kind for kind in _parts(inner) if isinstance(kind, type) and issubclass(kind, Model)), None)
     return "there is no such field" + (f"; accepted: {', '.join(model.model_fields)}" if model else "")
@@ -159,32 +158,32 @@ def _short(value: Any) -> str:
 
 
 def tuples(value: Any) -> Any:
-    """TOML's lists as the tuples that frozen models hold."""
+    """TOML lists converted to tuples, recursively."""
     if isinstance(value, dict):
         return {key: tuples(entry) for key, entry in value.items()}
     return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value
 
 
 def within(name: str, value: float, low: float, high: float, unit: str, exclude_low: bool = False) -> None:
-    """Raise ValueError unless ``value`` is finite or infinite within [low, high] (or (low, high])."""
+    """Raise ValueError unless ``value`` is in [low, high], or in (low, high] with ``exclude_low``; NaN is not."""
     if not low <= value <= high or (exclude_low and value == low):  # also catches NaN
         excluded = " (excluded)" if exclude_low else ""
         unit = unit and f" {unit}"
         raise ValueError(f"{name} = {value!r}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
 
 
-def check_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise TypeError, as Python does, where a keyword argument is not one of those that there are."""
-    unknown = sorted(set(given) - set(known))
+def check_keywords(function: str, arguments: Iterable[str], accepted: Iterable[str]) -> None:
+    """Raise TypeError, as Python does, for unknown keyword arguments."""
+    unknown = sorted(set(arguments) - set(accepted))
     if unknown:
-        raise TypeError(f"{what}() has no argument {', '.join(unknown)}; accepted are {', '.join(known)}")
+        raise TypeError(f"{function}() has no argument {', '.join(unknown)}; accepted are {', '.join(accepted)}")
 
 
 def whole_steps(name: str, value: float | None, time_step: float) -> int:
-    """Number of time steps in a time.
+    """Number of time steps in a duration.
 
     Raises:
-        ValueError: not a whole number within 1e-9, or less than one.
+        ValueError: not a whole number to a relative accuracy of 1e-9, or less than one.
     """
     ratio = math.nan if value is None else value / time_step
     if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):

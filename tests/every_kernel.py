@@ -39,7 +39,7 @@ def run_all():
         assert simulator.root == simulator.chain.node_count - 1  # to the helix's end
         runs += 1
     for (method, step), cable in itertools.product(STEPS.items(), (False, True)):
-        if not METHODS[method].draws_back:
+        if not METHODS[method].simulates_withdrawal:
             continue
         back = {"feed_speed": -1.5, "air_supply_rate": -0.03, "couple": "tangent", "contact": {"cable": cable}}
         simulator = Simulator(

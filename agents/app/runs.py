@@ -27,7 +27,7 @@ from agents.records.models import Stored
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.pictures.strip import Motion
 from probe_env.envs.task import TaskConfig
-from probe_env.inspection.channels import Flaw, Passage, along, channels, filtered, smoothed
+from probe_env.inspection.channels import Flaw, Recording, along_flaw, channels, filtered, smoothed
 from probe_env.inspection.detection import snr_at, threshold
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import snr_of_groove
@@ -327,11 +327,11 @@ def flaw_signal(sensor: Sensor, shape: ProbeShape, before: float, depth: float) 
     if len(time) < MIN_SAMPLES or feed == 0.0:
         return None
     speeds = np.full(len(time), feed)
-    recording = Passage(time - time[0], feed * time, speeds, shape.signal_radial, shape.spectrum[None], len(time))
+    recording = Recording(time - time[0], feed * time, speeds, shape.signal_radial, shape.spectrum[None], len(time))
     flaw = Flaw(-feed * before, depth)
     voltages = channels(sensor, recording, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
-    near = np.abs(recording.place - flaw.place) <= 0.5 * sensor.flaw_width
-    response = filtered(sensor, recording, along(sensor, voltages))
+    near = np.abs(recording.position - flaw.position) <= 0.5 * sensor.flaw_width
+    response = filtered(sensor, recording, along_flaw(sensor, voltages))
     groove = snr_of_groove(sensor, np.array([feed]), recording.spectrum)
     snr = float(snr_at(sensor, groove, np.array([depth]))[0, 0])
     highest = float(response[near].max()) if near.any() else 0.0

@@ -139,7 +139,7 @@ def policy_line(spec: str, case: EvaluationCase) -> Line:
         policy = make_policy(spec, case.config.full_observation, case.vibration)
     if isinstance(policy, Replayed):  # over time
         schedule = policy.schedule
-        length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)
+        length = (schedule.start_length or 0.0) + schedule.fed_length(schedule.position)
         return Line(length, np.array(schedule.feed_speed), np.array(schedule.air_supply_rate))
     if not isinstance(policy, FixedPolicy) or (spec not in BY_LENGTH and not hasattr(policy, "schedule")):
         raise ValueError(f"policy = {spec!r} depends on measurements: run it to see its feed")

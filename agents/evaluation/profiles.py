@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 
 from agents.evaluation.statistics import ranking
 from agents.records.drawing import colours
-from probe_env.schedule import BACK, Schedule
+from probe_env.schedule import WITHDRAWAL, Schedule
 
 Description = Mapping[str, Any]
 """JSON-ready description of a policy."""
@@ -135,7 +135,11 @@ def _csv(schedule: Schedule, withdrawal: Description | None) -> str:
     forth = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
     comment, header, *rows = forth.to_csv().splitlines()
     table = zip(rows, *back.at(position), strict=True)
-    lines = (comment, ",".join((header, *BACK.values())), *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in table))
+    lines = (
+        comment,
+        ",".join((header, *WITHDRAWAL.values())),
+        *(f"{row},{u:.6g},{q * 3600.0:.6g}" for row, u, q in table),
+    )
     return "\n".join(lines) + "\n"
 
 

@@ -32,13 +32,13 @@ from probe_env.envs.trials import periods_of
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import (
     Flaw,
-    Passage,
-    along,
+    Recording,
+    along_flaw,
     calls,
     channels,
     filtered,
     smoothed,
-    support_places,
+    support_positions,
     support_signal,
 )
 from probe_env.inspection.detection import snr_at
@@ -63,12 +63,12 @@ class Insertion:
     """Samples and control periods of an insertion.
 
     Attributes:
-        passage: time, position, feed and motion of every sample.
+        recording: time, position, feed and motion of every sample.
         periods: info of every control period, SI units.
         detection: detection figures by name of the inspected length, see ``inspection.metrics``.
     """
 
-    passage: Passage
+    recording: Recording
     periods: tuple[dict[str, Any], ...]
     detection: dict[str, float]
 
@@ -134,10 +134,10 @@ def run_signal(
     run = insert(policy, config, case.contexts[context], resolve_fidelity(fidelity, config.scene), seed, until)
     chart = chart_of(run, config, all_flaws, spacing, np.random.default_rng([seed, context]))
     _write(run, chart, config.sensor, f"{spec}, tube {context}, {fidelity}", output, seed)
-    first, last = run.passage.place[[0, -1]]
+    first, last = run.recording.position[[0, -1]]
     for flaw in all_flaws:
         if flaw not in chart.flaws:
-            print(f"not passed: the flaw at {flaw.place:g} m; the sensor moved from {first:.2f} to {last:.2f} m")
+            print(f"not passed: the flaw at {flaw.position:g} m; the sensor moved from {first:.2f} to {last:.2f} m")
     header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
     rows = [
         (f"{position:g}", f"{depth:g}", f"{snr:.1f}", f"{behind:.1f}", "yes" if called else "no")
@@ -166,10 +166,10 @@ def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
             raise ValueError(
                 f"flaws: {text!r} is not POSITION:DEPTH, metres and % of the wall, such as 30:20"
             ) from None
-        within(f"flaws: position of {text!r}", flaw.place, 0.0, length, "m")
+        within(f"flaws: position of {text!r}", flaw.position, 0.0, length, "m")
         within(f"flaws: depth of {text!r}", 100.0 * flaw.depth, 0.1, 100.0, "%")
         flaws.append(flaw)
-    return tuple(sorted(flaws, key=lambda flaw: flaw.place))
+    return tuple(sorted(flaws, key=lambda flaw: flaw.position))
 
 
 def insert(
@@ -218,15 +218,15 @@ def insert(
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
-    passage = Passage(
+    recording = Recording(
         time=SAMPLE_PERIOD * np.arange(1, each * len(radial) + 1),
-        place=np.concatenate([begin + share * (end - begin) for begin, end in itertools.pairwise(positions)]),
+        position=np.concatenate([begin + share * (end - begin) for begin, end in itertools.pairwise(positions)]),
         feed=feed,
         radial=motion,
         spectrum=centred_spectra(config.sensor, motion, feed),
-        stretch=FILTER_SAMPLES,
+        segment=FILTER_SAMPLES,
     )
-    return Insertion(passage, tuple(periods), metrics.detection.kpis(metrics.inspected, length))
+    return Insertion(recording, tuple(periods), metrics.detection.kpis(metrics.inspected, length))
 
 
 def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
@@ -254,33 +254,33 @@ def chart_of(
     run: Insertion, config: TaskConfig, flaws: Sequence[Flaw], spacing: float, rng: np.random.Generator
 ) -> Chart:
     """Signals of an insertion with flaws; the signals of the supports are subtracted before the filter."""
-    passage, sensor, tube = run.passage, config.sensor, config.scene.tube
-    first, last = float(passage.place[0]) + sensor.flaw_width, float(passage.place[-1]) - sensor.flaw_width
-    flaws = tuple(flaw for flaw in flaws if first < flaw.place < last)
-    supports = support_places(spacing, last)
-    voltages = channels(sensor, passage, tube.inner_diameter, flaws, supports, rng)
-    signal = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
-    values, threshold = filtered(sensor, passage, signal), run.detection["call_threshold"]
+    recording, sensor, tube = run.recording, config.sensor, config.scene.tube
+    first, last = float(recording.position[0]) + sensor.flaw_width, float(recording.position[-1]) - sensor.flaw_width
+    flaws = tuple(flaw for flaw in flaws if first < flaw.position < last)
+    supports = support_positions(spacing, last)
+    voltages = channels(sensor, recording, tube.inner_diameter, flaws, supports, rng)
+    signal = along_flaw(sensor, voltages - support_signal(sensor, recording.position, supports)[:, None])
+    values, threshold = filtered(sensor, recording, signal), run.detection["call_threshold"]
     ends = np.array([period["inserted_length"] for period in run.periods])
-    ends += passage.place[-1] - ends[-1]
+    ends += recording.position[-1] - ends[-1]
     rows = []
     for flaw in flaws:
-        near = np.abs(passage.place - flaw.place) < 0.5 * sensor.flaw_width
-        groove = run.periods[int(np.searchsorted(ends, flaw.place).clip(0, len(ends) - 1))]["snr"]
+        near = np.abs(recording.position - flaw.position) < 0.5 * sensor.flaw_width
+        groove = run.periods[int(np.searchsorted(ends, flaw.position).clip(0, len(ends) - 1))]["snr"]
         peak = float(values[near].max()) if near.any() else 0.0
         snr = float(snr_at(sensor, np.array([groove]), np.array([flaw.depth]))[0, 0])
-        rows.append((flaw.place, 100.0 * flaw.depth, snr, peak, peak > threshold))
-    called = calls(values, passage.place, threshold, sensor.flaw_width)
+        rows.append((flaw.position, 100.0 * flaw.depth, snr, peak, peak > threshold))
+    called = calls(values, recording.position, threshold, sensor.flaw_width)
     return Chart(voltages, values, flaws, supports, called, pd.DataFrame(rows, columns=list(ROWS)))
 
 
 def by_period(run: Insertion, voltages: FloatArray) -> pd.DataFrame:
     """One row per control period: position of the sensor at its end, standard deviations of X and Y, rms, S/N."""
-    each = len(run.passage.radial) // len(run.periods)
-    deviation = smoothed(run.passage, voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
+    each = len(run.recording.radial) // len(run.periods)
+    deviation = smoothed(run.recording, voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
     return pd.DataFrame(
         {
-            "place_m": run.passage.place[each - 1 :: each],
+            "place_m": run.recording.position[each - 1 :: each],
             "x_deviation_v": deviation[:, 0],
             "y_deviation_v": deviation[:, 1],
             **{name: [period[name] for period in run.periods] for name in ("radial_rms_m", "snr")},
@@ -298,9 +298,9 @@ def correlation(periods: pd.DataFrame) -> float:
 
 def _write(run: Insertion, chart: Chart, sensor: Sensor, title: str, output: Path, seed: int) -> None:
     output.mkdir(parents=True, exist_ok=True)
-    passage, periods = run.passage, by_period(run, chart.voltages)
+    recording, periods = run.recording, by_period(run, chart.voltages)
     samples = pd.DataFrame(
-        {"time_s": passage.time, "place_m": passage.place, "feed_speed_m_per_s": passage.feed,
+        {"time_s": recording.time, "place_m": recording.position, "feed_speed_m_per_s": recording.feed,
          "x_v": chart.voltages[:, 0], "y_v": chart.voltages[:, 1]}
     )  # fmt: skip
     tables = {"channels.csv": (samples, "%.6g"), "flaws.csv": (chart.table, "%.5g"), "periods.csv": (periods, "%.5g")}
@@ -309,14 +309,14 @@ def _write(run: Insertion, chart: Chart, sensor: Sensor, title: str, output: Pat
     record = {
         "sensor": sensor.model_dump(),
         "threshold": run.detection["call_threshold"],
-        "false_calls": sum(all(abs(c - f.place) > sensor.flaw_width for f in chart.flaws) for c in chart.called),
+        "false_calls": sum(all(abs(c - f.position) > sensor.flaw_width for f in chart.flaws) for c in chart.called),
         "noise_and_vibration_correlation": correlation(periods),
         "found": run.detection,
     }
     write_json(output / "signal.json", record)
     _draw_strip(run, chart, periods, title, output / "strip.png")
     if chart.flaws:
-        _draw_flaws(passage, chart, output / "flaws.png")
+        _draw_flaws(recording, chart, output / "flaws.png")
     write_manifest(output, (*tables, "signal.json"), seeds=(seed,))
 
 
@@ -326,11 +326,11 @@ def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str,
     Supports are ticks at the top, flaws lines.
     """
     figure, axes = plt.subplots(4, 1, figsize=(12, 9), sharex=True, layout="constrained")
-    passage, threshold = run.passage, run.detection["call_threshold"]
-    for axis, values, name in zip(axes, smoothed(passage, chart.voltages).T, "XY", strict=False):
-        axis.plot(passage.place, values, color=BLUE, linewidth=0.4)
+    recording, threshold = run.recording, run.detection["call_threshold"]
+    for axis, values, name in zip(axes, smoothed(recording, chart.voltages).T, "XY", strict=False):
+        axis.plot(recording.position, values, color=BLUE, linewidth=0.4)
         axis.set_ylabel(f"{name} [V]")
-    axes[2].plot(passage.place, chart.values, color="0.2", linewidth=0.4)
+    axes[2].plot(recording.position, chart.values, color="0.2", linewidth=0.4)
     axes[2].axhline(threshold, color=RED, linewidth=0.8)
     axes[2].plot(chart.called, np.full(len(chart.called), threshold), "v", color=RED, markersize=6)
     axes[2].set_ylabel("filtered signal\n[standard deviations of noise]")
@@ -343,25 +343,25 @@ def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str,
         for position in chart.supports:
             axis.axvline(position, ymin=0.95, color=GREY, linewidth=0.8)
         for flaw in chart.flaws:
-            axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
+            axis.axvline(flaw.position, color=RED, linewidth=0.6, linestyle=":")
     figure.suptitle(escape_dollars(title))
     save(figure, path)
 
 
-def _draw_flaws(passage: Passage, chart: Chart, path: Path) -> None:
+def _draw_flaws(recording: Recording, chart: Chart, path: Path) -> None:
     """X and Y over time and as a Lissajous figure while the sensor passes each flaw, or ``DRAWN`` of them."""
     chosen = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
     size = (9, 3.2 * len(chosen))
     figure, axes = plt.subplots(len(chosen), 2, figsize=size, layout="constrained", squeeze=False)
-    voltages = smoothed(passage, chart.voltages)
+    voltages = smoothed(recording, chart.voltages)
     for (left, right), k in zip(axes, chosen, strict=True):
         flaw = chart.flaws[k]
-        near = np.abs(passage.place - flaw.place) < AROUND
-        time = passage.time[near] - (passage.time[near].mean() if near.any() else 0.0)
+        near = np.abs(recording.position - flaw.position) < AROUND
+        time = recording.time[near] - (recording.time[near].mean() if near.any() else 0.0)
         for values, name, colour in zip(voltages[near].T, "XY", (BLUE, RED), strict=True):
             left.plot(time, values, color=colour, linewidth=1.0, label=name)
         right.plot(voltages[near, 0], voltages[near, 1], color="0.2", linewidth=1.0)
-        left.set(xlabel="time [s]", ylabel="[V]", title=f"{100.0 * flaw.depth:g} % at {flaw.place:g} m")
+        left.set(xlabel="time [s]", ylabel="[V]", title=f"{100.0 * flaw.depth:g} % at {flaw.position:g} m")
         right.set(xlabel="X [V]", ylabel="Y [V]", aspect="equal", adjustable="datalim")
         left.legend(frameon=False, ncols=2)
         for axis in (left, right):

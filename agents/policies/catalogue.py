@@ -186,7 +186,7 @@ def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, c
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
         return _agent(file, config)
-    back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
+    back = Schedule.read_withdrawal(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, withdrawal", back, config)
     insertion = make_policy(spec, insertion_task(config), vibration, classes)

@@ -142,13 +142,13 @@ class Replayed(FixedPolicy):
         schedule, period, late = self.schedule, self.config.period, self.config.delay_periods
         new, inserted = np.isnan(memory[:, 0]), measured["inserted_length"]
         memory[new, 0] = schedule.time_at(inserted[new])
-        start = inserted[new] - schedule.fed(memory[new, 0])
+        start = inserted[new] - schedule.fed_length(memory[new, 0])
         memory[new, 1] = start if schedule.start_length is None else schedule.start_length
         now = memory[:, 0] + measured["time"]
         measured_at = np.maximum(now - late * period, memory[:, 0])
-        lag = memory[:, 1] + schedule.fed(measured_at) - inserted
+        lag = memory[:, 1] + schedule.fed_length(measured_at) - inserted
         share = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
-        target = (schedule.fed(now + period) - schedule.fed(now) + share * lag) / period
+        target = (schedule.fed_length(now + period) - schedule.fed_length(now) + share * lag) / period
         slow, fast = self.config.feed_speeds
         feed = np.where(target < 0.5 * slow, 0.0, np.clip(target, slow, fast))
         last, air = schedule.at(now)

@@ -94,7 +94,7 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
         if update := _nested("fidelity", study.set | changes):
-            accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
+            accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, round_trip=config.returns)
         policy_config = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, policy_config, case, plant)
     except (ValueError, TypeError) as error:

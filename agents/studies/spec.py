@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from agents.evaluation.folder import EPISODES, EPISODES_NEWER
 from agents.evaluation.kpis import OVER_TUBES
 from probe_env.envs.contexts import SPLIT_SIZES, Split
-from probe_env.settings import Model, in_one_line
+from probe_env.settings import Model, one_line_errors
 
 ROOTS: Final = ("task", "scene", "sensor", "fidelity", "plant")
 """First part of a dotted field; ``scene`` and ``sensor`` are those of the task."""
@@ -136,7 +136,7 @@ class Study(Model):
             update["policies"] = (*references, *policies)
         update |= {"fidelity": fidelity} if fidelity else {}
         update |= {"tube": str(tube)} if tube else {}
-        with in_one_line():
+        with one_line_errors():
             return self.model_copy(update=update)
 
     def settings(self) -> Iterator[tuple[str, Changes]]:

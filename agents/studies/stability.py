@@ -37,7 +37,7 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms.bare_chains import (
     AXIAL,
     RADIAL,
-    Driven,
+    DrivenChain,
     bent_chain,
     linear_matrix,
     masses,
@@ -187,7 +187,7 @@ def _step(method: str, chain: Chain, time_step: float, start: FloatArray, compon
     """Displacement, velocity and acceleration of the mass after a step; NaN if it diverged."""
     state = at_rest(2)
     state.d[0, component], state.v[0, component], state.memory[0, component] = start
-    if not run_chain(method, Driven(chain), time_step, state, 1, 1).held:
+    if not run_chain(method, DrivenChain(chain), time_step, state, 1, 1).stable:
         return np.full(3, np.nan)
     return np.array([state.d[0, component], state.v[0, component], state.memory[0, component]])
 
@@ -228,9 +228,9 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     steps = math.ceil(BOUNCES * period / time_step)
     state = at_rest(2)
     state.d[0, component], state.v[0, component] = 0.4321 * GAP, -SPEED
-    run = run_chain(method, Driven(chain), time_step, state, steps, 1)
+    run = run_chain(method, DrivenChain(chain), time_step, state, steps, 1)
     y = run.samples[:, component]
-    if not run.held:
+    if not run.stable:
         return float("nan"), float("nan")
     # speeds of free flights: steps that start and end between the walls
     inside = (y > 0.0) & (y < GAP)
@@ -271,7 +271,7 @@ def run_energy() -> pd.DataFrame:
             state = at_rest(ELEMENTS + 1)
             state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
             before = energy(chain, state)
-            held = run_chain(method, Driven(chain), time_step, state, STEPS, STEPS).held
+            held = run_chain(method, DrivenChain(chain), time_step, state, STEPS, STEPS).stable
             rows.append((method, time_step, damping_time, walls, energy(chain, state) / before if held else math.inf))
     return pd.DataFrame(rows, columns=["method", "time_step_s", "damping_time_s", "walls", "ratio"])
 

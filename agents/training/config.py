@@ -133,7 +133,7 @@ class Training(Model):
                 "fidelity", "validation.fidelity = 'surrogate': agents must be validated by simulation"
             )
         task = self.task
-        trained = resolve_fidelity(self.environment.fidelity, task.scene, both_ways=task.returns)
+        trained = resolve_fidelity(self.environment.fidelity, task.scene, round_trip=task.returns)
         for fidelity in (trained, self.validation_fidelity):
             if fidelity.time_lapse > 1.0 and not task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
@@ -174,7 +174,7 @@ class Training(Model):
     @property
     def validation_fidelity(self) -> Fidelity:
         """Simulation settings of the validation."""
-        return resolve_fidelity(self.validation.fidelity, self.task.scene, both_ways=self.task.returns)
+        return resolve_fidelity(self.validation.fidelity, self.task.scene, round_trip=self.task.returns)
 
     @property
     def vibration(self) -> VibrationMap | None:

@@ -36,7 +36,7 @@ from probe_env.envs.trials import (
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
-from probe_env.settings import check_known, in_one_line
+from probe_env.settings import check_keywords, one_line_errors
 
 STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
 
@@ -95,7 +95,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
 
-    @in_one_line()
+    @one_line_errors()
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
@@ -105,7 +105,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         render_mode: str | None = None,
         **settings: Unpack[PlaceSettings],
     ) -> None:
-        check_known(type(self).__name__, settings, PlaceSettings.__annotations__)
+        check_keywords(type(self).__name__, settings, PlaceSettings.__annotations__)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
         self.config, left = placed({}, config, cast(EpisodeSettings, settings))
@@ -147,7 +147,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
         return Design.from_unit(share_of(values))
 
-    @in_one_line()
+    @one_line_errors()
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

@@ -16,7 +16,7 @@ from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import is_surrogate
-from probe_env.settings import in_one_line
+from probe_env.settings import one_line_errors
 
 if TYPE_CHECKING:
     from probe_env.envs.pictures.episode import Renderer
@@ -43,7 +43,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
     defaults: ClassVar[dict[str, Any]] = {}
 
-    @in_one_line()
+    @one_line_errors()
     def __init__(
         self,
         config: TaskConfig | Mapping[str, Any] | None = None,
@@ -61,7 +61,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
 
-    @in_one_line()
+    @one_line_errors()
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -258,7 +258,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
 
     single: ClassVar[type[ProbeEnv]] = ProbeEnv
 
-    @in_one_line()
+    @one_line_errors()
     def __init__(
         self,
         num_envs: int = 1,
@@ -285,7 +285,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self._ended = np.zeros(num_envs, dtype=bool)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
-    @in_one_line()
+    @one_line_errors()
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

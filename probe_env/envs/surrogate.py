@@ -35,9 +35,9 @@ from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE, Fidelity, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
-from probe_env.physics.model.drive import moved_on
+from probe_env.physics.model.drive import drives_after
 from probe_env.scene import Scene
-from probe_env.settings import check_known
+from probe_env.settings import check_keywords
 
 DRAWS: Final = 7
 """Normal draws a probe and period: vibration slow and quick, tension, two accelerations, two sensors."""
@@ -160,7 +160,7 @@ class SurrogateEpisodes:
         noise: Noise = MEASURED,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_known(type(self).__name__, settings, DEFAULTS)
+        check_keywords(type(self).__name__, settings, DEFAULTS)
         config, settings = placed({}, config, settings)
         arguments = DEFAULTS | settings
         vibration = arguments["surrogate_map"]
@@ -282,7 +282,7 @@ class SurrogateEpisodes:
         """Feed, air and inserted length at the end of a control period towards targets (N, 2) [m/s], [m3/s]."""
         config, now = self.config, (self.feed, self.air, self.inserted_length)
         steps = max(round(config.period / DRIVE_STEP), 1)
-        after = moved_on(steps, config.period / steps, config.ramp, config.air_lag, *now[:2], targets, now[2])
+        after = drives_after(steps, config.period / steps, config.ramp, config.air_lag, *now[:2], targets, now[2])
         self.feed, self.air, length = (np.where(stepped, new, old) for new, old in zip(after, now, strict=True))
         self.inserted_length = np.minimum(length, self.helix_length)
 

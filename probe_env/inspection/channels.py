@@ -1,4 +1,4 @@
-"""The two channels of a run: what motion, flaws, supports and noise make of X and Y, and what the filter calls."""
+"""Sensor channels X and Y of a run, from motion, flaws, supports and noise, and the calls of the matched filter."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from probe_env.arrays import FloatArray
 from probe_env.inspection.sensor import Sensor, power, shape
 from probe_env.inspection.snr import FREQUENCY, SPAN, passing_time
 
-SHOWN: Final = 10e-3
-"""[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
+SMOOTHING: Final = 10e-3
+"""Averaging time of the channels in plots [s], like the low-pass of an instrument."""
 FLAW_REACH: Final = 1.5
-"""Widths from a flaw within which it is seen: g(1.5) is below 1e-17."""
+"""Distance from a flaw, in widths, beyond which its signal is 0: g(1.5) is below 1e-17."""
 
 
 @dataclass(frozen=True)
 class Flaw:
-    """A flaw that is put into the tube."""
+    """A simulated flaw of the tube."""
 
-    place: float  # of its middle, from the helix's entrance [m]
-    depth: float  # share of the wall
+    position: float  # of its centre, from the entrance of the helix [m]
+    depth: float  # fraction of the wall
 
 
 @dataclass(frozen=True)
-class Passage:
-    """What a sensor went through, k samples; SI units."""
+class Recording:
+    """Motion of a sensor during a run, k samples; SI units."""
 
     time: FloatArray  # (k,) evenly spaced
-    place: FloatArray  # (k,) of the sensor from the helix's entrance
+    position: FloatArray  # (k,) of the sensor, from the entrance of the helix
     feed: FloatArray  # (k,) feed speed
     radial: FloatArray  # (k,) displacement
-    spectrum: FloatArray  # (p, m) density by which the filter of each of p stretches weighs, at ``snr.FREQUENCY``
-    stretch: int  # samples in one of them
+    spectrum: FloatArray  # (p, m) density of the motion in the filter of each of p segments, at ``snr.FREQUENCY``
+    segment: int  # samples of a segment
 
     @property
     def sample_period(self) -> float:
@@ -46,80 +46,85 @@ class Passage:
         return float(self.time[1] - self.time[0])
 
 
-def looks(sensor: Sensor, direction: float) -> FloatArray:
-    """(2,) share that the channels X and Y see of something in a direction from the radial one [rad]."""
+def channel_shares(sensor: Sensor, direction: float) -> FloatArray:
+    """(2,) components in X and Y of a signal at an angle ``direction`` from the radial direction [rad]."""
     return np.array([math.cos(direction - sensor.angle), math.sin(direction - sensor.angle)])
 
 
-def along(sensor: Sensor, voltages: FloatArray) -> FloatArray:
-    """(k,) the channels (k, 2) turned into the direction of the flaw, in which calls are made."""
-    return np.asarray(voltages @ looks(sensor, sensor.flaw_angle))
+def along_flaw(sensor: Sensor, voltages: FloatArray) -> FloatArray:
+    """(k,) component of the channels (k, 2) in the direction of the flaw, in which calls are made."""
+    return np.asarray(voltages @ channel_shares(sensor, sensor.flaw_angle))
 
 
-def _pulses(place: FloatArray, centres: Iterable[float], amplitudes: Iterable[float], width: float) -> FloatArray:
-    """(k,) sum of shapes of a width [m] around their centres [m]."""
-    signal = np.zeros(len(place))
+def _pulses(position: FloatArray, centres: Iterable[float], amplitudes: Iterable[float], width: float) -> FloatArray:
+    """(k,) sum of flaw shapes of a width [m] around centres [m]."""
+    signal = np.zeros(len(position))
     for centre, amplitude in zip(centres, amplitudes, strict=False):
-        near = np.abs(place - centre) < FLAW_REACH * width
-        signal[near] += amplitude * shape((place[near] - centre) / width)
+        near = np.abs(position - centre) < FLAW_REACH * width
+        signal[near] += amplitude * shape((position[near] - centre) / width)
     return signal
 
 
-def support_places(spacing: float, length: float) -> FloatArray:
-    """Places of the tube's supports [m], half a spacing from its entrance on."""
+def support_positions(spacing: float, length: float) -> FloatArray:
+    """Positions of the supports of the tube [m]; the first is half a spacing from the entrance."""
     return np.arange(0.5 * spacing, length, spacing)
 
 
-def support_signal(sensor: Sensor, place: FloatArray, supports: FloatArray) -> FloatArray:
-    """(k,) voltage of supports [V], alike in both channels."""
-    return _pulses(place, supports, repeat(sensor.support_signal), sensor.support_width)
+def support_signal(sensor: Sensor, position: FloatArray, supports: FloatArray) -> FloatArray:
+    """(k,) voltage of supports [V], equal in both channels."""
+    return _pulses(position, supports, repeat(sensor.support_signal), sensor.support_width)
 
 
 def channels(
-    sensor: Sensor, passage: Passage, bore: float, flaws: Sequence[Flaw], supports: FloatArray, rng: np.random.Generator
+    sensor: Sensor,
+    motion: Recording,
+    bore: float,
+    flaws: Sequence[Flaw],
+    supports: FloatArray,
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """(k, 2) voltages X and Y of a run [V], without their means; bore and places of supports in m."""
-    moved = passage.radial - passage.radial.mean()
-    voltages = sensor.gain * np.outer(moved, looks(sensor, 0.0))
+    """(k, 2) voltages X and Y of a run [V], means subtracted; bore and positions of supports in m."""
+    moved = motion.radial - motion.radial.mean()
+    voltages = sensor.gain * np.outer(moved, channel_shares(sensor, 0.0))
     voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]
     amplitudes = [float(sensor.amplitude(flaw.depth)) for flaw in flaws]
-    signal = _pulses(passage.place, [flaw.place for flaw in flaws], amplitudes, sensor.flaw_width)
-    voltages += np.outer(signal, looks(sensor, sensor.flaw_angle))
-    voltages += support_signal(sensor, passage.place, supports)[:, None]
-    deviation = math.sqrt(0.5 * sensor.noise_density / passage.sample_period)
+    signal = _pulses(motion.position, [flaw.position for flaw in flaws], amplitudes, sensor.flaw_width)
+    voltages += np.outer(signal, channel_shares(sensor, sensor.flaw_angle))
+    voltages += support_signal(sensor, motion.position, supports)[:, None]
+    deviation = math.sqrt(0.5 * sensor.noise_density / motion.sample_period)
     voltages += deviation * rng.normal(size=voltages.shape)
     return np.asarray(voltages - voltages.mean(axis=0))
 
 
-def smoothed(passage: Passage, values: FloatArray) -> FloatArray:
-    """Values (k, ...) averaged over ``SHOWN``."""
-    width = max(round(SHOWN / passage.sample_period), 1)
+def smoothed(recording: Recording, values: FloatArray) -> FloatArray:
+    """Values (k, ...) averaged over ``SMOOTHING``."""
+    width = max(round(SMOOTHING / recording.sample_period), 1)
     kernel = np.full(width, 1.0 / width)
     return np.apply_along_axis(lambda column: np.convolve(column, kernel, "same"), 0, values)
 
 
-def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray:
-    """(k,) the signal (k,) along the flaw behind the filter of each stretch, over its noise's deviation."""
-    around = round(SPAN / passage.sample_period)
+def filtered(sensor: Sensor, recording: Recording, signal: FloatArray) -> FloatArray:
+    """(k,) signal (k,) after the filter of each segment, in standard deviations of the filtered noise."""
+    around = round(SPAN / recording.sample_period)
     padded = np.pad(signal, around)
     values = np.zeros(len(signal))
-    for number, begin in enumerate(range(0, len(signal), passage.stretch)):
-        part = padded[begin : begin + passage.stretch + 2 * around]
-        frequency = np.fft.rfftfreq(len(part), passage.sample_period)
-        motion = np.interp(frequency, FREQUENCY, passage.spectrum[number], right=0.0)
-        noise = sensor.seen_gain**2 * motion + sensor.noise_density
-        gain = np.sqrt(power(frequency * passing_time(sensor, float(passage.feed[begin])))) / noise
+    for number, begin in enumerate(range(0, len(signal), recording.segment)):
+        part = padded[begin : begin + recording.segment + 2 * around]
+        frequency = np.fft.rfftfreq(len(part), recording.sample_period)
+        motion = np.interp(frequency, FREQUENCY, recording.spectrum[number], right=0.0)
+        noise = sensor.flaw_gain**2 * motion + sensor.noise_density
+        gain = np.sqrt(power(frequency * passing_time(sensor, float(recording.feed[begin])))) / noise
         deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
         out = np.fft.irfft(np.fft.rfft(part) * -1j * gain, len(part)) / deviation
-        values[begin : begin + passage.stretch] = out[around : around + passage.stretch]
+        values[begin : begin + recording.segment] = out[around : around + recording.segment]
     return values
 
 
-def calls(values: FloatArray, place: FloatArray, z: float, width: float) -> FloatArray:
-    """Places [m] at which filtered values exceed the threshold, the highest within a flaw's width."""
+def calls(values: FloatArray, position: FloatArray, z: float, width: float) -> FloatArray:
+    """Positions [m] at which filtered values exceed the threshold z; one call, at the maximum, per flaw width."""
     peaks, _ = find_peaks(values, height=z)
-    kept: list[int] = []
+    called: list[int] = []
     for peak in sorted(peaks.tolist(), key=lambda k: -values[k]):
-        if all(abs(place[peak] - place[other]) > width for other in kept):
-            kept.append(peak)
-    return np.sort(place[kept]) if kept else np.zeros(0)
+        if all(abs(position[peak] - position[other]) > width for other in called):
+            called.append(peak)
+    return np.sort(position[called]) if called else np.zeros(0)

@@ -1,7 +1,7 @@
-"""What is found: threshold from false calls, probability of detection, and the depths that are found with 50 and 90 %.
+"""Threshold from the rate of false calls, probability of detection (POD), and flaw depths with POD 50 and 90 %.
 
-A flaw is called where the matched filter, in units of its noise's deviation, exceeds z. Where that noise is Gaussian
-POD(a | place) = Phi(SNR(a) - z); else the motion's part of it is taken as it was seen.
+A flaw is called where the filtered signal, in standard deviations of its noise, exceeds z. In Gaussian noise
+POD(a | position) = Phi(SNR(a) - z); otherwise the observed distribution of the motion is used.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from probe_env.arrays import FloatArray
 from probe_env.inspection.sensor import GROOVE, UPCROSSINGS, Sensor
 
 DEPTHS: Final = np.geomspace(0.02, 1.0, 21)
-"""Shares of the wall at which curves are kept."""
+"""Flaw depths of the POD curves, fractions of the wall."""
 EDGES: Final = np.linspace(-16.0, 16.0, 129)
-"""Of the histogram of excursions."""
+"""Bin edges of the histogram of excursions."""
 MIDDLES: Final = 0.5 * (EDGES[1:] + EDGES[:-1])
 LEAST_GAUSSIAN: Final = 1e-3
-"""Share of the electronics in the filtered noise that is always taken as Gaussian, so that curves have no steps."""
+"""Least fraction of Gaussian electronic noise in the filtered noise; it makes the curves smooth."""
 SMALLEST: Final = 1e-9
-"""Probability beyond which curves are cut off."""
+"""Least probability, and least distance from 1, of a POD curve in interpolation."""
 WORST: Final = 1.0
-"""Depth that is given where even a hole is not found so often."""
+"""Depth returned if the POD of a through hole is below the level."""
 
 
 def threshold(sensor: Sensor, length: float) -> float:
-    """The z that noise alone exceeds ``sensor.false_calls`` times in a tube of this length [m].
+    """Threshold z that noise exceeds ``sensor.false_calls`` times in a tube of this length [m].
 
-    Gaussian noise behind the filter crosses z upwards ``UPCROSSINGS / w * exp(-z^2 / 2)`` times a metre at any feed
+    Filtered Gaussian noise crosses z upwards ``UPCROSSINGS / w * exp(-z^2 / 2)`` times per metre at any feed speed
     (S. O. Rice, Bell System Technical Journal 24, 1945).
     """
     crossings = UPCROSSINGS * length / sensor.flaw_width
@@ -40,22 +40,22 @@ def threshold(sensor: Sensor, length: float) -> float:
 
 
 def snr_at(sensor: Sensor, groove: FloatArray, depths: FloatArray = DEPTHS) -> FloatArray:
-    """(n, d) signal-to-noise at depths (d,), shares of the wall, from that of the 20 % groove (n,)."""
+    """(n, d) signal-to-noise ratio at depths (d,), fractions of the wall, from that of the 20 % groove (n,)."""
     return np.asarray(np.asarray(groove)[:, None] * (np.asarray(depths) / GROOVE) ** sensor.depth_exponent)
 
 
 def pod_gaussian(snr: FloatArray, z: float) -> FloatArray:
-    """Probability that a flaw of this signal-to-noise is called."""
+    """POD of a flaw with this signal-to-noise ratio in Gaussian noise."""
     return np.asarray(ndtr(np.asarray(snr) - z))
 
 
-def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray) -> FloatArray:
-    """(n, d) the same with the motion's part of the noise distributed as it was seen.
+def pod_empirical(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray) -> FloatArray:
+    """(n, d) POD with the observed distribution of the filtered motion.
 
-    ``share`` (n,) of the noise's variance is motion, ``counts`` (len(MIDDLES),) are those of its excursions.
+    ``share`` (n,) is the fraction of the noise variance that is motion, ``counts`` (len(MIDDLES),) its histogram.
     """
-    seen = counts > 0
-    weights, motion = counts[seen] / counts.sum(), MIDDLES[seen]
+    filled = counts > 0
+    weights, motion = counts[filled] / counts.sum(), MIDDLES[filled]
     share = np.clip(share, 0.0, 1.0 - LEAST_GAUSSIAN)[:, None]
     values = np.zeros_like(snr)
     for weight, excursion in zip(weights, motion, strict=True):
@@ -63,26 +63,25 @@ def pod_as_seen(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray
     return values
 
 
-def threshold_as_seen(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
-    """The threshold that noise as it was seen exceeds over as much of the length as Gaussian noise does ``z``.
+def threshold_empirical(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
+    """Threshold that the observed noise exceeds over the same share of the length as Gaussian noise exceeds ``z``.
 
-    Never below ``z``: what the few excursions of one tube do not show may come in the next. ``lengths`` (n,) are those
-    of the places [m]; the rest as in ``pod_as_seen``.
+    It is never below ``z``, because one tube has few excursions. ``lengths`` (n,) are those of the intervals [m]; the
+    other arguments are those of ``pod_empirical``.
     """
     weights = lengths / lengths.sum()
 
     def above(level: float) -> float:
-        exceeded = pod_as_seen(np.zeros((len(share), 1)), level, share, counts)[:, 0]
+        exceeded = pod_empirical(np.zeros((len(share), 1)), level, share, counts)[:, 0]
         return float((weights * exceeded).sum() / ndtr(-z) - 1.0)
 
     return z if above(z) <= 0.0 else float(brentq(above, z, EDGES[-1] + 2.0 * z, xtol=1e-3))
 
 
 def depths_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> FloatArray:
-    """(n,) least depths from which a share ``level`` of the flaws is found, by curves (n, d); ``WORST`` where none is.
+    """(n,) least depths with a POD of at least ``level`` on curves (n, d); ``WORST`` if there is none.
 
-    Between depths the probit of a curve is a straight line, which that of one place is for an amplitude that goes with
-    the depth.
+    The probit of a curve is interpolated linearly, which is exact in one interval if the amplitude is linear in depth.
     """
     probit = ndtri(np.clip(np.maximum.accumulate(pod, axis=1), SMALLEST, 1.0 - SMALLEST)) - ndtri(level)
     after = np.clip((probit < 0.0).sum(axis=1), 1, len(depths) - 1)
@@ -94,5 +93,5 @@ def depths_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> 
 
 
 def depth_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> float:
-    """``depths_found`` of one curve (d,)."""
+    """``depths_found`` for one curve (d,)."""
     return float(depths_found(np.asarray(pod)[None], level, depths)[0])

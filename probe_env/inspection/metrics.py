@@ -1,8 +1,8 @@
-"""Detection in one episode: places are added period by period, figures leave.
+"""Detection metrics of one episode, from the filtered signal of every control period.
 
-In round trips each pass is judged by its own noise, which is independent: at a place POD = 1 - (1 - POD_in)
-(1 - POD_back), with half of the tube's false calls each. Where feed and air turn round, the cable falls across the
-tube: those metres are judged by themselves, so that what they shake raises no threshold elsewhere.
+In round trips the noise of both passes is independent: POD = 1 - (1 - POD_in) (1 - POD_back) at every position, with
+half of the tube's false calls for each pass. When feed and air are reversed, the cable falls across the tube: this
+segment has its own threshold, so that its vibration raises no threshold elsewhere.
 """
 
 from __future__ import annotations
@@ -19,84 +19,91 @@ from probe_env.inspection.detection import (
     DEPTHS,
     EDGES,
     depth_found,
-    pod_as_seen,
+    pod_empirical,
     pod_gaussian,
     snr_at,
     threshold,
-    threshold_as_seen,
+    threshold_empirical,
 )
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import COUNT, FilteredSignal
 
 GOOD: Final = 3.0
-"""Signal-to-noise of a 20 % groove above which length counts as well inspected."""
+"""Signal-to-noise ratio of the 20 % groove above which length counts as well inspected."""
 SUSPECT: Final = 1e-3
-"""Probability below which excursions are not taken for Gaussian (D'Agostino and Pearson)."""
+"""Probability below which excursions count as not Gaussian (test of D'Agostino and Pearson)."""
 LEAST_TESTED: Final = 20
 MIDDLE: Final = slice(3 * COUNT // 8, 5 * COUNT // 8)
-"""Of the last second, what is counted: its ends wrap around in the filter."""
+"""Part of the last second in the histogram: the filter wraps around at the ends."""
 POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in DEPTHS)
-"""KPIs: the probability of detection at each of ``DEPTHS``."""
+"""KPIs: POD at each of ``DEPTHS``."""
 
 
 @dataclass
 class DetectionMetrics:
-    """Places of one episode: length [m], signal-to-noise of the 20 % groove, share of motion in the noise."""
+    """Detection metrics from the intervals of an episode, the length inspected in one control period each.
+
+    Attributes:
+        sensor: constants of the sensor.
+        lengths: of the intervals [m].
+        snr: signal-to-noise ratios of the 20 % groove.
+        shares: fractions of the noise variance that are motion.
+        peaks: peak-to-peak motion signals [V].
+        samples: one excursion of each interval, for the test of normality.
+        counts: histogram of excursions between ``EDGES``.
+    """
 
     sensor: Sensor = field(default_factory=Sensor)
     lengths: list[float] = field(default_factory=list)
     snr: list[float] = field(default_factory=list)
     shares: list[float] = field(default_factory=list)
     peaks: list[float] = field(default_factory=list)
-    singles: list[float] = field(default_factory=list)
+    samples: list[float] = field(default_factory=list)
     counts: FloatArray = field(default_factory=lambda: np.zeros(len(EDGES) - 1))
 
     def add(self, length: float, signal: FilteredSignal) -> None:
-        """Add a period of one probe: metres inspected, and its signal."""
+        """Add a control period: length inspected [m] and filtered signal of one probe."""
         self.lengths.append(length)
         self.snr.append(float(signal.snr))
         self.shares.append(float(signal.share))
         self.peaks.append(float(signal.peak_to_peak))
         counted = signal.excursions[MIDDLE]
-        self.singles.append(float(counted[len(counted) // 2]))
-        place = ((counted - EDGES[0]) / (EDGES[1] - EDGES[0])).astype(int)
-        self.counts += np.bincount(np.clip(place, 0, len(self.counts) - 1), minlength=len(self.counts))
+        self.samples.append(float(counted[len(counted) // 2]))
+        index = ((counted - EDGES[0]) / (EDGES[1] - EDGES[0])).astype(int)
+        self.counts += np.bincount(np.clip(index, 0, len(self.counts) - 1), minlength=len(self.counts))
 
     @property
     def gaussian(self) -> bool:
-        """Whether the filtered motion, one sample a period, can be taken for Gaussian."""
-        if len(self.singles) < LEAST_TESTED or np.ptp(self.singles) == 0.0:
+        """Whether the filtered motion, one sample per period, passes the test of normality."""
+        if len(self.samples) < LEAST_TESTED or np.ptp(self.samples) == 0.0:
             return True
-        return bool(normaltest(self.singles).pvalue >= SUSPECT)
+        return bool(normaltest(self.samples).pvalue >= SUSPECT)
 
     def threshold(self, tube_length: float) -> float:
-        """Above which a flaw is called, in deviations of the noise; higher where the motion is spiky."""
+        """Threshold of calls, in standard deviations of the noise; higher if the motion is not Gaussian."""
         z, lengths = threshold(self.sensor, tube_length), np.array(self.lengths)
         if self.gaussian or lengths.sum() <= 0.0:
             return z
-        return threshold_as_seen(z, lengths, np.array(self.shares), self.counts)
+        return threshold_empirical(z, lengths, np.array(self.shares), self.counts)
 
     def pod(self, z: float) -> FloatArray:
-        """(n, d) probability of detection at the places and ``DEPTHS``, for a threshold."""
+        """(n, d) POD of the intervals at ``DEPTHS``, for a threshold z."""
         snr = snr_at(self.sensor, np.array(self.snr))
-        return pod_gaussian(snr, z) if self.gaussian else pod_as_seen(snr, z, np.array(self.shares), self.counts)
+        return pod_gaussian(snr, z) if self.gaussian else pod_empirical(snr, z, np.array(self.shares), self.counts)
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
-        """Figures by name; ``length`` is all that was to be inspected [m], depths are in % of the wall.
-
-        ``tube_length`` [m] is what false calls are counted over.
-        """
+        """KPIs by name, depths in % of the wall; of ``length`` [m], with the false calls of ``tube_length`` [m]."""
         z, lengths = self.threshold(tube_length), np.array(self.lengths)
-        return figures(lengths, np.array(self.snr), np.array(self.peaks), self.pod(z), length, z, self.gaussian)
+        return detection_kpis(lengths, np.array(self.snr), np.array(self.peaks), self.pod(z), length, z, self.gaussian)
 
 
-def figures(
+def detection_kpis(
     lengths: FloatArray, snr: FloatArray, peaks: FloatArray, pod: FloatArray, length: float, z: float, gaussian: bool
 ) -> dict[str, float]:
-    """KPIs by name, of n places with their POD (n, d); ``length`` was to be inspected [m], z is the threshold."""
+    """KPIs by name of n intervals with POD (n, d); ``length`` [m] was to be inspected, z is the threshold."""
     inspected, mean = float(lengths.sum()), np.zeros(len(DEPTHS))
-    if len(lengths) and length > 0.0:  # nothing is found where no sensor was
-        # a plain sum: a matrix product rounds by where its arrays lie
+    if len(lengths) and length > 0.0:  # the POD of length that was not inspected is 0
+        # a plain sum: the rounding of a matrix product depends on the alignment of its arrays
         mean = (lengths[:, None] * pod).sum(axis=0) / max(length, sum(lengths))
     return {
         "a50_percent_wall": 100.0 * depth_found(mean, 0.5),
@@ -110,10 +117,10 @@ def figures(
 
 
 TURN: Final = 6.0
-"""Seconds of motion after the turn in which the cable falls across the tube; it takes two to six."""
+"""Duration of the turn [s]; the cable falls across the tube within two to six seconds of motion."""
 
 Segment = Literal["in", "turn", "back"]
-"""What is judged by one noise."""
+"""Parts of an inspection with a threshold each."""
 SEGMENTS: Final[dict[str, tuple[Segment, ...]]] = {
     "in": ("in",), "back": ("turn", "back"), "best": ("in", "turn", "back")
 }  # fmt: skip
@@ -121,7 +128,7 @@ SEGMENTS: Final[dict[str, tuple[Segment, ...]]] = {
 
 
 class RoundTripMetrics:
-    """Places of one inspection; ``scored_pass`` is the pass that is looked at, or ``best``: both."""
+    """Detection metrics of a round trip; ``scored_pass`` is the pass that counts, or "best" for both."""
 
     def __init__(self, sensor: Sensor, scored_pass: Literal["in", "back", "best"]) -> None:
         share = 0.5 if scored_pass == "best" else 1.0
@@ -130,18 +137,18 @@ class RoundTripMetrics:
         self._ends: Final[dict[Segment, list[tuple[float, float]]]] = {segment: [] for segment in self.segments}
 
     def add(self, segment: Segment, low: float, high: float, signal: FilteredSignal) -> None:
-        """A period: inserted length at its ends [m], and the signal of the probe; left out where not looked."""
+        """Add a control period from ``low`` to ``high`` inserted length [m], if its segment is scored."""
         if segment in self.segments and high > low:
             self._ends[segment].append((low, high))
             self.segments[segment].add(high - low, signal)
 
     def kpis(self, length: float, tube_length: float) -> dict[str, float]:
-        """As ``DetectionMetrics.kpis``; of both passes S/N and peaks are those of the better one at each place."""
+        """As ``DetectionMetrics.kpis``; S/N and peaks are those of the better pass at each position."""
         inspected = {segment: metrics for segment, metrics in self.segments.items() if metrics.lengths}
         thresholds = {segment: metrics.threshold(tube_length) for segment, metrics in inspected.items()}
-        passes = [self._places(SEGMENTS[direction], thresholds) for direction in ("in", "back")]
+        passes = [self._intervals(SEGMENTS[direction], thresholds) for direction in ("in", "back")]
         edges = np.unique(np.concatenate([ends.ravel() for ends, _ in passes]))
-        found = [_at(*places, 0.5 * (edges[1:] + edges[:-1])) for places in passes]
+        found = [_values_at(*intervals, 0.5 * (edges[1:] + edges[:-1])) for intervals in passes]
         covered, values = np.any([there for there, _ in found], axis=0), np.array([rows for _, rows in found])
         lengths, values = np.diff(edges)[covered], values[:, covered]
         snr, peaks, missed = values[..., 0], values[..., 1], np.prod(1.0 - values[..., 2:], axis=0)
@@ -150,12 +157,12 @@ class RoundTripMetrics:
         if inspected:
             z = float(np.average(list(thresholds.values()), weights=[sum(m.lengths) for m in inspected.values()]))
         gaussian = all(metrics.gaussian for metrics in inspected.values())
-        return figures(lengths, snr.max(axis=0), peaks, 1.0 - missed, length, z, gaussian)
+        return detection_kpis(lengths, snr.max(axis=0), peaks, 1.0 - missed, length, z, gaussian)
 
-    def _places(
+    def _intervals(
         self, segments: tuple[Segment, ...], thresholds: Mapping[Segment, float]
     ) -> tuple[FloatArray, FloatArray]:
-        """Ends (n, 2) [m] of the places of one pass in their order, and S/N, peak to peak [V] and POD (n, 2 + d)."""
+        """Ends (n, 2) [m] of the intervals of a pass, ascending, and S/N, peak to peak [V] and POD (n, 2 + d)."""
         ends, rows = [np.zeros((0, 2))], [np.zeros((0, 2 + len(DEPTHS)))]
         for segment in segments:
             if segment in thresholds:
@@ -167,8 +174,8 @@ class RoundTripMetrics:
         return joined[order], np.concatenate(rows)[order]
 
 
-def _at(ends: FloatArray, values: FloatArray, lengths: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Whether lengths (m,) lie in places with ends (n, 2), and the values (n, c) there, (m, c); 0 elsewhere."""
+def _values_at(ends: FloatArray, values: FloatArray, lengths: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Whether lengths (m,) are in intervals with ends (n, 2), and values (m, c) of (n, c) there; 0 elsewhere."""
     if not len(ends):
         return np.zeros(len(lengths), dtype=bool), np.zeros((len(lengths), values.shape[1]))
     k = np.clip(np.searchsorted(ends[:, 0], lengths, side="right") - 1, 0, None)

@@ -72,7 +72,7 @@ REFUSED = [
     (["simulate", SCENE, "--nodes-per-pitch", "0"], "nodes_per_pitch = 0"),
     (
         ["evaluate", "constant", "--passes", "both", "--fidelity", "reference"],
-        "fidelity = 'reference': superelement does not simulate the way back; give one of standard, fast, study",
+        "fidelity = 'reference': superelement does not simulate withdrawal; give one of standard, fast, study",
     ),
     (["evaluate", "constant", "--limit", "1", "--output", str(ROOT / "README.md")], "README.md: a file, where a"),
     (["render", "--output", "film.avi"], "'film.avi' must end in one of .gif, .mp4, .png"),

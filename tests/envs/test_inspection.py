@@ -197,22 +197,22 @@ def test_columns_of_the_way_back_go_together(tmp_path):
     head = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s"
     path.write_text(f"{head}\n5,0.4,63,0.1\n60,0.2,100,0.3\n")
     with pytest.raises(FileError, match=r"half\.csv: return_feed_speed_m_per_s and return_air_supply_m3_per_h go"):
-        Schedule.read_back(path)
-    assert Schedule.read_back("configs/schedules/example.csv") is None
+        Schedule.read_withdrawal(path)
+    assert Schedule.read_withdrawal("configs/schedules/example.csv") is None
     path.write_text(f"{head},return_air_supply_m3_per_h\n5,0.4,63,9,63\n")
     with pytest.raises(FileError, match=r"line 2, return_feed_speed_m_per_s = 9\.0 is outside the accepted"):
-        Schedule.read_back(path)
+        Schedule.read_withdrawal(path)
 
 
 def test_what_does_not_simulate_the_way_back_is_refused():
     for fidelity, message in (
-        ("reference", "superelement does not simulate the way back; give one of standard, fast, study"),
-        ("auto", "nothing was measured on the way back"),
-        ({"method": "imex32"}, "imex32 does not simulate the way back"),
+        ("reference", "superelement does not simulate withdrawal; give one of standard, fast, study"),
+        ("auto", "no errors are known for withdrawal"),
+        ({"method": "imex32"}, "imex32 does not simulate withdrawal"),
     ):
         with pytest.raises(ValueError, match=message):
             gym.make("probe_env/Inspection-v0", fidelity=fidelity)
-    assert resolve_fidelity("study", both_ways=True).method == "newmark"
+    assert resolve_fidelity("study", round_trip=True).method == "newmark"
     with pytest.raises(ValidationError, match="needs growing = true"):
         TaskConfig(passes="both", growing=False)
 

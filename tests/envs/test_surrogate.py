@@ -171,7 +171,7 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
             gym.make(f"probe_env/{name}", fidelity="surrogate")
     with pytest.raises(ValueError, match="simulates no motion to draw"):
         gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
-    with pytest.raises(ValueError, match=r"time_step: method = 'surrogate' simulates no motion"):
+    with pytest.raises(ValueError, match=r"time_step: not accepted, method = 'surrogate' does not"):
         Fidelity(method="surrogate", time_step=1e-4)
     case = case_of(None, "test", 1)
     planner = named_policies(("planner",), case.config.full_observation)

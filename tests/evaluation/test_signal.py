@@ -8,7 +8,16 @@ import pytest
 
 from agents.cli import main
 from agents.evaluation.signal import FILTER_SAMPLES, Insertion, by_period, centred_spectra, correlation
-from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
+from probe_env.inspection.channels import (
+    SMOOTHING,
+    Flaw,
+    Recording,
+    along_flaw,
+    calls,
+    channels,
+    filtered,
+    support_positions,
+)
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import FREQUENCY
 
@@ -18,31 +27,29 @@ NONE = np.zeros(0)
 def quiet(feed, seconds=100):
     time = np.arange(1, 1000 * seconds + 1) * 1e-3
     silent = np.zeros((seconds, len(FREQUENCY)))
-    return Passage(time, 2.5 + feed * time, np.full(len(time), feed), np.zeros(len(time)), silent, 1000)
+    return Recording(time, 2.5 + feed * time, np.full(len(time), feed), np.zeros(len(time)), silent, 1000)
 
 
 @pytest.mark.parametrize("feed", [0.08, 0.2, 0.4])
 def test_a_flaw_stands_behind_the_filter_as_high_as_the_formula_says(feed):
     """Mean of n flaws: within 4 deviations of 1 / sqrt(n) (a chance of 6e-5), and 0.5 % for the bends of a peak."""
-    sensor, passage = Sensor(), quiet(feed)
-    flaws = [Flaw(place, 0.2) for place in np.arange(3.0, passage.place[-1] - 0.2, 0.2)]
-    voltages = channels(sensor, passage, 0.0242, flaws, NONE, np.random.default_rng(0))
-    values = filtered(sensor, passage, along(sensor, voltages))
-    shown = np.interp([flaw.place for flaw in flaws], passage.place, values)
+    sensor, recording = Sensor(), quiet(feed)
+    flaws = [Flaw(place, 0.2) for place in np.arange(3.0, recording.position[-1] - 0.2, 0.2)]
+    voltages = channels(sensor, recording, 0.0242, flaws, NONE, np.random.default_rng(0))
+    values = filtered(sensor, recording, along_flaw(sensor, voltages))
+    shown = np.interp([flaw.position for flaw in flaws], recording.position, values)
     snr = 7.5 * np.sqrt(0.2 / feed)
     assert shown.mean() == pytest.approx(snr, abs=4.0 / np.sqrt(len(flaws)) + 5e-3 * snr)
-    free_of_flaws = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(1))
-    empty = filtered(sensor, passage, along(sensor, free_of_flaws))
-    free = (
-        1.2 * feed / sensor.flaw_width * 100.0
-    )  # some u/w samples a second are free: a deviation scatters by 1/sqrt(2n)
+    free_of_flaws = channels(sensor, recording, 0.0242, [], NONE, np.random.default_rng(1))
+    empty = filtered(sensor, recording, along_flaw(sensor, free_of_flaws))
+    free = 1.2 * feed / sensor.flaw_width * 100.0  # independent samples, u/w per second: scatter 1/sqrt(2n)
     assert empty.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * free))
 
 
 def test_motion_stands_in_both_channels_opposite_and_unequal():
-    sensor, passage = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 2)
-    motion = 1e-4 * np.sin(2 * np.pi * 14.0 * passage.time)
-    moved = Passage(passage.time, passage.place, passage.feed, motion, passage.spectrum, 1000)
+    sensor, recording = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 2)
+    motion = 1e-4 * np.sin(2 * np.pi * 14.0 * recording.time)
+    moved = Recording(recording.time, recording.position, recording.feed, motion, recording.spectrum, 1000)
     x, y = channels(sensor, moved, 0.0242, [], NONE, np.random.default_rng(0)).T
     assert np.polyfit(x, y, 1)[0] == pytest.approx(-np.tan(sensor.angle), rel=0.02)
     assert np.ptp(x) == pytest.approx(2 * 2900.0 * 1e-4 * np.cos(sensor.angle), rel=0.1)
@@ -54,7 +61,7 @@ def test_the_square_of_the_motion_stands_in_both_channels_alike():
     both = []
     for gain in (35.5, 0.0):
         sensor, still = Sensor(square_gain=gain), quiet(0.2, 2)
-        moved = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
+        moved = Recording(still.time, still.position, still.feed, motion, still.spectrum, 1000)
         both.append(channels(sensor, moved, bore, [], NONE, np.random.default_rng(0)))
     square = ((motion - motion.mean()) / (0.5 * bore)) ** 2
     wanted = 35.5 * (square - square.mean())
@@ -63,12 +70,12 @@ def test_the_square_of_the_motion_stands_in_both_channels_alike():
 
 
 def test_supports_are_where_they_were_put():
-    sensor, passage = Sensor(quiet_snr=1000.0), quiet(0.2, 20)
-    supports = support_places(0.8, passage.place[-1])
+    sensor, recording = Sensor(quiet_snr=1000.0), quiet(0.2, 20)
+    supports = support_positions(0.8, recording.position[-1])
     assert supports[0] == 0.4
-    x, y = channels(sensor, passage, 0.0242, [], supports, np.random.default_rng(0)).T
+    x, y = channels(sensor, recording, 0.0242, [], supports, np.random.default_rng(0)).T
     inside = supports[(supports > 2.6) & (supports < 6.3)]
-    loud = passage.place[np.abs(x) > 0.5 * sensor.support_signal]
+    loud = recording.position[np.abs(x) > 0.5 * sensor.support_signal]
     assert (np.abs(loud[:, None] - inside).min(axis=1) < sensor.support_width).all()
     assert len({int(np.abs(place - inside).argmin()) for place in loud}) == len(inside)
     assert np.abs(x - y).max() < 0.05 * sensor.support_signal
@@ -79,12 +86,12 @@ def test_noise_is_told_by_period_and_follows_the_vibration():
     sensor, still = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 20)
     amplitude = 1e-5 * np.arange(1, 21)
     motion = np.repeat(amplitude, 1000) * np.sin(2 * np.pi * 14.0 * still.time)
-    passage = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
+    recording = Recording(still.time, still.position, still.feed, motion, still.spectrum, 1000)
     periods = tuple({"radial_rms_m": value / np.sqrt(2.0), "snr": 7.5} for value in amplitude)
-    voltages = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(0))
-    table = by_period(Insertion(passage, periods, {}), voltages)
+    voltages = channels(sensor, recording, 0.0242, [], NONE, np.random.default_rng(0))
+    table = by_period(Insertion(recording, periods, {}), voltages)
     assert table["place_m"].tolist() == pytest.approx((2.5 + 0.2 * np.arange(1, 21)).tolist())
-    wanted = np.sinc(14.0 * SHOWN) * 2900.0 * amplitude / np.sqrt(2.0)
+    wanted = np.sinc(14.0 * SMOOTHING) * 2900.0 * amplitude / np.sqrt(2.0)
     loud = slice(9, None)  # there electronics, 1 % of a groove's signal a second, add less than 1 %
     assert table["x_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.cos(0.6), rel=0.02)
     assert table["y_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.sin(0.6), rel=0.02)

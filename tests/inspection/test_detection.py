@@ -16,7 +16,7 @@ from probe_env.inspection.detection import (
     EDGES,
     MIDDLES,
     depth_found,
-    pod_as_seen,
+    pod_empirical,
     pod_gaussian,
     snr_at,
     threshold,
@@ -30,7 +30,7 @@ CHANCE = 1e-4
 SILENT = np.zeros(COUNT)
 
 
-def test_false_calls_are_as_many_as_were_allowed():
+def test_false_calls_have_the_nominal_rate():
     """White noise behind the filter over 2,000 m at a threshold for 0.1 calls in 2 m: a Poisson number around 100."""
     length, per_metre = 2000.0, 2000
     noise = np.random.default_rng(0).normal(size=round(length * per_metre))
@@ -41,15 +41,15 @@ def test_false_calls_are_as_many_as_were_allowed():
     assert poisson.ppf(0.5 * CHANCE, 100.0) <= calls <= poisson.isf(0.5 * CHANCE, 100.0)
 
 
-def test_one_place_in_closed_form():
+def test_one_interval_in_closed_form():
     """One signal-to-noise everywhere: a50 at z, a90 at z + 1.2816, over the groove's; between depths to 1e-3."""
     z = threshold(SENSOR, 60.0)
     for groove, exponent in ((7.5, 1.0), (20.0, 1.0), (7.5, 1.6)):
         sensor = Sensor(depth_exponent=exponent)
         curve = pod_gaussian(snr_at(sensor, np.array([groove])), z)[0]
         for level in (0.5, 0.9):
-            wanted = 0.2 * ((z + norm.ppf(level)) / groove) ** (1.0 / exponent)
-            assert depth_found(curve, level) == pytest.approx(wanted, rel=2e-3)
+            expected = 0.2 * ((z + norm.ppf(level)) / groove) ** (1.0 / exponent)
+            assert depth_found(curve, level) == pytest.approx(expected, rel=2e-3)
     assert depth_found(np.full(len(DEPTHS), 0.85), 0.9) == 1.0
     assert depth_found(np.ones(len(DEPTHS)), 0.9) == DEPTHS[0]
 
@@ -61,16 +61,16 @@ def test_gaussian_excursions_give_the_gaussian_curve():
     snr = snr_at(SENSOR, np.array([2.0, 4.0, 12.0]))
     share = np.array([0.0, 0.5, 0.9])
     steepest = norm.pdf(1.0) * 0.5 * 0.25**2 / 12.0  # of a change of variance: phi'(x) / 2, the most at x = 1
-    assert pod_as_seen(snr, z, share, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
+    assert pod_empirical(snr, z, share, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
 
 
 def test_spiky_excursions_hide_flaws():
-    """Noise that is a spike of five deviations in one place of 25: drawn and counted."""
+    """Noise that is a spike of five deviations in one sample of 25: simulated and predicted."""
     counts = np.zeros(len(MIDDLES))
     counts[np.abs(MIDDLES - 0.125) < 0.01] = 48.0
     counts[np.abs(np.abs(MIDDLES) - 4.875) < 0.01] = 1.0  # one of each sign
     share, snr, z, draws = 0.8, 6.0, 4.585, 200_000
-    predicted = float(pod_as_seen(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
+    predicted = float(pod_empirical(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
     rng = np.random.default_rng(0)
     spikes = rng.choice(MIDDLES, size=draws, p=counts / counts.sum())
     hits = int((snr + np.sqrt(share) * spikes + np.sqrt(1.0 - share) * rng.normal(size=draws) > z).sum())
@@ -99,7 +99,7 @@ def test_an_episode_is_averaged_over_its_length():
     assert DetectionMetrics(SENSOR).kpis(60.0, 60.0)["a90_percent_wall"] == 100.0  # nothing was inspected
 
 
-def test_spikes_are_told_from_noise():
+def test_spikes_are_not_gaussian():
     rng = np.random.default_rng(0)
     for draw, gaussian in ((rng.normal, True), (lambda size: rng.standard_t(3, size), False)):
         detection = DetectionMetrics(SENSOR)
@@ -110,7 +110,7 @@ def test_spikes_are_told_from_noise():
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_the_formula_says_what_10000_flaws_say(seeds):
+def test_the_formula_agrees_with_10000_flaws(seeds):
     """Flaws of random depth in simulated traces with electronic noise, called by the filter, fitted by a logit.
 
     The regressor is the logit of the formula's curve (calibration after Cox): the shape of a logit costs nothing.
@@ -125,24 +125,24 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
         perturbation=1e-6,
     )
     batch.advance(None, None, 3.0)
-    meter, detection, traces, spectra = SnrEstimator(SENSOR, members, 1e-3), DetectionMetrics(SENSOR), [], []
+    estimator, detection, traces, spectra = SnrEstimator(SENSOR, members, 1e-3), DetectionMetrics(SENSOR), [], []
     for second in range(seconds):
         trace = batch.advance(None, None, 1.0, keep_samples=True).radial
-        meter.update(np.arange(members), trace, np.full(members, feed))
-        if second:  # the first fills the meter
+        estimator.update(np.arange(members), trace, np.full(members, feed))
+        if second:  # the first fills the estimator
             traces.append(trace.T)
-            spectra.append([meter.filter_spectrum(k) for k in range(members)])
+            spectra.append([estimator.filter_spectrum(k) for k in range(members)])
             for k in range(members):
-                detection.add(1.0, meter.last(k))
+                detection.add(1.0, estimator.last(k))
     kpis, z = detection.kpis(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
     curve = np.array([kpis[name] for name in POD_NAMES])
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
     rng = np.random.default_rng(seeds(1)[0])
-    place, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))
-    called = np.array([_called(motion[k], spectrum[k], a, feed, z, rng) for k, a in zip(place, depth, strict=True)])
+    second, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))
+    called = np.array([_called(motion[k], spectrum[k], a, feed, z, rng) for k, a in zip(second, depth, strict=True)])
     predicted = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(curve, 1e-6, 1.0 - 1e-6)))
     fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), predicted])).fit(
-        disp=0, cov_type="cluster", cov_kwds={"groups": place}
+        disp=0, cov_type="cluster", cov_kwds={"groups": second}
     )
     law = multivariate_t(fit.params, fit.cov_params(), df=len(motion) - 1)  # t: the variance is that of the clusters
     draws = law.rvs(40_000, random_state=rng)
@@ -158,14 +158,14 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
 def _called(motion, spectrum, depth, feed, z, rng):
     """Whether a flaw somewhere in a second of motion is called, by a filter at the full sampling rate."""
     time = np.arange(len(motion)) * 1e-3
-    seen = flaw.shape(feed * (time - rng.uniform(0.35, 0.65)) / SENSOR.flaw_width)
+    template = flaw.shape(feed * (time - rng.uniform(0.35, 0.65)) / SENSOR.flaw_width)
     level = motion - np.polyval(np.polyfit(time, motion, 1), time)
     noise = rng.normal(size=len(time)) * math.sqrt(SENSOR.noise_density * 500.0)
     lines = slice(1, len(FREQUENCY) + 1)
-    signal, seen = (np.fft.rfft(values)[lines] for values in (
-        SENSOR.seen_gain * level + float(SENSOR.amplitude(depth)) * seen + noise, seen
+    signal, template = (np.fft.rfft(values)[lines] for values in (
+        SENSOR.flaw_gain * level + float(SENSOR.amplitude(depth)) * template + noise, template
     ))  # fmt: skip
-    density = SENSOR.seen_gain**2 * spectrum + SENSOR.noise_density
+    density = SENSOR.flaw_gain**2 * spectrum + SENSOR.noise_density
     # a line holds S * 500 Hz * samples, half of it in phase with the flaw
-    deviation = math.sqrt((np.abs(seen) ** 2 / density).sum() * 250.0 * len(time))
-    return (signal * seen.conj() / density).real.sum() / deviation > z
+    deviation = math.sqrt((np.abs(template) ** 2 / density).sum() * 250.0 * len(time))
+    return (signal * template.conj() / density).real.sum() / deviation > z

@@ -11,14 +11,14 @@ from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import (
     COUNT,
     FREQUENCY,
-    OWN,
+    NEWEST_SHARE,
     STEP,
     SnrEstimator,
     density,
-    inverse,
-    kept,
+    detrended,
+    inverse_bias,
+    retained_weight,
     snr_of_groove,
-    straightened,
 )
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
@@ -62,7 +62,7 @@ def test_a_flat_spectrum_has_the_closed_form(width):
     assert snr_of_groove(sensor, feeds, white)[low] == pytest.approx(0.5 * closed[low], rel=1.1e-3)
 
 
-def test_the_two_anchors():
+def test_the_two_reference_points():
     sensor, feed = Sensor(), np.array([0.2])
     assert snr_of_groove(sensor, feed, NONE[:1]) == pytest.approx(7.5, rel=1e-5)
     white = np.full((1, len(FREQUENCY)), 1e-4**2 / (flaw.BAND * 0.2 / 0.02))  # 0.1 mm rms in the flaw's band
@@ -70,7 +70,7 @@ def test_the_two_anchors():
 
 
 @pytest.mark.parametrize("angle", [0.0, 1.0, -2.5])
-def test_noise_is_told_as_the_motion_that_makes_it(angle):
+def test_equivalent_rms_is_the_rms_of_the_motion(angle):
     """White motion over the flaw's band, with electronics that add 1e-5 of it to the square at most."""
     sensor, rms = Sensor(quiet_snr=1000.0, motion_gain=2900.0, flaw_angle=angle), 1e-4
     white = np.full((1, len(FREQUENCY)), rms**2 / (flaw.BAND * 0.2 / 0.02))
@@ -106,28 +106,28 @@ def ringing(rng, count, seconds, level=1.0):
 
 
 @pytest.mark.parametrize("frequency", [9.0, 14.3, 30.0])
-def test_a_tone_keeps_its_power_and_its_place(frequency):
+def test_a_tone_keeps_its_power_and_frequency(frequency):
     """By Parseval the lines hold all of its power but what the straight line took, 1 % at 9 Hz and more than 5 cycles.
 
-    Sine tapers fall off with the square of the distance: six lines beside the tone, past their band of 2.5, the sum of
+    Sine tapers fall off with the square of the distance: six lines from the tone, past their band of 2.5, the sum of
     the four has fallen by 100 and more.
     """
     time = np.arange(1000) * 1e-3
     phases = np.linspace(0.0, np.pi, 8, endpoint=False)[:, None]
-    seen = density(straightened(np.sin(2 * np.pi * frequency * time + phases), 1e-3)).mean(axis=0)
-    assert seen.sum() == pytest.approx(0.5, rel=0.02)
-    assert abs(FREQUENCY[seen.argmax()] - frequency) <= 2.5
-    assert seen[np.abs(FREQUENCY - frequency) > 6.0].max() < 0.01 * seen.max()
+    spectrum = density(detrended(np.sin(2 * np.pi * frequency * time + phases), 1e-3)).mean(axis=0)
+    assert spectrum.sum() == pytest.approx(0.5, rel=0.02)
+    assert abs(FREQUENCY[spectrum.argmax()] - frequency) <= 2.5
+    assert spectrum[np.abs(FREQUENCY - frequency) > 6.0].max() < 0.01 * spectrum.max()
 
 
 def test_white_noise_is_flat():
     """Means of 400 estimates, 8 degrees of freedom each: 2.5 % at a line. Of steps, so that nothing folds down."""
     rng = np.random.default_rng(1)
     means = rng.normal(size=(400, COUNT)).repeat(5, axis=1)  # steps of 5 ms: white to 100 Hz but for their means
-    seen = density(straightened(means, 1e-3)).mean(axis=0) * np.sinc(FREQUENCY * STEP) ** 2
+    spectrum = density(detrended(means, 1e-3)).mean(axis=0) * np.sinc(FREQUENCY * STEP) ** 2
     inner = FREQUENCY >= 4  # below, the straight line has been taken away
-    assert seen[inner] == pytest.approx(np.full(inner.sum(), 2.0 * STEP), rel=5.5 * 0.025)
-    assert seen[inner].mean() == pytest.approx(2.0 * STEP, rel=5 * 0.025 / np.sqrt(inner.sum() / 5))
+    assert spectrum[inner] == pytest.approx(np.full(inner.sum(), 2.0 * STEP), rel=5.5 * 0.025)
+    assert spectrum[inner].mean() == pytest.approx(2.0 * STEP, rel=5 * 0.025 / np.sqrt(inner.sum() / 5))
 
 
 @pytest.mark.processor
@@ -139,7 +139,7 @@ def test_white_noise_is_flat():
     ],
 )
 def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatter, variance, seeds):
-    """SNR^2 of ringing noise by the meter, against that of its true spectrum at the meter's resolution.
+    """SNR^2 of ringing noise by the estimator, against that of its true spectrum at the estimator's resolution.
 
     400 probes run for 8 s, ``periods`` in each. Of 24 such draws are the means and deviations above: of what is
     left of the bias of 1/S (uncorrected 6 and 8 % where motion is all the noise), of SNR's scatter, and of the variance
@@ -147,10 +147,10 @@ def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatt
     """
     sensor, feed, rng = Sensor(), np.full(400, 0.2), np.random.default_rng(seeds(1)[0])
     y, _ = ringing(rng, 400, 8, 2e-6)
-    long = density(straightened(y.reshape(8, 1000, 400).transpose(2, 0, 1).reshape(3200, 1000), 1e-3)).mean(axis=0)
-    meter = SnrEstimator(sensor, 400, 1e-3)
+    long = density(detrended(y.reshape(8, 1000, 400).transpose(2, 0, 1).reshape(3200, 1000), 1e-3)).mean(axis=0)
+    estimator = SnrEstimator(sensor, 400, 1e-3)
     for period in y.reshape(8 * periods, -1, 400):
-        reading = meter.update(np.arange(400), period, feed)
+        reading = estimator.update(np.arange(400), period, feed)
     truth = float(snr_of_groove(sensor, feed[:1], long[None])[0])
     assert 1.0 < truth < 4.0  # motion is most of the noise
     middle = reading.excursions[:, 75:125]
@@ -162,35 +162,36 @@ def test_the_mean_of_estimates_is_that_of_the_true_spectrum(periods, left, scatt
 @pytest.mark.processor
 @pytest.mark.parametrize(("passed", "deviation"), [(1.0, 7.2e-4), (0.25, 1.03e-3)])
 def test_freedom_of_a_mean_of_spectra(passed, deviation, seeds):
-    """Relative variance 2/nu of the meter's mean in white noise, with the nu behind ``inverse``.
+    """Relative variance 2/nu of the estimator's mean in white noise, with the nu of ``inverse_bias``.
 
     Of 24 draws of 400 probes the mean lay within 0.25 % of the closed form, with the deviations given.
     """
     rng = np.random.default_rng(seeds(1)[0])
-    meter, steps = SnrEstimator(Sensor(), 400, STEP), round(passed / STEP)
+    estimator, steps = SnrEstimator(Sensor(), 400, STEP), round(passed / STEP)
     for _ in range(round(12.0 / passed)):
-        meter.update(np.arange(400), rng.normal(size=(steps, 400)), np.full(400, 0.2))
-    estimates = meter.spectrum[:, 4:90]
+        estimator.update(np.arange(400), rng.normal(size=(steps, 400)), np.full(400, 0.2))
+    estimates = estimator.spectrum[:, 4:90]
     variance = (estimates.var(axis=0) / estimates.mean(axis=0) ** 2).mean()
-    c = inverse(passed)
+    c = inverse_bias(passed)
     assert variance == pytest.approx((c - 1.0) / c, abs=of_another(deviation, 24, among=3) + 0.0025 * variance)
 
 
 @pytest.mark.parametrize("passed", [2.0, 1.0, 0.5, 0.25, 0.1, 0.05, 0.005])
 def test_the_last_second_has_its_share_of_the_mean(passed):
     """Weights of all spectra times their share of the last second; spectra without end fall off as exp(-t/m)."""
-    r, j = kept(passed), np.arange(round(40.0 / passed))
-    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(OWN, abs=1e-12)
+    r, j = retained_weight(passed), np.arange(round(40.0 / passed))
+    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(NEWEST_SHARE, abs=1e-12)
     if passed == 0.005:
         m = -passed / np.log(r)
-        assert 1.0 - m * (1.0 - np.exp(-1.0 / m)) == pytest.approx(OWN, rel=passed)  # the sum's error is of first order
+        share = 1.0 - m * (1.0 - np.exp(-1.0 / m))
+        assert share == pytest.approx(NEWEST_SHARE, rel=passed)  # the error of the sum is of first order
 
 
 @pytest.mark.slow
 @pytest.mark.processor
 @pytest.mark.parametrize(("passed", "mean", "deviation"), [(0.25, 0.119, 0.045), (0.05, 0.175, 0.047)])
-def test_bursts_stand_out_alike_at_any_period(passed, mean, deviation, seeds):
-    """Share of excursions beyond 3 deviations, of noise that waxes and wanes in a second, beside a spectrum a second.
+def test_bursts_exceed_the_noise_equally_at_any_period(passed, mean, deviation, seeds):
+    """Share of excursions beyond 3 deviations, noise amplitude varying within a second, over those of 1 s.
 
     Means and deviations of the logarithm of the ratio are of 24 draws. Means over 2 s of the motion would have made
     0.4 and more of it, means over 2 s on the tube -0.4 and less.
@@ -200,16 +201,16 @@ def test_bursts_stand_out_alike_at_any_period(passed, mean, deviation, seeds):
     drift = lfilter([np.sqrt(1.0 - fade**2)], [1.0, -fade], drive, axis=0, zi=start)[0]
     motion, shares = 1e-4 * np.exp(0.5 * drift) * rng.normal(size=drift.shape), []
     for each in (1.0, passed):
-        meter, steps, seen = SnrEstimator(Sensor(), number, STEP), round(each / STEP), []
+        estimator, steps, excursions = SnrEstimator(Sensor(), number, STEP), round(each / STEP), []
         for begin in range(0, len(motion), steps):
-            reading = meter.update(np.arange(number), motion[begin : begin + steps], np.full(number, 0.2))
+            reading = estimator.update(np.arange(number), motion[begin : begin + steps], np.full(number, 0.2))
             if begin >= 800:
-                seen.append(reading.excursions[:, 75:125])
-        shares.append((np.abs(seen) > 3.0).mean())
+                excursions.append(reading.excursions[:, 75:125])
+        shares.append((np.abs(excursions) > 3.0).mean())
     assert np.log(shares[1] / shares[0]) == pytest.approx(mean, abs=of_another(deviation, 24, among=2))
 
 
-def test_a_batch_measures_what_one_measures():
+def test_a_batch_equals_single_estimators():
     y, _ = ringing(np.random.default_rng(3), 5, 2)
     y, feeds = 1e-6 * y, np.array([0.05, 0.1, 0.2, 0.3, 0.0])
     together = SnrEstimator(Sensor(), 5, 1e-3)
@@ -217,11 +218,11 @@ def test_a_batch_measures_what_one_measures():
     for begin in range(0, 2000, 250):
         part = y[begin : begin + 250]
         reading = together.update(np.arange(5), part, feeds)
-        for k, meter in enumerate(alone):
-            own = meter.update(np.arange(1), part[:, [k]], feeds[[k]])
-            assert [values[0] for values in own[:3]] == [values[k] for values in reading[:3]]  # to the last digit
-            assert (own.excursions[0] == reading.excursions[k]).all()
-            assert together.last(k)[:3] == meter.last(0)[:3]
+        for k, estimator in enumerate(alone):
+            single = estimator.update(np.arange(1), part[:, [k]], feeds[[k]])
+            assert [values[0] for values in single[:3]] == [values[k] for values in reading[:3]]  # to the last digit
+            assert (single.excursions[0] == reading.excursions[k]).all()
+            assert together.last(k)[:3] == estimator.last(0)[:3]
     before = reading.snr[2]
     together.reset(2)
     quiet = together.update(np.array([2]), np.zeros((2000, 1)), feeds[[2]])
@@ -232,9 +233,9 @@ def test_a_batch_measures_what_one_measures():
 def signal_to_noise(radial, passed):
     """(N,) mean over periods of ``passed`` seconds of one motion (samples, N), once the mean spectrum has filled."""
     count = radial.shape[1]
-    meter, feed = SnrEstimator(Sensor(), count, SAMPLE_PERIOD), np.full(count, FEED)
+    estimator, feed = SnrEstimator(Sensor(), count, SAMPLE_PERIOD), np.full(count, FEED)
     periods = np.split(radial, round(SECONDS / passed))
-    snr = [meter.update(np.arange(count), period, feed).snr for period in periods]
+    snr = [estimator.update(np.arange(count), period, feed).snr for period in periods]
     return np.mean(snr[round(5.0 / passed) :], axis=0)
 
 

@@ -1,4 +1,4 @@
-"""What both passes find: of one pass the same as alone, of two by closed form."""
+"""Detection in round trips: one scored pass equals an insertion, two passes follow the closed form."""
 
 from itertools import pairwise
 
@@ -30,8 +30,8 @@ def pod(snr, z=HALF):
 @pytest.mark.parametrize(
     ("scored_pass", "segment", "step"), [("in", "in", 1.0), ("back", "back", -1.0), ("back", "turn", -1.0)]
 )
-def test_one_pass_is_judged_as_alone(scored_pass, segment, step):
-    """Spiky noise in places of different lengths, in the order in which the pass has them."""
+def test_one_pass_has_the_metrics_of_an_insertion(scored_pass, segment, step):
+    """Spiky noise in intervals of different lengths, in the order of the pass."""
     rng = np.random.default_rng(0)
     alone, either = DetectionMetrics(SENSOR), RoundTripMetrics(SENSOR, scored_pass)
     ends = np.cumsum(rng.uniform(0.1, 2.0, 200))[:: int(step)]
@@ -40,7 +40,7 @@ def test_one_pass_is_judged_as_alone(scored_pass, segment, step):
         reading = signal(rng.uniform(1.0, 9.0), 0.5, rng.uniform(), rng.standard_t(2, COUNT))
         alone.add(high - low, reading)
         either.add(segment, low, high, reading)
-        either.add("in" if segment != "in" else "back", low, high, signal(99.0))  # not looked at
+        either.add("in" if segment != "in" else "back", low, high, signal(99.0))  # not scored
     assert not alone.gaussian
     assert either.kpis(60.0, 60.0) == pytest.approx(alone.kpis(60.0, 60.0), rel=1e-9)
 
@@ -66,7 +66,7 @@ def test_a_flaw_is_called_where_either_pass_calls_it():
     assert kpis["noise_gaussian"] == 1.0
 
 
-def test_places_may_be_cut_anywhere():
+def test_intervals_may_end_anywhere():
     """The same passes in one piece, and in pieces whose ends are not those of the other pass."""
     both = RoundTripMetrics(SENSOR, "best"), RoundTripMetrics(SENSOR, "best")
     both[0].add("in", 5.0, 60.0, signal(4.0))
@@ -79,8 +79,8 @@ def test_places_may_be_cut_anywhere():
     assert cut == pytest.approx(whole, rel=1e-9)
 
 
-def test_what_the_turn_shakes_raises_no_threshold_elsewhere():
-    """Spikes in the metres after the turn, silence in the others: those are judged as if there were no turn."""
+def test_vibration_of_the_turn_raises_no_threshold_elsewhere():
+    """Spikes in the metres after the turn, silence in the others, which have the threshold without a turn."""
     rng = np.random.default_rng(0)
     shaken, alone = RoundTripMetrics(SENSOR, "back"), RoundTripMetrics(SENSOR, "back")
     for metre in range(30):
@@ -88,8 +88,8 @@ def test_what_the_turn_shakes_raises_no_threshold_elsewhere():
     for metre in range(25):
         for metrics in (shaken, alone):
             metrics.add("back", 5.0 + metre, 6.0 + metre, signal(4.0, 0.5))
-    judged = shaken.segments
-    assert judged["turn"].threshold(60.0) > judged["back"].threshold(60.0) == alone.segments["back"].threshold(60.0)
+    segments = shaken.segments
+    assert segments["turn"].threshold(60.0) > segments["back"].threshold(60.0) == alone.segments["back"].threshold(60.0)
     kpis, silent = shaken.kpis(55.0, 60.0), alone.kpis(55.0, 60.0)
     assert (curve(kpis) >= curve(silent) - 1e-12).all()
     assert kpis["noise_gaussian"] == 0.0

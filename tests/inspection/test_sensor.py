@@ -16,7 +16,7 @@ from probe_env.inspection.snr import SnrEstimator
 SHORT = {"growing": False, "period": 0.25, "time_limit": 2.0, "settle_time": 0.5, "rf_noise": 0.0}
 
 
-def test_what_is_out_of_range_is_named(tmp_path):
+def test_errors_name_field_and_range(tmp_path):
     path = tmp_path / "tube.toml"
     for text, message in (
         ("flaw_width = 0.0", "sensor.flaw_width: 0.0 m is outside the accepted range 0.001 to 0.5 m"),
@@ -37,9 +37,9 @@ def test_a_plant_carries_its_sensor_to_the_task():
         Plant(task={"sensor": {}})
 
 
-def test_gains_follow_the_anchors_unless_one_was_measured():
+def test_gains_follow_the_reference_points_unless_motion_gain_is_given():
     assert Sensor(groove_signal=3.0).gain == pytest.approx(3.0 * Sensor().gain)
-    assert Sensor(motion_gain=1e3, shaken_snr=9.0).gain == 1e3  # then the second anchor is not asked
+    assert Sensor(motion_gain=1e3, shaken_snr=9.0).gain == 1e3  # then shaken_snr is not used
     assert Sensor(quiet_snr=15.0).noise_density == pytest.approx(0.25 * Sensor().noise_density)
     assert Sensor(quiet_snr=15.0, shaken_snr=6.0).gain == pytest.approx(0.5 * Sensor().gain)
 
@@ -53,15 +53,15 @@ def played(**config):
     return steps
 
 
-def test_signal_to_noise_can_be_what_is_rewarded_and_seen():
+def test_signal_to_noise_as_reward_and_observation():
     steps = played(vibration_measure="snr", vibration_weight=2.0)
     config = TaskConfig(vibration_measure="snr")
     assert config.limit == pytest.approx(1.0 / 3.0)
     for observation, _, _, _, info in steps:
-        wanted = -2.0 * 0.25 * info["feed_speed"] * min(3.0 / info["snr"], config.ratio_cap) ** 2
-        assert info["reward_terms"]["vibration"] == pytest.approx(wanted, rel=1e-9)
-        seen = 1e-4 * 10.0 ** observation[list(config.observations).index("rf_noise")]
-        assert seen == pytest.approx(float(Sensor().equivalent_rms(1.0 / info["snr"])), rel=1e-3)
+        expected = -2.0 * 0.25 * info["feed_speed"] * min(3.0 / info["snr"], config.ratio_cap) ** 2
+        assert info["reward_terms"]["vibration"] == pytest.approx(expected, rel=1e-9)
+        rf_noise = 1e-4 * 10.0 ** observation[list(config.observations).index("rf_noise")]
+        assert rf_noise == pytest.approx(float(Sensor().equivalent_rms(1.0 / info["snr"])), rel=1e-3)
     kpis = steps[-1][4]["episode_kpis"]
     assert kpis["share_within_limit"] == pytest.approx(kpis["length_with_snr_over_3_m"] / kpis["inspected_m"])
     assert 0.0 < kpis["a50_percent_wall"] < kpis["a90_percent_wall"] <= 100.0
@@ -69,10 +69,12 @@ def test_signal_to_noise_can_be_what_is_rewarded_and_seen():
 
 def test_the_sensor_changes_nothing_of_the_task_in_millimetres():
     usual, other = played(), played(sensor=Sensor(quiet_snr=15.0, shaken_snr=6.0))
-    for (seen, reward, *_, info), (seen_other, reward_other, *_, info_other) in zip(usual, other, strict=True):
-        assert (seen == seen_other).all()
+    for (observation, reward, *_, info), (observation_other, reward_other, *_, info_other) in zip(
+        usual, other, strict=True
+    ):
+        assert (observation == observation_other).all()
         assert reward == reward_other
-        assert info_other["snr"] == pytest.approx(2.0 * info["snr"], rel=1e-9)  # both anchors doubled
+        assert info_other["snr"] == pytest.approx(2.0 * info["snr"], rel=1e-9)  # both reference points doubled
     first, second = (steps[-1][4]["episode_kpis"]["a50_percent_wall"] for steps in (usual, other))
     assert second == pytest.approx(0.5 * first, rel=0.01)
 
@@ -82,10 +84,10 @@ def noise_and_vibration(scenes, method, time_step, seeds, settle, seconds):
     batch = SimulatorBatch(scenes, method, time_step, seeds=seeds, threads=1, perturbation=1e-6)
     batch.advance(None, None, settle)
     each, feed = np.arange(len(scenes)), np.array([scene.feed_speed for scene in scenes])
-    meter, values = SnrEstimator(Sensor(), len(scenes), 1e-3), np.zeros((2, len(scenes)))
+    estimator, values = SnrEstimator(Sensor(), len(scenes), 1e-3), np.zeros((2, len(scenes)))
     for _ in range(seconds):
         window = batch.advance(None, None, 1.0, keep_samples=True)
-        values += 1.0 / meter.update(each, window.radial, feed).snr, window.statistics["radial_rms_m"]
+        values += 1.0 / estimator.update(each, window.radial, feed).snr, window.statistics["radial_rms_m"]
     return np.log(values / seconds)
 
 

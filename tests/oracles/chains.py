@@ -1,4 +1,4 @@
-"""Chains with a closed form, run on the simulator's own kernels: switches that no scene has."""
+"""Chains with closed-form solutions, run on the kernels of the simulator; no scene describes them."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from probe_env.physics.model.state import at_rest
 
 
 def plain_chain(elements, **changes):
-    """A straight chain of table 2's cable with nothing but elasticity: no damping either."""
+    """A straight chain of the cable of table 2 with elasticity only, without damping."""
     return bare_chains.plain_chain(elements, **({"damping_time": 0.0} | changes))
 
 

@@ -1,4 +1,4 @@
-"""The order of a method from runs at halved steps alone: no reference whose own error would bend the slope."""
+"""Order of convergence of a method from runs at halved steps, without a reference solution."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -11,14 +11,14 @@ from scipy.stats import linregress
 def observed_order(
     run: Callable[[float], npt.NDArray[np.float64]], time_steps: Sequence[float]
 ) -> tuple[float, float, npt.NDArray[np.float64]]:
-    """Order of convergence, the error left at the last step (relative), and the signal there.
+    """Order of convergence, relative error at the last step, and the signal there.
 
-    Of order p, runs at dt and dt / 2 differ by (2^p - 1) e(dt / 2) with e ~ dt^p: the slope of the differences is p,
-    and the last difference divided by 2^p - 1 is the error left.
+    Runs of order p at dt and dt / 2 differ by (2^p - 1) e(dt / 2) with e ~ dt^p: the slope of the differences is p,
+    and the last difference divided by 2^p - 1 is the remaining error.
 
     Args:
-        run: signal of a time step, the same sample times for all.
-        time_steps: [s], each half of the one before; three at least.
+        run: signal for a time step, at equal sample times.
+        time_steps: [s], each half of the one before; at least three.
     """
     ratios = np.divide(time_steps[:-1], time_steps[1:])
     assert len(time_steps) >= 3

@@ -1,11 +1,10 @@
-"""How far means of chaotic runs lie apart by chance alone: the bounds of the statistical tests follow from it.
+"""Bounds of statistical tests: distance of means of chaotic runs by chance.
 
-Beyond about 30 m of carrier two runs that differ in the last digit soon have nothing in common but their statistics,
-so another processor is another draw. A bound is the quantile of Student's t that the logarithm of a ratio of means
-goes beyond with ``CHANCE``; t and not normal, for the deviations themselves were measured on ``MEASURED`` members.
-Members are skewed a little, means of eight hardly.
+At more than about 30 m of carrier, runs that differ in the last digit soon agree in their statistics only, so that
+another processor gives another random sample. A bound is the quantile of Student's t that the logarithm of a ratio of
+means exceeds with probability ``CHANCE``; t, because deviations were measured on ``MEASURED`` members.
 
-A shift of a truth by the bound is noticed half of the time, one by twice the bound with all but ``CHANCE``.
+A true shift by the bound is detected with probability 0.5, by twice the bound with probability 1 - ``CHANCE``.
 """
 
 import math
@@ -15,7 +14,7 @@ from scipy.stats import binom, t
 
 CHANCE = 1e-4
 MEASURED = 32
-"""Least number of fresh members from which a relative deviation below was taken."""
+"""Least number of members from which a relative deviation below was measured."""
 
 DEVIATIONS = {
     "radial_rms_m": (0.13, 0.12),
@@ -31,31 +30,31 @@ DEVIATIONS = {
 
 
 def deviation(statistic: str, length: float) -> float:
-    """Of one member of table 2's probe, relative to the mean."""
+    """Relative standard deviation of one run of the probe of table 2."""
     return DEVIATIONS[statistic][(30.0, 50.0).index(length)]
 
 
 def reach(*samples: tuple[float, int], chance: float = CHANCE, measured: int = MEASURED) -> float:
-    """Largest distance of the logarithms of two means that is left to chance.
+    """Largest distance by chance of the logarithms of two means.
 
     Args:
-        samples: relative deviation of one member, and number of members, of each mean; or deviations of what the means
-            are of, in its own unit: then the distance is of the means.
-        chance: that equal truths are further apart, in either direction.
-        measured: members that the deviation was taken from.
+        samples: relative deviation of one member, and number of members, of each mean; for absolute deviations the
+            result is the distance of the means.
+        chance: probability of a larger distance, in either direction, if the true means are equal.
+        measured: number of members from which the deviation was measured.
     """
     spread = math.sqrt(sum(relative**2 / members for relative, members in samples))
     return float(t.isf(0.5 * chance, measured - 1)) * spread
 
 
 def of_another(deviation: float, measured: int = MEASURED, among: int = 1, members: int = 1) -> float:
-    """How far the mean of new members lies from the mean of the measured ones by chance.
+    """Largest distance by chance of the mean of new members from the mean of the measured ones.
 
     Args:
-        deviation: of one member, taken from those measured.
-        measured: how many they were.
-        among: so many such bounds are in one test, which all hold but for ``CHANCE``.
-        members: new ones.
+        deviation: of one member, measured.
+        measured: number of measured members.
+        among: number of such bounds in one test; together they fail with probability ``CHANCE``.
+        members: number of new members.
     """
     return reach((deviation, members), (deviation, measured), chance=CHANCE / among, measured=measured)
 
@@ -66,5 +65,5 @@ def apart(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def hits_within(trials: int, least: float, most: float, chance: float = CHANCE) -> tuple[int, int]:
-    """Fewest and most successes of trials with a probability between two bounds, but for ``chance`` on either side."""
+    """Fewest and most successes of trials with a probability between two bounds; ``chance``: error on each side."""
     return int(binom.ppf(chance, trials, least)), int(binom.isf(chance, trials, most))

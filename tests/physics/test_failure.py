@@ -1,4 +1,4 @@
-"""It tells when it fails: divergence, the stable step, arguments; and never a NaN in a result."""
+"""Errors: divergence, the stable step, arguments; results are never NaN."""
 
 import pickle
 import warnings
@@ -15,7 +15,7 @@ SHORT = Scene(carrier_length=10.0)
 
 
 @pytest.mark.parametrize(("method", "time_step"), [("newmark", 1e-3), ("wilson", 1e-3), ("newmark", 6.5e-4)])
-def test_divergence_is_an_error_that_says_where_and_what_would_hold(method, time_step):
+def test_divergence_is_an_error_with_location_and_stable_step(method, time_step):
     with pytest.warns(StabilityWarning, match="beyond the known stable limit"):
         simulator = Simulator(SHORT, method, time_step)
     duration = round(2.0 / time_step) * time_step
@@ -36,7 +36,7 @@ def test_divergence_is_an_error_that_says_where_and_what_would_hold(method, time
 
 
 @pytest.mark.parametrize(("method", "stiffness"), [("newmark", 1e5), ("wilson", 1e4), ("newmark", 1e6)])
-def test_the_stable_step_holds(method, stiffness):
+def test_the_stable_step_is_stable(method, stiffness):
     scene = SHORT.model_copy(update={"contact": {"stiffness": stiffness}})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -46,7 +46,7 @@ def test_the_stable_step_holds(method, stiffness):
     assert np.abs(run.radial).max() < 0.05
 
 
-def test_without_damping_no_step_is_known_to_hold():
+def test_without_damping_no_stable_step_is_known():
     scene = SHORT.model_copy(update={"probe": {"damping_time": 0.0}})
     with pytest.warns(StabilityWarning):
         simulator = Simulator(scene)
@@ -74,7 +74,7 @@ def test_bad_constructor_arguments():
         Simulator(SHORT, grown=True)
 
 
-def test_bad_run_arguments_are_refused_before_any_work():
+def test_bad_run_arguments_are_errors_before_any_step():
     simulator = Simulator(SHORT)
     for arguments, message in (
         ({"duration": 0.00015}, "duration = 0.00015"),

@@ -65,7 +65,7 @@ def test_the_length_of_a_log_is_followed_for_any_speeds_in_range(tmp_path, field
         speeds = np.where(rng.random(40) < 0.3, 0.0, rng.uniform(0.001, 0.75 * fast, 40))
         policy = replay_of(tmp_path, log_of(speeds, rng.uniform(2.0, 8.0, 40).round(1)), config)
         lengths, targets = fed_by_device(policy, config, policy.schedule.position[-1] - config.period)
-        wanted = 5.0 + policy.schedule.fed(config.period * np.arange(1, len(lengths) + 1))
+        wanted = 5.0 + policy.schedule.fed_length(config.period * np.arange(1, len(lengths) + 1))
         change = np.abs(np.diff(targets, prepend=0.2)).max()
         bound = change**2 / (2.0 * config.ramp) + 0.5 * slow * config.period + ROUNDING
         assert np.abs(lengths - wanted).max() <= bound, seed
@@ -93,7 +93,7 @@ def test_late_observations_are_followed_without_swinging(tmp_path):
         config = TaskConfig(delay_periods=delay)
         policy = replay_of(tmp_path, log_of([0.3, 0.0, 0.1], [20.0, 20.0, 200.0]), config)
         lengths, _ = fed_by_device(policy, config, 239.0)
-        wanted = 5.0 + policy.schedule.fed(np.arange(1.0, len(lengths) + 1.0))
+        wanted = 5.0 + policy.schedule.fed_length(np.arange(1.0, len(lengths) + 1.0))
         assert np.abs(lengths - wanted)[-60:].max() <= 0.01 + ROUNDING, delay
         assert np.ptp(lengths[30:40]) == 0.0  # in the standstill
 
@@ -118,8 +118,8 @@ def test_what_a_schedule_has_fed_is_its_integral():
         schedule = Schedule("time", interpolation, (2.0, 4.0, 9.0), (0.1, 0.3, 0.0), (0.02,) * 3)
         whole = np.concatenate([[0.0], np.cumsum(schedule.at(times)[0] * np.diff(fine))])
         # steps look 1e-5 s ahead (``at``), at two steps of 0.2 and 0.3 m/s
-        assert schedule.fed(fine[::1000]) == pytest.approx(whole[::1000], abs=1e-5), interpolation
-        assert schedule.fed(0.0) == pytest.approx(-0.2)
+        assert schedule.fed_length(fine[::1000]) == pytest.approx(whole[::1000], abs=1e-5), interpolation
+        assert schedule.fed_length(0.0) == pytest.approx(-0.2)
 
 
 def test_only_who_replays_may_stand_still():

@@ -1,4 +1,4 @@
-"""Compiled kernels: kept in one's own folder where nothing else can be written, and forgotten with their sources."""
+"""Compiled kernels: stored in a private folder if no other can be written, and deleted if their sources change."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ print(sum(_inputs.stats.cache_hits.values()))
 
 @pytest.fixture
 def installation(tmp_path):
-    """A copy of the package beside which nothing can be kept, also not by root: __pycache__ is a file."""
+    """A copy of the package without a writable cache, even for root: __pycache__ is a file."""
     package = tmp_path / "site" / "probe_env"
     shutil.copytree(Path(probe_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     for folder in (package, *(path for path in package.rglob("*") if path.is_dir())):
@@ -35,8 +35,10 @@ def installation(tmp_path):
 
 def use(installation, home="/dev/null/home", **environment):
     """Outcome of a new interpreter that imports the copy and compiles its smallest kernel; /dev/null has no folders."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTHON", "COV"))}
-    environment = kept | {
+    inherited = {
+        name: value for name, value in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTHON", "COV"))
+    }
+    environment = inherited | {
         "HOME": home, "LOCALAPPDATA": home, "TMPDIR": str(installation / "temporary"),
         "PYTHONPATH": str(installation / "site"), "PYTHONWARNINGS": "default",
     } | environment  # fmt: skip
@@ -48,7 +50,7 @@ def use(installation, home="/dev/null/home", **environment):
 
 
 @pytest.mark.slow
-def test_a_temporary_folder_serves_and_is_named_once(installation):
+def test_a_temporary_folder_is_used_and_named_once(installation):
     folder, hits, warning = use(installation)
     assert Path(folder).parent == installation / "temporary"
     assert Path(folder).stat().st_mode & 0o077 == 0
@@ -56,7 +58,7 @@ def test_a_temporary_folder_serves_and_is_named_once(installation):
     assert warning.count("set NUMBA_CACHE_DIR to choose another") == 1
     assert folder in warning
     assert hits == 0
-    assert use(installation)[:2] == (folder, 1)  # what was compiled serves the next interpreter
+    assert use(installation)[:2] == (folder, 1)  # the next interpreter uses the compiled kernels
 
 
 @pytest.mark.slow
@@ -86,13 +88,13 @@ print(kernel(), sum(kernel.stats.cache_hits.values()))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beside", [True, False], ids=["beside the sources", "in a home"])
-def test_kernels_are_forgotten_when_what_is_compiled_into_them_changes(tmp_path, beside):
-    """numba looks at a kernel's own file alone: it would go on with what other files had in them."""
+@pytest.mark.parametrize("next_to_sources", [True, False], ids=["next to the sources", "in a home"])
+def test_kernels_are_deleted_when_compiled_sources_change(tmp_path, next_to_sources):
+    """numba checks the file of a kernel only, not functions of other files that are compiled into it."""
     package = tmp_path / "site" / "probe_env"
     shutil.copytree(Path(probe_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "physics" / "kernel.py").write_text(KERNEL)
-    if not beside:
+    if not next_to_sources:
         for folder in (package, package / "physics"):
             (folder / "__pycache__").touch()
     environment = {name: text for name, text in os.environ.items() if not name.startswith(("NUMBA", "XDG", "COV"))}
@@ -103,7 +105,7 @@ def test_kernels_are_forgotten_when_what_is_compiled_into_them_changes(tmp_path,
         done = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, cwd="/")
         outcomes.append(done.stdout.split() or done.stderr)
     assert outcomes == [["1", "0"], ["1", "1"], ["2", "0"]]
-    assert bool(list(package.rglob("*.nbc"))) == beside
+    assert bool(list(package.rglob("*.nbc"))) == next_to_sources
 
 
 @pytest.mark.parametrize("kind", ["open", "link", "file"])
@@ -111,7 +113,7 @@ def test_a_folder_that_others_may_write_is_not_trusted(tmp_path, monkeypatch, ki
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
     planted = kernel_cache._folder()
-    assert kernel_cache._folder() == planted  # one's own is taken again
+    assert kernel_cache._folder() == planted  # the user's folder is used again
     planted.rmdir()
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
@@ -128,7 +130,7 @@ def test_a_folder_that_others_may_write_is_not_trusted(tmp_path, monkeypatch, ki
     assert chosen.stat().st_mode & 0o077 == 0
 
 
-def test_no_folder_at_all_is_an_error_that_says_what_to_do(monkeypatch):
+def test_no_folder_is_an_error(monkeypatch):
     monkeypatch.setattr(kernel_cache, "_numbas_folder", lambda: None)
     monkeypatch.setattr(tempfile, "tempdir", "/dev/null/temporary")
     with pytest.raises(RuntimeError, match="set NUMBA_CACHE_DIR to one that can"):

@@ -1,4 +1,4 @@
-"""Superelements give way to nodes where the cable between floats is more than elastic, and say so."""
+"""A mesh of nodes replaces superelements if the scene needs nodes between floats."""
 
 import gymnasium as gym
 import numpy as np
@@ -12,46 +12,46 @@ from probe_env.fidelity import PRESETS, resolve_fidelity
 from probe_env.physics.methods import METHODS, ON_NODES
 
 CABLE = {"contact": {"cable": True}}
-NEEDING = {"cable": CABLE, "tangent": {"couple": "tangent"}}
+SCENES = {"cable": CABLE, "tangent": {"couple": "tangent"}}
 SHORT = {"tube": {"helix_length": 8.0}}
 
 
-@pytest.mark.parametrize("needing", NEEDING)
+@pytest.mark.parametrize("needs", SCENES)
 @pytest.mark.parametrize("name", [name for name, fidelity in PRESETS.items() if fidelity.simulates])
-def test_presets_have_nodes_where_the_scene_needs_some(name, needing):
-    scene, preset = Scene.model_validate(NEEDING[needing]), PRESETS[name]
+def test_presets_have_nodes_if_the_scene_needs_them(name, needs):
+    scene, preset = Scene.model_validate(SCENES[needs]), PRESETS[name]
     assert resolve_fidelity(name) == resolve_fidelity(name, Scene()) == preset
-    taken, method = resolve_fidelity(name, scene), METHODS[preset.method]
+    chosen, method = resolve_fidelity(name, scene), METHODS[preset.method]
     if preset.method in ON_NODES:
-        assert taken == preset
+        assert chosen == preset
         return
-    assert taken.method in ON_NODES
-    assert method.precision == METHODS[taken.method].precision
-    assert taken.time_lapse == preset.time_lapse
-    assert taken.nodes_per_pitch == 8  # the converged mesh
-    limit = METHODS[taken.method].stable_step(scene, taken.nodes_per_pitch)
-    assert METHODS[taken.method].least_step <= taken.time_step <= min(preset.time_step, limit)
-    assert resolve_fidelity(taken, scene) == taken
+    assert chosen.method in ON_NODES
+    assert method.precision == METHODS[chosen.method].precision
+    assert chosen.time_lapse == preset.time_lapse
+    assert chosen.nodes_per_pitch == 8  # the converged mesh
+    limit = METHODS[chosen.method].stable_step(scene, chosen.nodes_per_pitch)
+    assert METHODS[chosen.method].least_step <= chosen.time_step <= min(preset.time_step, limit)
+    assert resolve_fidelity(chosen, scene) == chosen
 
 
-def test_auto_and_settings_of_ones_own_give_way_as_well():
+def test_auto_and_custom_settings():
     scene = Scene.model_validate(CABLE)
-    for given in ("auto", {"method": "superelement", "time_step": 1e-4}):
-        elastic, taken = resolve_fidelity(given), resolve_fidelity(given, scene)
+    for fidelity in ("auto", {"method": "superelement", "time_step": 1e-4}):
+        elastic, chosen = resolve_fidelity(fidelity), resolve_fidelity(fidelity, scene)
         assert elastic.method not in ON_NODES
-        assert (taken.method, taken.nodes_per_pitch) == (elastic.method.replace("superelement", "imex"), 8)
-        assert taken.time_step <= elastic.time_step
-    own = Fidelity(method="imex", time_step=1e-4, nodes_per_pitch=4)
-    assert resolve_fidelity(own, scene) == own
+        assert (chosen.method, chosen.nodes_per_pitch) == (elastic.method.replace("superelement", "imex"), 8)
+        assert chosen.time_step <= elastic.time_step
+    custom = Fidelity(method="imex", time_step=1e-4, nodes_per_pitch=4)
+    assert resolve_fidelity(custom, scene) == custom
 
 
 @pytest.mark.parametrize("env_id", ["Insertion", pytest.param("Design", marks=pytest.mark.slow)])
-def test_environments_simulate_such_a_scene_by_default(env_id):
-    """Digit by digit as with the settings that are taken."""
-    taken, tube = resolve_fidelity("standard", Scene.model_validate(CABLE)), SHORT | CABLE
+def test_environments_replace_superelements_by_default(env_id):
+    """Equal bits as with explicit settings."""
+    chosen, tube = resolve_fidelity("standard", Scene.model_validate(CABLE)), SHORT | CABLE
     if env_id == "Design":
         tube = tube | {"tube": {"helix_length": 60.0}}
-    envs = [gym.make(f"probe_env/{env_id}-v1", tube=tube, **given) for given in ({}, {"fidelity": taken})]
+    envs = [gym.make(f"probe_env/{env_id}-v1", tube=tube, **options) for options in ({}, {"fidelity": chosen})]
     for env in envs:
         assert env.unwrapped.config.scene.contact.cable
         env.reset(seed=3)
@@ -62,8 +62,8 @@ def test_environments_simulate_such_a_scene_by_default(env_id):
         assert one[1] == other[1]
 
 
-def test_an_evaluation_by_auto_goes_by_its_own_tubes():
-    """As its episodes do; a contact that is harder than table 2's takes another setting."""
+def test_an_evaluation_by_auto_uses_its_tubes():
+    """As its episodes do; stiffer contact than that of table 2 needs other settings."""
     hard = Plant.model_validate({"contact": {"stiffness": 5e5}})
     case = case_of(hard, "test", 2)
     plan = plan_of(["constant"], case, 1, "auto:0.5")

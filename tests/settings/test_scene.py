@@ -37,7 +37,7 @@ def test_guide_floats_reach_up_to_the_sensor():
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
-def test_every_shipped_scene_is_valid_and_survives_toml(path, tmp_path):
+def test_every_shipped_scene_is_valid_and_equal_after_toml(path, tmp_path):
     scene = Scene.from_toml(path)
     scene.to_toml(tmp_path / "copy.toml")
     assert Scene.from_toml(tmp_path / "copy.toml") == scene

@@ -1,4 +1,4 @@
-"""Schedules are read as written, and every broken file gets an error that says where."""
+"""Schedules: reading, writing, and errors with the location in the file."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)
-def test_shipped_schedules_are_valid_and_written_back_alike(path, tmp_path):
+def test_shipped_schedules_are_valid_and_equal_after_writing(path, tmp_path):
     schedule = Schedule.read(path)
     copy = tmp_path / "copy.csv"
     copy.write_text(schedule.to_csv())
@@ -37,7 +37,7 @@ def test_linear_and_steps(tmp_path):
     assert feed == pytest.approx([0.4, 0.4, 0.4, 0.2, 0.2])
 
 
-def test_a_measured_log_is_replayed_whatever_else_it_holds(tmp_path):
+def test_a_measured_log_with_other_columns_is_replayed(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(
         "\ufefftime_s,temperature_c, feed_speed_m_per_s ,air_supply_m3_per_h\n0,20,0.2,63\n\n1.5,21,0.1,63\n"
@@ -47,14 +47,14 @@ def test_a_measured_log_is_replayed_whatever_else_it_holds(tmp_path):
     assert schedule.at(0.75)[0] == pytest.approx(0.15)
 
 
-def test_a_log_with_time_and_length_goes_by_time_and_stands_still_where_it_did(tmp_path):
+def test_a_log_with_time_and_length_is_a_schedule_over_time(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("# interpolation: steps\ntime_s," + HEAD + "0,5,0.2,63\n10,7,0,63\n30,7,0.1,63\n40,8,0.1,63\n")
     schedule = Schedule.read(path)
     assert (schedule.over, schedule.position) == ("time", (0.0, 10.0, 30.0, 40.0))
     assert schedule.at([9.9, 10.0, 29.9, 30.0])[0] == pytest.approx([0.2, 0.0, 0.0, 0.1])
     path.write_text("time_s," + HEAD + "0,5,0.2,63\n10,4,0,63\n")
-    assert Schedule.read(path).over == "time"  # where it is by length is not its business
+    assert Schedule.read(path).over == "time"  # the lengths are not checked
     path.write_text("time_s," + HEAD + "0,5,0.2,63\n0,7,0,63\n")
     with pytest.raises(ValueError, match=r"line 3, time_s = 0\.0 must be greater than 0\.0 before it"):
         Schedule.read(path)

@@ -19,7 +19,7 @@ from agents.studies.shipped.best_round_trip import COLUMNS, NAME, ranges, rounde
 from probe_env import Plant
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES
-from probe_env.schedule import BACK, FORTH, Schedule
+from probe_env.schedule import INSERTION, WITHDRAWAL, Schedule
 
 CONFIG = round_trip(case_of(None, "train", 1), "best").config
 TUBES = case_of(None, "train").contexts
@@ -36,7 +36,7 @@ def reward(numbers: dict[str, float], tube: int) -> float:
     """Greatest at ``BEST``; feeds count by their logarithm, air by its range."""
     total = float(tube)
     for name, (low, high) in SPACE.items():
-        feed = name in (FORTH["feed_speed_m_per_s"], BACK["feed_speed_m_per_s"])
+        feed = name in (INSERTION["feed_speed_m_per_s"], WITHDRAWAL["feed_speed_m_per_s"])
         scale = np.log(high / low) if feed else high - low
         away = np.log(numbers[name] / BEST[name]) if feed else numbers[name] - BEST[name]
         total -= 40.0 * float(away / scale) ** 2
@@ -104,7 +104,7 @@ def test_a_search_goes_on_where_it_was(folders: list[str], tmp_path: Path) -> No
 def test_the_file_says_both_ways(tmp_path: Path) -> None:
     path = tmp_path / "both.csv"
     path.write_text(searched.csv_of(CONFIG, BEST))
-    forth, back = Schedule.read(path), Schedule.read_back(path)
+    forth, back = Schedule.read(path), Schedule.read_withdrawal(path)
     assert back is not None
     played = searched.policy_of(CONFIG, BEST)
     for length in (5.0, 33.0, 60.0):

@@ -5,6 +5,7 @@ An agent of both passes acts on both, and nowhere else.
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -22,12 +23,13 @@ from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.view import View
 from agents.policies.wrappers import RoundTripPolicy
+from agents.training import train as training_module
 from agents.training.config import Training
 from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, run_lock, train_all
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import BOTH_WAYS
+from probe_env.fidelity import ROUND_TRIP_PRESETS
 from probe_env.files import FileError
 
 COARSE = Fidelity(time_lapse=20.0)
@@ -289,7 +291,9 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
 def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeypatch):
     """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
     train_all(Training(**SHIFT), tmp_path, resume=False)
-    assert {plan.fidelity for plan in validations} == {BOTH_WAYS["fast"]}  # in an insertion ``fast`` cannot go back
+    assert {plan.fidelity for plan in validations} == {
+        ROUND_TRIP_PRESETS["fast"]
+    }  # in an insertion ``fast`` cannot go back
     path = str(tmp_path / "seed-0" / BEST)
     config = TaskConfig(
         passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
@@ -341,6 +345,48 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
 def test_both_ways_need_a_method_that_goes_back():
     for part in ("environment", "validation"):
         settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
-        with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
+        with pytest.raises(ValueError, match="superelement32 does not simulate withdrawal; give one of"):
             Training(**settings)
     assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), RoundTripPolicy)
+
+
+def test_a_teacher_s_actions_stand_beside_what_it_saw_and_returns_end_with_episodes() -> None:
+    """Two environments that count their steps; the second one ends with the second of three steps."""
+    clock, ends = [0], np.array([[False, False], [False, True], [False, False]])
+
+    def step(_applied: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, None]:
+        clock[0] += 1
+        return observed(), np.array([1.0, 10.0]) * clock[0], ends[clock[0] - 1], None
+
+    def observed() -> np.ndarray:
+        return np.array([[clock[0], 0.0], [clock[0], 1.0]], dtype=np.float32)
+
+    env = SimpleNamespace(num_envs=2, reset=observed, step=step, config=None, guided=False, rows=None)
+    env.view = SimpleNamespace(agent_actions=lambda config, action, guided: action)
+    teacher = SimpleNamespace(predict=lambda rows, state, start, deterministic: (2.0 * observed(), None))
+    policy = SimpleNamespace(predict_values=lambda features: torch.tensor([[100.0], [1000.0]]))
+    model = SimpleNamespace(policy=policy, gamma=0.5)
+    features, labels, returns = training_module._gather(model, env, teacher, 3, True, lambda steps: None)
+    assert (labels == 2.0 * features).all()
+    assert features[:, 0].tolist() == [0, 0, 1, 1, 2, 2]
+    first = [1.0 + 0.5 * (2.0 + 0.5 * (3.0 + 50.0)), 2.0 + 0.5 * (3.0 + 50.0), 3.0 + 50.0]
+    second = [10.0 + 0.5 * 20.0, 20.0, 30.0 + 500.0]
+    assert returns.reshape(3, 2).T.tolist() == [first, second]
+
+
+def test_the_agent_of_the_best_validation_is_kept(tmp_path, monkeypatch) -> None:
+    rewards, kept = iter([-3.0, 1.0, 0.5, 1.0, 2.0]), []
+    columns = {name: [0.0] for name in VALIDATED}
+    monkeypatch.setattr(
+        training_module, "run_plan", lambda *_, **__: pd.DataFrame({"reward": [next(rewards)], **columns})
+    )
+    monkeypatch.setattr(
+        training_module, "write_bundle", lambda path, description, policy: kept.append(description.trained["phase"])
+    )
+    monkeypatch.setattr(training_module, "Agent", lambda *_: None)
+    training, rows = Training(**PPO), []
+    plan, model = Plan({}, load_contexts("validation")[:1]), SimpleNamespace(policy=None)
+    for phase in range(5):
+        trained = {"seed": 0, "phase": phase, "steps": 64 * phase}
+        rows.append(training_module._validate(training, model, plan, 1, rows, trained, tmp_path / BEST))
+    assert kept == [0, 1, 4]  # an equal reward does not replace the first

@@ -20,7 +20,15 @@ from agents.records.store import Store
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.physics import closed_forms, methods
-from probe_env.physics.closed_forms.bare_chains import AXIAL, LAPACK, RADIAL, Driven, bent_chain, plain_chain, run_chain
+from probe_env.physics.closed_forms.bare_chains import (
+    AXIAL,
+    LAPACK,
+    RADIAL,
+    DrivenChain,
+    bent_chain,
+    plain_chain,
+    run_chain,
+)
 from probe_env.physics.methods.newmark import Newmark
 from probe_env.physics.model.chain import air_speed, build_chain, sensor_node
 from probe_env.physics.model.state import State, at_rest
@@ -51,7 +59,7 @@ class Case:
     """
 
     title: str
-    driven: Driven
+    driven: DrivenChain
     duration: float
     sample_period: float
     point: tuple[int, int]
@@ -88,7 +96,7 @@ def _linear(consistent: bool) -> Case:
         return closed_forms.linear_chain(chain, times, load, 0.0 * load)[:, 0, RADIAL]
 
     title = f"linear chain, {'smooth' if consistent else 'printed'} start"
-    return Case(title, Driven(chain), 0.05, 1e-3, (0, RADIAL), exact, d=shape, a=a if consistent else None)
+    return Case(title, DrivenChain(chain), 0.05, 1e-3, (0, RADIAL), exact, d=shape, a=a if consistent else None)
 
 
 def _step_load() -> Case:
@@ -102,7 +110,7 @@ def _step_load() -> Case:
     def exact(times: FloatArray) -> FloatArray:
         return closed_forms.linear_chain(chain, times, 0.0 * load, load)[:, 0, AXIAL]
 
-    return Case("axial step load", Driven(chain, air_speed=wind), 0.05, 1e-3, (0, AXIAL), exact)
+    return Case("axial step load", DrivenChain(chain, air_speed=wind), 0.05, 1e-3, (0, AXIAL), exact)
 
 
 def _impact() -> Case:
@@ -116,14 +124,14 @@ def _impact() -> Case:
 
     steps = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
     d, v = np.array([[0.0, height, 0.0]]), np.array([[0.0, -speed, 0.0]])
-    return Case("impact on the wall's spring", Driven(chain), 4e-3, 4e-4, (0, RADIAL), exact, steps, d, v)
+    return Case("impact on the wall's spring", DrivenChain(chain), 4e-3, 4e-4, (0, RADIAL), exact, steps, d, v)
 
 
 def _contact() -> Case:
     """The study's scene at l = 10 m, the first 0.2 s."""
     scene = Scene(carrier_length=10.0)
     sensor = sensor_node(scene, 4)
-    driven = Driven(build_chain(scene), sensor, scene.feed_speed, air_speed(scene, scene.air_supply_rate))
+    driven = DrivenChain(build_chain(scene), sensor, scene.feed_speed, air_speed(scene, scene.air_supply_rate))
     return Case("contact and friction, l = 10 m", driven, 0.2, 1e-3, (sensor, AXIAL), None)
 
 
@@ -144,7 +152,7 @@ def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | N
     while used < LEAST_TIMED:
         start = case.start(method, time_step)
         run = run_chain(method, case.driven, time_step, start, steps, every, case.point[0])
-        if not run.held:
+        if not run.stable:
             return None, float("nan"), float("nan")
         used, fastest = used + run.cpu, min(fastest, run.cpu)
     return run.samples[:, case.point[1]], fastest / case.duration, run.sweeps / case.duration

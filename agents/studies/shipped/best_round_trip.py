@@ -33,13 +33,13 @@ from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import resolve_fidelity
-from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, INSERTION, WITHDRAWAL, Schedule
 
 FIDELITY: Final = "fast"
 NAME: Final = "best-both-ways"
 TRIALS, LIMIT = 40, 12
 """Number of trials, and training tubes per trial."""
-COLUMNS: Final = (*FORTH.values(), *BACK.values())
+COLUMNS: Final = (*INSERTION.values(), *WITHDRAWAL.values())
 """Search parameters: columns of a schedule file."""
 STARTUP_TRIALS: Final = 5
 """Random trials before the Gaussian process is used, including ``starts``."""
@@ -72,7 +72,7 @@ def starts(config: TaskConfig, space: Space) -> list[Numbers]:
 def rounded_numbers(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     """Feed to three digits and air in whole m3/h, as the feed device and the supply can set them."""
     rounded: dict[str, float] = {}
-    for columns in (FORTH, BACK):
+    for columns in (INSERTION, WITHDRAWAL):
         targets = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
         feed, air = (float(value) for value in config.given(*targets)[0])
         rounded |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
@@ -83,13 +83,13 @@ def policy_of(config: TaskConfig, numbers: Numbers) -> RoundTripPolicy:
     """A schedule with constant feed and air in each pass."""
     ways = [
         Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
-        for columns in (FORTH, BACK)
+        for columns in (INSERTION, WITHDRAWAL)
     ]
     return RoundTripPolicy(config, Scheduled(insertion_task(config), ways[0]), ways[1])
 
 
 def csv_of(config: TaskConfig, numbers: Numbers) -> str:
-    """The schedule file, for ``Schedule.read`` and ``read_back``."""
+    """The schedule file, for ``Schedule.read`` and ``read_withdrawal``."""
     values = ",".join(f"{numbers[name]:.6g}" for name in COLUMNS)
     ends = (FIRST, config.scene.tube.helix_length)
     lines = (f"{CSV_COMMENT} linear", ",".join(("inserted_length_m", *COLUMNS)), *(f"{end:g},{values}" for end in ends))
@@ -144,7 +144,7 @@ def _run_trials(
     study = optuna.create_study(direction="maximize", sampler=sampler)  # in memory: deterministic
     for numbers in starts(config, space):
         study.enqueue_trial(dict(numbers))
-    feeds = FORTH[FEED], BACK[FEED]
+    feeds = INSERTION[FEED], WITHDRAWAL[FEED]
     distributions: dict[str, optuna.distributions.BaseDistribution] = {}
     for name in COLUMNS:
         distributions[name] = optuna.distributions.FloatDistribution(*space[name], log=name in feeds)
@@ -161,5 +161,5 @@ def _run_trials(
 
 
 def _plan(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
-    fidelity = resolve_fidelity(FIDELITY, both_ways=True)
+    fidelity = resolve_fidelity(FIDELITY, round_trip=True)
     return Plan(policies, case.contexts, config=case.config.full_observation, fidelity=fidelity)

@@ -36,7 +36,7 @@ from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window, joined
 from probe_env.scene import Scene
-from probe_env.settings import check_known
+from probe_env.settings import check_keywords
 
 START_PERTURBATION: Final = 1e-7  # [m]
 IN_INFO: Final = (
@@ -84,7 +84,7 @@ class Episodes:
         allow_standstill: bool = False,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_known(type(self).__name__, settings, DEFAULTS)
+        check_keywords(type(self).__name__, settings, DEFAULTS)
         config, settings = placed({}, config, settings)
         arguments = DEFAULTS | settings
         if count < 1:

@@ -1,4 +1,4 @@
-"""Chains with a closed form, run on the kernels of the methods themselves: what no scene has is set in the arrays."""
+"""Chains with closed-form solutions and their simulation by any method; no scene describes these chains."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from probe_env.physics.model.state import State, check_state
 from probe_env.scene import Scene
 
 LAPACK = "newmark (LAPACK)"
-"""Newmark with the banded solver of LAPACK in place of the TICM."""
+"""Newmark with the banded solver of LAPACK instead of the TICM."""
 AXIAL, RADIAL = 0, 1
 
 
-class Driven(NamedTuple):
-    """A chain, its sensor's node, the constant feed speed and air speed [m/s] that it is driven with, nodes a pitch."""
+class DrivenChain(NamedTuple):
+    """A chain, the node of its sensor, constant feed speed and air speed [m/s], and nodes per pitch."""
 
     chain: Chain
     sensor: int = 0
@@ -33,16 +33,16 @@ class Driven(NamedTuple):
 
 
 class ChainRun(NamedTuple):
-    """Whether a run held; samples (k, 4) of x, y, theta and V of a node; sweeps; processor time of its thread [s]."""
+    """Whether a run was stable; samples (k, 4) of x, y, theta and V of a node; sweeps; processor time [s]."""
 
-    held: bool
+    stable: bool
     samples: FloatArray
     sweeps: int
     cpu: float
 
 
 def plain_chain(elements: int, **changes: Any) -> Chain:
-    """Table 2's cable, straight, with nothing but elasticity and damping."""
+    """Straight cable of table 2 with elasticity and damping only."""
     nodes = elements + 1
     scene = Scene.model_validate({"tube": {"helix_diameter": 1e4, "helix_length": 1000.0}, "carrier_length": 0.1})
     none = np.zeros(nodes)
@@ -55,7 +55,7 @@ def plain_chain(elements: int, **changes: Any) -> Chain:
 
 
 def bent_chain(elements: int, helix_diameter: float = 1.2, **changes: Any) -> Chain:
-    """The same with the frame angle of a helix, but without its inertia terms."""
+    """``plain_chain`` with the frame angle of a helix, but without its inertia terms."""
     sin_phi = plain_chain(1).element_length / helix_diameter
     return plain_chain(elements, sin_phi=sin_phi, cos_phi=float(np.sqrt(1.0 - sin_phi**2)), **changes)
 
@@ -75,9 +75,9 @@ def masses(chain: Chain) -> FloatArray:
 
 
 def run_chain(
-    method: str, driven: Driven, time_step: float, state: State, steps: int, every: int, node: int = 0
+    method: str, driven: DrivenChain, time_step: float, state: State, steps: int, every: int, node: int = 0
 ) -> ChainRun:
-    """Advance a state in place by a method (or ``LAPACK``), a node sampled every so many steps."""
+    """Advance a state in place by a method (or ``LAPACK``), sampling a node after every ``every`` steps."""
     chain, sensor, feed_speed, air_speed, per_pitch = driven
     scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
     kernel, root = method_named(scheme, solver), chain.node_count - 1
@@ -89,19 +89,19 @@ def run_chain(
     begin = time.thread_time()
     kernel.run([lane], time_step, per_pitch, every, every)
     spent = time.thread_time() - begin
-    held = not lane.failed and bool(np.isfinite(state.d).all())
-    return ChainRun(held, samples[:, 0], max(lane.failed or steps, lane.iterations), spent)
+    stable = not lane.failed and bool(np.isfinite(state.d).all())
+    return ChainRun(stable, samples[:, 0], max(lane.failed or steps, lane.iterations), spent)
 
 
 def linear_chain(chain: Chain, times: FloatArray, before: FloatArray, load: FloatArray) -> FloatArray:
-    """Displacements (k, n, 3) of a damped chain without contact that rested under one load when another one set in.
+    """Displacements (k, n, 3) of a damped chain without contact after a step from one constant load to another.
 
-    Every mode obeys q'' + delta lambda q' + lambda q = p; exact for the discrete chain, so what a method is off by is
-    its error in time alone. The chain must be without the frame's inertia terms.
+    Every mode obeys q'' + delta lambda q' + lambda q = p. The solution is exact for the discrete chain, so the error of
+    a method is its error in time. The chain must not have the inertia terms of the frame.
 
     Args:
         chain: n nodes and the held root.
-        times: (k,) since the change [s]; 0 gives the rest under the load before.
+        times: (k,) since the change [s]; at 0 the chain is at rest under the first load.
         before: (n, 3) load until then [N], [N m].
         load: (n, 3) load from then on.
     """
@@ -117,7 +117,7 @@ def linear_chain(chain: Chain, times: FloatArray, before: FloatArray, load: Floa
 
 
 def impact(mass: float, stiffness: float, height: float, speed: float, times: FloatArray) -> FloatArray:
-    """Height (k,) of a free mass above a spring that it flies at and leaves again; the contact lasts pi / omega."""
+    """Height (k,) of a free mass that hits a spring and rebounds; the contact lasts pi / omega."""
     omega = math.sqrt(stiffness / mass)
     arrival = height / speed
     departure = arrival + math.pi / omega

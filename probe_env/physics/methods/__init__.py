@@ -23,14 +23,14 @@ ON_NODES: Final = {name: method for name, method in METHODS.items() if method.on
 SOLVERS: Final[dict[str, Solver | None]] = {
     "ticm": None, "banded": banded.stepper, "transfer-matrix": transfer_matrix.stepper
 }  # fmt: skip
-"""Solvers of the linear system of Newmark and Wilson; None: the method's own."""
+"""Solvers of the linear system of Newmark and Wilson; None: the built-in one."""
 
 
 def method_named(method: str | Method, solver: str = "ticm") -> Method:
-    """A method by its name, with a solver of its linear system by its name; a method itself is taken as it is.
+    """A method by its name, or the given one, with a solver of its linear system by name.
 
     Raises:
-        ValueError: there is no such method or solver, or the method has no such system.
+        ValueError: unknown method or solver, or a method without a choice of solvers.
     """
     if isinstance(method, str):
         if method not in METHODS:
@@ -41,20 +41,20 @@ def method_named(method: str | Method, solver: str = "ticm") -> Method:
     if isinstance(method, Newmark):
         return type(method)(SOLVERS[solver])
     if SOLVERS[solver] is not None:
-        able = names_of(lambda known: isinstance(known, Newmark))
+        able = names_of(lambda other: isinstance(other, Newmark))
         raise ValueError(f"solver: {method.name} has its own; {able} take another")
     return method
 
 
 def check_step(method: Method, time_step: float) -> None:
-    """Raise ValueError if a step [s] is so small that rounding shows."""
+    """Raise ValueError if a step [s] is below the least step of the method."""
     if time_step < method.least_step:
         raise ValueError(
             f"time_step = {time_step!r} s is below {method.least_step:g} s, where the rounding of {method.name} shows:"
-            f" {names_of(lambda known: known.least_step == 0.0)} have no such limit"
+            f" {names_of(lambda other: other.least_step == 0.0)} have no such limit"
         )
 
 
 def names_of(which: Callable[[Method], bool]) -> str:
-    """Names of those methods, for an error that says which ones can do what another cannot."""
+    """Names of the methods with a property, for error messages."""
     return ", ".join(name for name, method in METHODS.items() if which(method))

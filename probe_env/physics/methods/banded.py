@@ -1,6 +1,6 @@
-"""The system of (17)-(18) assembled as a banded matrix and solved by LAPACK through SciPy.
+"""The system of (17)-(18) as a banded matrix, solved by LAPACK through SciPy.
 
-A check on the TICM and the yardstick for its speed: same equations, same update, another solver.
+A reference for accuracy and speed of the TICM: equal equations and update, another solver.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def stepper(chain: Chain, scheme: Scheme) -> Step:
             (HALF_BANDWIDTH, HALF_BANDWIDTH), band, right.ravel(), overwrite_ab=True, check_finite=False
         ).reshape(-1, 3)
         deformation = solution[:-1] @ head.T + solution[1:] @ tail.T
-        history[-1] -= damped @ tail @ d[-1]  # which is in the deformation now
+        history[-1] -= damped @ tail @ d[-1]  # now included in the deformation
         axial = deformation @ damped[0] + history[:, 0]
         return int(ticm.apply_solution(scheme, state, solution, axial))
 
@@ -48,11 +48,11 @@ def stepper(chain: Chain, scheme: Scheme) -> Step:
 
 
 def _elastic_band(head: FloatArray, tail: FloatArray, stiffness: FloatArray, nodes: int) -> FloatArray:
-    """Elements' stiffness in the storage of ``solve_banded``, the held root left out."""
+    """Stiffness of all elements in the storage of ``solve_banded``, without the held root."""
     band = np.zeros((2 * HALF_BANDWIDTH + 1, 3 * nodes))
-    own, next_own = head.T @ stiffness @ head, tail.T @ stiffness @ tail
-    diagonal = np.repeat(own[None], nodes, axis=0)
-    diagonal[1:] += next_own
+    first, second = head.T @ stiffness @ head, tail.T @ stiffness @ tail
+    diagonal = np.repeat(first[None], nodes, axis=0)
+    diagonal[1:] += second
     for row in range(3):
         for column in range(3):
             band[HALF_BANDWIDTH + row - column, column::3] += diagonal[:, row, column]

@@ -1,7 +1,6 @@
-"""Central differences in the lanes of the fast scheme: no system to solve, but a step some forty times smaller.
+"""Central differences: no linear system, but a step about forty times smaller than that of ``imex``.
 
-K (d + delta v) stands in the kick of ``imex``; the damping force lags half a step, so the order is one where the cable
-is damped.
+K (d + delta v) is part of the kick of ``imex``; the damping force lags half a step, so the order is one with damping.
 """
 
 from __future__ import annotations
@@ -14,14 +13,14 @@ from probe_env.physics.methods.imex import (
     after_step,
     cable_forces,
     cable_walls,
+    compressed_forces,
     float_at,
     float_forces,
     inertia_forces,
-    loaded_floats,
-    loaded_pressed,
-    loaded_wall,
+    load_compressed,
+    load_floats,
+    load_wall,
     magnitude,
-    pressed_forces,
     product,
 )
 from probe_env.physics.methods.lane_group import (
@@ -56,15 +55,15 @@ from probe_env.scene import Scene
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def explicit_advance(
-    parameters, pressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed
+    parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed
 ):
-    """Steps of all lanes by central differences; the arguments are those of ``imex_advance``."""
+    """Advance all lanes by central differences; arguments as in ``imex_advance``."""
     first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
     delta = load(parameters, DAMPING)
     kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
-    floats, wall = loaded_floats(parameters), loaded_wall(parameters)
-    pressed_couple, cable = loaded_pressed(parameters)
+    floats, wall = load_floats(parameters), load_wall(parameters)
+    compressed_couple, cable = load_compressed(parameters)
     walls = cable_walls(float_at(0, floats), cable)
     cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
     row, due = 0, first
@@ -84,11 +83,11 @@ def explicit_advance(
             aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
             force = axial * (cosine * (ex - aex) + sine * (ey + aey))
             forward = speed + vx
-            if len(pressed) > 0:
-                ax, ay, at = pressed_forces(kappa, pressed_couple, forward, vy, x, t, force, dt)
+            if len(compressed) > 0:
+                ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, force, dt)
             else:
                 ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, force, dt)
-            if len(pressed) > 1:
+            if len(compressed) > 1:
                 if to_float == 0:
                     walls = cable_walls(float_at(i + 1, floats), cable)
                 elif any_less(y, walls[0]) or any_less(walls[1], y):
@@ -131,7 +130,7 @@ def explicit_advance(
 
 
 class Explicit(NodeLanes):
-    """Central differences; four probes side by side."""
+    """Central differences; groups of four probes."""
 
     name = "explicit"
     order = 1
@@ -139,7 +138,7 @@ class Explicit(NodeLanes):
     kernel = staticmethod(explicit_advance)
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
-        """Largest step [s] known to hold: that of the fastest mode."""
+        """Largest stable step [s], from the fastest mode."""
         return explicit_step(scene, nodes_per_pitch)
 
     contact_step = stable_step

@@ -1,6 +1,6 @@
-"""The chain's linear part per mass, M^-1 K, and its factors for the kernels of the fast schemes.
+"""Linear part of a chain per mass, M^-1 K, and its elimination factors for ``imex`` and ``explicit``.
 
-In single precision they are so rounded that what is free along the tube stays free.
+Factors in single precision are rounded so that rigid motion along the tube remains free.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from probe_env.physics.model.chain import Chain, cable_of, element_blocks, eleme
 MOST_FACTORS = 4000
 LONG_STEP = 5e-4  # [s]
 ULPS = 128
-"""Most units in the last place by which an entry is moved."""
+"""Largest adjustment of an entry in units in the last place."""
 FREE = 2e-9
-"""Mismatch of the free motion to reach."""
+"""Tolerance of the mismatch of rigid motion."""
 SETTLED = 1e-10
-"""Relative change of a row of factors, entry by matrix, from which on the last row serves."""
+"""Relative change of a row of factors below which the last row is used."""
 
 
 def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -39,12 +39,12 @@ def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, Flo
 def linear_weights(damping_time: Any, time_step: float) -> tuple[Any, Any]:
     """Theta and tau of the linear part: w = d + tau v_theta, v_theta = (1 - theta) v* + theta v.
 
-    A theta above 1/2 damps what is too fast for the step, whose velocity the midpoint rule flips undamped from
-    step to step, and by (theta - 1/2) omega dt everything else. Taking that share off the cable's own damping,
-    tau = delta + dt (1 - theta), keeps the damping of slow modes at delta omega / 2, and tau >= theta dt keeps
-    the scheme unconditionally stable. theta - 1/2 vanishes with dt, so the linear part stays second order.
+    A theta above 1/2 damps modes that the step does not resolve, whose velocity the midpoint rule reverses undamped in
+    every step, and adds (theta - 1/2) omega dt to the damping of all other modes. Subtracting this from the damping of
+    the cable, tau = delta + dt (1 - theta), keeps the damping of slow modes at delta omega / 2. With tau >= theta dt
+    the scheme is unconditionally stable. theta - 1/2 vanishes with dt, so the linear part is of second order.
 
-    For numbers, and in kernels for the damping times of the lanes.
+    Accepts numbers, and in kernels the damping times of the lanes.
     """
     delta, dt = damping_time, time_step
     theta = 0.5 + 0.5 * dt * delta / (delta * delta + dt * dt)
@@ -52,20 +52,20 @@ def linear_weights(damping_time: Any, time_step: float) -> tuple[Any, Any]:
 
 
 def implicit_weights(damping_time: float, time_step: float) -> tuple[float, float]:
-    """Theta and tau of ``implicit``: those of ``linear_weights``, but more dissipative the longer the step.
+    """Theta and tau of ``implicit``: those of ``linear_weights`` with more dissipation at longer steps.
 
-    Theta grows from 1/2 to 1 (backward Euler) around a step of 0.5 ms, damped or not; where the cable's damping
-    cannot pay for it, tau = theta dt adds numerical damping.
+    Theta increases from 1/2 to 1 (backward Euler) around a step of 0.5 ms. If the damping of the cable is too small to
+    compensate, tau = theta dt adds numerical damping.
     """
     theta = max(linear_weights(damping_time, time_step)[0], 0.5 + 0.5 * time_step / (time_step + LONG_STEP))
     return theta, max(damping_time + time_step * (1.0 - theta), theta * time_step)
 
 
 def imex_factors(chain: Chain, time_step: float) -> FloatArray:
-    """(k, 27) elimination factors E, F, U of the first k nodes from the tip; the last row serves all beyond.
+    """(k, 27) elimination factors E, F, U of the first k nodes from the tip; further nodes use the last row.
 
     S_0 = 1 + K_00, S_i = 1 + K_ii - K_i,i-1 U_{i-1}; E = S^-1, F = E K_i,i-1, U = E K_i,i+1 (of theta dt tau M^-1 K).
-    Going up to the root g_i = E_i z_i - F_i g_{i-1}, coming back w_i = g_i - U_i w_{i+1}.
+    Elimination towards the root: g_i = E_i z_i - F_i g_{i-1}; back substitution: w_i = g_i - U_i w_{i+1}.
     """
     return _imex_factors(linear_part(chain), time_step)
 
@@ -85,7 +85,7 @@ def _imex_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
         E = np.linalg.inv(S)
         F, U = E @ behind, E @ ahead
         rows.append(np.concatenate([E.ravel(), F.ravel(), U.ravel()]))
-        if len(rows) > 1 and _alike(rows[-1], rows[-2], scale):
+        if len(rows) > 1 and _agree(rows[-1], rows[-2], scale):
             break
         S = np.eye(3) + inner - behind @ U
     table = np.array(rows)
@@ -93,14 +93,14 @@ def _imex_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
     return table
 
 
-def _alike(new: FloatArray, old: FloatArray, scale: FloatArray) -> bool:
-    """Whether two rows of factors agree to rounding, each matrix measured by its largest entry."""
+def _agree(new: FloatArray, old: FloatArray, scale: FloatArray) -> bool:
+    """Whether two rows of factors agree to rounding, relative to the largest entry of each matrix."""
     change, size = (np.abs(rows.reshape(3, 3, 3) / scale) for rows in (new - old, new))
     return bool((change.max(axis=(1, 2)) <= 8.0 * np.finfo(float).eps * size.max(axis=(1, 2))).all())
 
 
 def explicit_factors(chain: Chain) -> FloatArray:
-    """(2, 27) blocks of M^-1 K of the tip and of every other node: own, to the node behind, to that ahead."""
+    """(2, 27) blocks of M^-1 K of the tip and of every other node: diagonal, to the node behind, to the node ahead."""
     tip, inner, ahead, behind = node_matrices(chain)
     rest = [behind.ravel(), ahead.ravel()]
     return np.array([np.concatenate([tip.ravel(), *rest]), np.concatenate([inner.ravel(), *rest])])
@@ -109,10 +109,10 @@ def explicit_factors(chain: Chain) -> FloatArray:
 def single_factors(chain: Chain, time_step: float) -> FloatArray:
     """``imex_factors`` in single precision.
 
-    Along the tube nothing holds the cable: the uniform motion ``free`` has K free = 0, and w = d there. Factors
-    rounded to eps = 6e-8 make it w = d (1 + m), a spring to the frame of m / dt^2 a mass, and since one row serves
-    all nodes, the whole length adds up to it: m = 1.7e-7 at 1e-4 s lowers the first axial frequency of 60 m by 2 %.
-    So F_xx and U_xx are moved together by units in the last place, and E_xx with them, until |m| is below ``FREE``.
+    The rigid motion ``free`` along the tube has K free = 0, so that w = d. Factors rounded to eps = 6e-8 give
+    w = d (1 + m), a spring to the frame of m / dt^2 per mass. Because all nodes use one row, the errors add up over the
+    length: m = 1.7e-7 at 1e-4 s lowers the first axial frequency of 60 m by 2 %. So F_xx, U_xx and E_xx are adjusted by
+    units in the last place until |m| is below ``FREE``.
     """
     return _single_factors(linear_part(chain), time_step)
 
@@ -126,17 +126,17 @@ def _single_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
     free = np.array([1.0, 0.0, -2.0 * sin_phi / element_length])
     E, F, U = table[-1].reshape(3, 3, 3)
     steps = np.arange(-ULPS, ULPS + 1)
-    moved = np.tile(np.eye(3) + table[-1].reshape(3, 3, 3)[1:, None].astype(float), (1, len(steps), 1, 1))
-    moved[0, :, 0, 0] += steps * float(np.spacing(F[0, 0]))
-    moved[1, :, 0, 0] += steps * float(np.spacing(U[0, 0]))
+    shifted = np.tile(np.eye(3) + table[-1].reshape(3, 3, 3)[1:, None].astype(float), (1, len(steps), 1, 1))
+    shifted[0, :, 0, 0] += steps * float(np.spacing(F[0, 0]))
+    shifted[1, :, 0, 0] += steps * float(np.spacing(U[0, 0]))
     # w_x = p E free with p the first row of [(1 + F) (1 + U)]^-1; linear in E_xx
-    p = np.linalg.inv(moved[0] @ moved[1])[:, 0]
+    p = np.linalg.inv(shifted[0] @ shifted[1])[:, 0]
     others = E.astype(float)
     others[0, 0] = 0.0
-    wanted = (1.0 - p @ (others @ free)) / p[:, 0]
-    mismatch = np.abs((wanted.astype(np.float32) - wanted) * p[:, 0])
-    best = np.where(mismatch <= FREE, np.abs(steps), ULPS + mismatch).argmin()  # the nearest that will do
-    E[0, 0] = wanted[best]
+    exact_entry = (1.0 - p @ (others @ free)) / p[:, 0]
+    mismatch = np.abs((exact_entry.astype(np.float32) - exact_entry) * p[:, 0])
+    best = np.where(mismatch <= FREE, np.abs(steps), ULPS + mismatch).argmin()  # the least adjustment
+    E[0, 0] = exact_entry[best]
     F[0, 0] += steps[best] * np.spacing(F[0, 0])
     U[0, 0] += steps[best] * np.spacing(U[0, 0])
     table.setflags(write=False)
@@ -144,7 +144,7 @@ def _single_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
 
 
 def _settled(exact: FloatArray, element_length: float) -> int:
-    """First row that agrees with the last; angles are taken times the element's length to compare with lengths."""
+    """First row that agrees with the last; angles are multiplied by the element length to compare with lengths."""
     lengths = np.array([1.0, 1.0, 1.0 / element_length])
     rows = exact.reshape(-1, 3, 3, 3) * (lengths[:, None] / lengths[None, :])
     change = np.abs(rows - rows[-1]).max(axis=(2, 3)) / np.abs(rows[-1]).max(axis=(1, 2))

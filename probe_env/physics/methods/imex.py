@@ -1,23 +1,22 @@
-"""The fast scheme, imex: linear part implicit with constant factors, contact, friction and drag explicit.
+"""Implicit-explicit method "imex": linear part implicit with constant factors; contact, friction and drag explicit.
 
 One step, from displacements d and velocities v at its start:
 
-1. kick: v* = v + dt M^-1 f, f = contact, friction, drag, centrifugal and Coriolis force, the frame's
-   acceleration and the couple of (9), all at the present state. Friction acts against the motion of the step
-   before, (d - d_before) / dt: v itself holds a ringing of what is too fast for the step, and friction that
-   follows its sign feeds it (measured at u = 0.05 m/s, mu = 0.25, 130 m3/h, l = 30 m: a root tension of 1,800 N
-   instead of 12);
+1. kick: v* = v + dt M^-1 f with f = contact, friction, drag, centrifugal and Coriolis force, the acceleration of the
+   frame and the couple of (9), all at the present state. Friction opposes the mean velocity of the last step,
+   (d - d_before) / dt: v contains oscillations that the step does not resolve, and friction by the sign of v
+   amplifies them (at u = 0.05 m/s, mu = 0.25, 130 m3/h, l = 30 m the root tension is 1,800 N instead of 12 N);
 2. theta rule for M d'' + K (d + delta d') = 0 from (d, v*), theta and tau from ``linear_weights``: with
    w = d + tau v_m, v_m = (1 - theta) v* + theta v, it reads [1 + theta dt tau M^-1 K] w = d + tau v*; then
    v_m = (w - d) / tau, d += dt v_m, v = (v_m - (1 - theta) v*) / theta. K w is the elastic and damping force.
 
-The matrix never changes, so it is eliminated once, from the tip to the root: the factors depend on the
-distance from the tip alone, converge after some dozen nodes, and serve probes of any length. First order in
-what is explicit, second in the rest. ``explicit`` shares the forces and what follows a step.
+The matrix is constant and is eliminated once, from the tip to the root: the factors depend only on the distance from
+the tip, converge after some dozen nodes, and are valid for probes of any length. The method is of first order in the
+explicit part and of second order in the linear part. ``explicit`` uses the same forces and the same ``after_step``.
 
-Probes run side by side in the lanes of vector registers (see lanes.py): four in double precision (imex), eight
-in single (imex32); the arrays decide. A lane has its own parameters, factors, length and inputs; lanes share
-nothing but the step size, the nodes a pitch and the number of steps.
+Vector lanes compute several probes at once (see lanes.py): four in double precision (imex), eight in single precision
+(imex32), according to the type of the arrays. Parameters, factors, length and inputs differ between lanes; step size,
+nodes per pitch and number of steps are common.
 """
 
 from __future__ import annotations
@@ -78,11 +77,11 @@ from probe_env.physics.model.state import DIVERGED_RADIAL
 
 @njit(nogil=True, error_model="numpy")
 def after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
-    """Sampling, failure and growth after a step; True if no lane is left.
+    """Sampling, failure and growth after a step; returns True if no lane is running.
 
-    ``points`` (p, lanes) are nodes, -1 the root; ``samples`` (rows, p, 4, lanes) get x, y, theta and V when
-    ``due`` is zero, and ``tension`` (n, lanes), unless empty, gains V. ``failed`` (lanes,) is the step at which
-    a lane diverged, counted from 1; 0 while it has not, -1 for an idle lane. ``roots`` (lanes,) grow.
+    If ``due`` is zero, x, y, theta and V at the nodes ``points`` (p, lanes), -1 for the root, are stored in
+    ``samples`` (rows, p, 4, lanes), and V is added to ``tension`` (n, lanes), unless it is empty. ``failed`` (lanes,)
+    is the step at which a lane diverged, counted from 1, 0 before, -1 for an idle lane. ``roots`` (lanes,) change.
     """
     running = 0
     for lane in range(len(failed)):
@@ -109,7 +108,7 @@ def after_step(parameters, state, inputs, k, step, due, row, points, roots, samp
 
 @njit(nogil=True, error_model="numpy")
 def move_root(parameters, state, inputs, k, roots, lane):
-    """``ticm.move_root`` of a lane."""
+    """``ticm.move_root`` for a lane."""
     q = roots[lane] * FIELDS
     length = 2.0 * parameters[SIN, lane] / parameters[CURVATURE, lane]  # of an element, (2)
     if inputs[k + APPEND, lane] > 0.0:
@@ -141,7 +140,7 @@ def product(factors, f, x, y, t):
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def less_product(a, b, c, factors, f, x, y, t):
-    """(a, b, c) less the (3, 3) matrix at ``f`` times (x, y, t)."""
+    """(a, b, c) minus the (3, 3) matrix at ``f`` times (x, y, t)."""
     return (
         ((a - load(factors, f + 2) * t) - load(factors, f + 1) * y) - load(factors, f) * x,
         ((b - load(factors, f + 5) * t) - load(factors, f + 4) * y) - load(factors, f + 3) * x,
@@ -151,16 +150,16 @@ def less_product(a, b, c, factors, f, x, y, t):
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def solve_node(state, q, factors, f, wx, wy, wt):
-    """W of a node on the way back, from that of its neighbour on the root side."""
+    """Back substitution: w of a node from w of its neighbour on the root side."""
     gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
     return less_product(gx, gy, gt, factors, f, wx, wy, wt)
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
-    """New displacement of a node from w, and its velocity, which is returned."""
+    """Update the displacement of a node from w; returns its velocity."""
     ux, uy, ut = wx - load(state, q + X), wy - load(state, q + Y), wt - load(state, q + T)
-    store(state, q + GX, ux)  # the last step's motion, by which friction knows the slide
+    store(state, q + GX, ux)  # motion of the last step, for the direction of friction
     store(state, q + GT, ut)
     store(state, q + X, load(state, q + X) + drift * ux)
     store(state, q + Y, load(state, q + Y) + drift * uy)
@@ -183,8 +182,8 @@ def magnitude(value):
 def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
     """Coriolis and centrifugal acceleration of (13) and the couple of (9) per inertia.
 
-    The couple is a spring of stiffness V l, taken linearly implicit: explicit, a tension above 4 J / (l dt^2),
-    640 N at 2e-4 s, makes neighbouring nodes turn against each other without bound; a hard start gets there.
+    The couple is a spring of stiffness V l, treated linearly implicit: if explicit, rotations of neighbouring nodes are
+    unstable at tensions above 4 J / (l dt^2), 640 N at 2e-4 s, which a hard start reaches.
     """
     zero = splat(t, 0.0)
     spring = couple * axial_force
@@ -193,8 +192,8 @@ def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def loaded_pressed(parameters):
-    """What ``pressed_forces`` and ``cable_forces`` need: the couple's figures, and the cable's."""
+def load_compressed(parameters):
+    """Parameters of the couple and of the cable for ``compressed_forces`` and ``cable_forces``."""
     limits = load(parameters, PRESSURE), load(parameters, TENSION)
     couple = load(parameters, COUPLE), load(parameters, TURN), load(parameters, TURN_FORCE), limits
     radius, stiffness = load(parameters, CABLE_RADIUS), load(parameters, CABLE)
@@ -202,12 +201,12 @@ def loaded_pressed(parameters):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def pressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
-    """``inertia_forces`` of a cable that may be pressed.
+def compressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
+    """``inertia_forces`` for a cable under compression.
 
-    The couple may count from the tube's tangent where the node is, V l (theta + x / r), and does work on x then. Where
-    the cable touches the walls, pressure and tension act in it up to ``chain.most_pressure`` and ``most_tension``: a
-    cable that bounces is pulled as hard as it is pressed.
+    The couple may count from the tangent of the tube at the node, V l (theta + x / r), and then also acts on x. If the
+    cable touches the walls, its compression and tension are limited to ``chain.most_pressure`` and ``most_tension`` in
+    the couple, because a bouncing cable has equally large tensions.
     """
     couple, tangent, work, (pressure, tension) = coupling
     zero = splat(t, 0.0)
@@ -220,14 +219,14 @@ def pressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def loaded_wall(parameters):
+def load_wall(parameters):
     """Contact stiffness, coefficient of friction and mass per inertia of the lanes."""
     return load(parameters, STIFFNESS), load(parameters, FRICTION), load(parameters, MASS_RATIO)
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def loaded_floats(parameters):
-    """The sensor's node, and lever, gap and drag of the guide's and of the carrier's floats."""
+def load_floats(parameters):
+    """Node of the sensor, and lever, gap and drag of the floats of guide and carrier."""
     return (
         load(parameters, SENSOR),
         load(parameters, GUIDE_LEVER),
@@ -243,18 +242,18 @@ def loaded_floats(parameters):
 def float_at(i, floats):
     """Lever, gap and drag of the float at node ``i``: the guide's up to the sensor, the carrier's beyond."""
     sensor, guide_lever, carrier_lever, guide_gap, carrier_gap, guide_drag, carrier_drag = floats
-    place = splat(sensor, float(i) - 0.5)
+    index = splat(sensor, float(i) - 0.5)
     return (
-        where_less(place, sensor, guide_lever, carrier_lever),
-        where_less(place, sensor, guide_gap, carrier_gap),
-        where_less(place, sensor, guide_drag, carrier_drag),
+        where_less(index, sensor, guide_lever, carrier_lever),
+        where_less(index, sensor, guide_gap, carrier_gap),
+        where_less(index, sensor, guide_drag, carrier_drag),
     )
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def float_forces(own, wall, forward, air, y, slide, turn):
+def float_forces(float_, wall, forward, air, y, slide, turn):
     """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
-    lever, gap, drag = own
+    lever, gap, drag = float_
     stiffness, coefficient, ratio = wall
     zero = splat(y, 0.0)
     relative = air - forward
@@ -268,16 +267,16 @@ def float_forces(own, wall, forward, air, y, slide, turn):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def cable_walls(own, cable):
-    """Heights y below and above which the cable between floats is in a wall: thinner than a float on either side."""
-    lever, gap, _ = own
+def cable_walls(float_, cable):
+    """Radial displacements below and above which the cable between floats, thinner than a float, touches a wall."""
+    lever, gap, _ = float_
     clearance = lever - cable[0]
     return splat(clearance, 0.0) - clearance, gap + clearance
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def nearest_walls(floats, cable):
-    """``cable_walls`` that hold all along a probe: those of the guide or of the carrier, whichever are nearer."""
+    """``cable_walls`` of the guide or the carrier, whichever is nearer."""
     _, guide_lever, carrier_lever, guide_gap, carrier_gap, _, _ = floats
     low, high = cable_walls((guide_lever, guide_gap, guide_gap), cable)
     carrier_low, carrier_high = cable_walls((carrier_lever, carrier_gap, carrier_gap), cable)
@@ -285,8 +284,8 @@ def nearest_walls(floats, cable):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def widened(least, most, y):
-    """A range of heights, with one more in it."""
+def extended_range(least, most, y):
+    """A range extended to include y."""
     return where_less(y, least, y, least), where_less(most, y, y, most)
 
 
@@ -305,16 +304,16 @@ def cable_forces(walls, cable, y, slide, turn):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def to_root(state, factors, nodes, drive, rates, model, coupling, pressed):
-    """Kick and elimination of all nodes; the root itself is kicked for its release. Returns the floats' largest |y|.
+def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
+    """Kick and elimination of all nodes, including the root; returns the largest |y| of the floats.
 
-    ``pressed`` as in ``imex_advance``; one entry less where no cable is near a wall, so that no node has to look.
+    ``compressed`` as in ``imex_advance``, with one entry less if no cable is near a wall, which skips contact checks.
     """
     top, last, per_pitch = nodes
     speed, slope, air = drive
     dt, tau, rate = rates
     kappa, couple, floats, wall = model
-    pressed_couple, cable = coupling
+    compressed_couple, cable = coupling
     zero = splat(speed, 0.0)
     gx, gy, gt = zero, zero, zero
     walls = cable_walls(float_at(0, floats), cable)
@@ -324,11 +323,11 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, pressed):
         x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
         vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
         forward = speed + vx
-        if len(pressed) > 0:
-            ax, ay, at = pressed_forces(kappa, pressed_couple, forward, vy, x, t, load(state, q + V), dt)
+        if len(compressed) > 0:
+            ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, load(state, q + V), dt)
         else:
             ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
-        if len(pressed) > 1:  # here, since an else below would make the compiler round the rest otherwise
+        if len(compressed) > 1:  # here, since an else below would make the compiler round the rest otherwise
             if to_float == 0:
                 walls = cable_walls(float_at(i + 1, floats), cable)
             elif any_less(y, walls[0]) or any_less(walls[1], y):
@@ -358,14 +357,14 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, pressed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed):
-    """Steps of all lanes by imex; returns the steps done.
+def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed):
+    """Advance all lanes; returns the number of steps.
 
-    ``sampling``: steps until the first sample, steps between samples, and ``points``, ``samples``, ``tension`` of
-    ``after_step``, which also describes ``roots`` and ``failed``.
+    ``sampling``: steps until the first sample, steps between samples, and ``points``, ``samples``, ``tension``, which
+    ``after_step`` documents, like ``roots`` and ``failed``.
 
-    ``pressed`` is a tuple whose length is part of its type, so what a scene does not need is not in the kernel: empty,
-    or one entry where the couple counts from the tangent in some lane, or two where its cable touches the walls.
+    ``compressed`` is a tuple; numba compiles a kernel for each length. Empty: neither of these; one entry:
+    the couple counts from the tangent in some lane; two entries: also the cable touches the walls.
     """
     first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
@@ -374,11 +373,11 @@ def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt,
     rate = 1.0 / tau
     drift, bounce, reflection = dt / tau, 1.0 / (tau * theta), (1.0 - theta) / theta
     kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
-    floats, wall = loaded_floats(parameters), loaded_wall(parameters)
-    coupling = loaded_pressed(parameters)
+    floats, wall = load_floats(parameters), load_wall(parameters)
+    coupling = load_compressed(parameters)
     low, high = nearest_walls(floats, coupling[1])
     rates, model = (dt, tau, rate), (kappa, couple, floats, wall)
-    near = True  # whether cable was near a wall when the last step ended, so that the sweep to the root has to look
+    near = True  # whether cable was near a wall at the end of the last step, so that contact must be checked
     cosine = load(parameters, AXIAL) * load(parameters, COS)
     sine = load(parameters, AXIAL) * load(parameters, SIN)
     row, due = 0, first
@@ -387,10 +386,10 @@ def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt,
         drive = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
         top, bottom = tops[step], bottoms[step]
         nodes = top, last, per_pitch
-        if len(pressed) > 1 and (near or top != tops[step - 1]):  # a node that came at the root was not looked at
-            peak = to_root(state, factors, nodes, drive, rates, model, coupling, pressed)
+        if len(compressed) > 1 and (near or top != tops[step - 1]):  # a node appended at the root was not checked
+            peak = to_root(state, factors, nodes, drive, rates, model, coupling, compressed)
         else:
-            peak = to_root(state, factors, nodes, drive, rates, model, coupling, pressed[:1])
+            peak = to_root(state, factors, nodes, drive, rates, model, coupling, compressed[:1])
         # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
         wx, wy, wt = zero, zero, zero
         least, most = low, high
@@ -409,8 +408,8 @@ def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt,
             store(state, q + VX, where_less(node, held, vx, zero))
             store(state, q + VY, where_less(node, held, vy, zero))
             store(state, q + VT, where_less(node, held, vt, zero))
-            if len(pressed) > 1:
-                least, most = widened(least, most, load(state, q + Y))
+            if len(compressed) > 1:
+                least, most = extended_range(least, most, load(state, q + Y))
         for back in range(bottom):
             i = bottom - 1 - back
             q = i * FIELDS
@@ -421,9 +420,9 @@ def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt,
             store(state, q + VX, vx)
             store(state, q + VY, vy)
             store(state, q + VT, vt)
-            if len(pressed) > 1:
-                least, most = widened(least, most, load(state, q + Y))
-        near = len(pressed) > 1 and (any_less(least, low) or any_less(high, most))
+            if len(compressed) > 1:
+                least, most = extended_range(least, most, load(state, q + Y))
+        near = len(compressed) > 1 and (any_less(least, low) or any_less(high, most))
         store(parameters, PEAK, peak)
         due -= 1
         if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
@@ -435,7 +434,7 @@ def imex_advance(parameters, pressed, factors, state, inputs, tops, bottoms, dt,
 
 
 class Imex(NodeLanes):
-    """The fast scheme: linear part implicit, contact, friction and drag explicit; four probes side by side."""
+    """Implicit-explicit method: linear part implicit, contact, friction and drag explicit; groups of four probes."""
 
     name = "imex"
     order = 2
@@ -445,13 +444,13 @@ class Imex(NodeLanes):
 
 
 class Imex32(Imex):
-    """The same in single precision; eight probes side by side.
+    """``Imex`` in single precision; groups of eight probes.
 
-    In the return a probe lies back by some 0.4 m, whose rounding in single precision lifts it off the wall by 0.1 mm.
+    During withdrawal a probe is displaced by about 0.4 m; its rounding in single precision is 0.1 mm radially.
     """
 
     name = "imex32"
     least_step = 5e-5
     precision = np.float32
-    draws_back = False
+    simulates_withdrawal = False
     factors = staticmethod(single_factors)

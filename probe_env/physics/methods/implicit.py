@@ -1,24 +1,23 @@
-"""The method that does not diverge: contact, friction and walls solved within the step, over the TICM recursion.
+"""Implicit method that does not diverge: contact and friction are solved in each step with the TICM recursion.
 
 The elastic part is a theta rule: with v_m = (1 - theta) v + theta v_new and w = d + tau v_m a step reads
 [M / (tau theta dt) + K] w = M (d / (tau theta dt) + v / (theta dt)) + f and d_new = d + dt v_m, with the weights of
 ``factors.implicit_weights``. So w is the solution of (17)-(18) without damping terms, and K w the elastic and
-damping force. What is in f, and why a passive probe gains no energy from it:
+damping force. The terms of f do not add energy to a passive probe:
 
-* contact is the spring of (11), taken at d + zeta (d_new - d) where the step starts in the wall, zeta = 1/2 for short
-  steps, and at d_new where it meets the wall: never more work than the potential that the step uses up. Between
-  floats the cable itself meets the wall. Deeper than 10 mm a wall has 1e7 N/m;
-* friction opposes the slide of the contact point during the step, u + v_m, with mu N at d_new. Below a slide of
-  mu N / c it sticks: a linear law with c = 100 m / (theta dt), which creeps some micrometres per second;
-* the couple V l theta of (9) with the axial force of the step before: a tension is taken at d_new (convex), a
-  compression at d (concave), within ``couple_limits``: what V gains from step to step is all that it can feed;
-* drag is linearised about the speed of the step before, Coriolis and centrifugal force use that speed.
+* contact is the spring of (11), evaluated at d + zeta (d_new - d) if the step starts in the wall, zeta = 1/2 for short
+  steps, and at d_new if the step ends there: its work is at most the decrease of its potential. Between floats the
+  cable itself touches the wall. At depths of more than 10 mm the stiffness of a wall is 1e7 N/m;
+* friction opposes the sliding velocity of the contact point during the step, u + v_m, with mu N at d_new. Below a
+  velocity of mu N / c it sticks: a linear law with c = 100 m / (theta dt), which creeps some micrometres per second;
+* the couple V l theta of (9) uses the axial force of the last step: tension is evaluated at d_new (convex), compression
+  at d (concave), within ``couple_limits``; only changes of V between steps can add energy;
+* drag is linearised about the speed of the last step; Coriolis and centrifugal force use that speed.
 
 Contact and friction make the system piecewise linear. A semi-smooth Newton iteration solves it with the flags of
-the last iterate until no contact force is off by more than ``TOLERANCE``; from ``HALF_STEPS_FROM`` on the iterate goes
-half way only. If ``FREEZE_AFTER`` iterations do not do it, friction is bounded by what it was then (Tresca's law, a
-convex problem, dissipative too); after ``MOST_ITERATIONS`` the last solution is taken. Such steps are counted as
-not converged.
+the last iterate until the error of all contact forces is below ``TOLERANCE``; from ``HALF_STEPS_FROM`` on it takes half
+steps. After ``FREEZE_AFTER`` iterations friction is bounded by its present value (Tresca's law, a convex and
+dissipative problem); after ``MOST_ITERATIONS`` the last solution is used. Such steps count as not converged.
 """
 
 from __future__ import annotations
@@ -61,8 +60,8 @@ HARD_DEPTH, HARD_STIFFNESS = 0.01, 1e7  # [m], [N/m]
 INNER, OUTER, ARM, STIFFNESS = 0, 1, 2, 3
 
 
-def contact_places(chain: Chain) -> FloatArray:
-    """(n + 1, 4) heights y below and above which a node meets a wall, arm of friction, contact stiffness."""
+def contact_walls(chain: Chain) -> FloatArray:
+    """(n + 1, 4) y below and above which a node touches a wall, lever arm of friction, contact stiffness."""
     is_float = chain.contact_stiffness > 0.0
     if not is_float.any():
         return np.tile([-math.inf, math.inf, 0.0, 0.0], (chain.node_count, 1))
@@ -73,71 +72,71 @@ def contact_places(chain: Chain) -> FloatArray:
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def wall_at(y, place):
-    """The wall that a node at the height y is in: 0 none, 1 inner, 2 outer, 3 and 4 deep in them."""
-    if y < place[INNER]:
-        return 3 if place[INNER] - y > HARD_DEPTH else 1
-    if y > place[OUTER]:
-        return 4 if y - place[OUTER] > HARD_DEPTH else 2
+def wall_at(y, geometry):
+    """Wall that a node at y touches: 0 none, 1 inner, 2 outer, 3 and 4 if deep in them."""
+    if y < geometry[INNER]:
+        return 3 if geometry[INNER] - y > HARD_DEPTH else 1
+    if y > geometry[OUTER]:
+        return 4 if y - geometry[OUTER] > HARD_DEPTH else 2
     return 0
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def moment_of_contact(place, law, y):
-    """Where between y (0) and w_y (1) contact is taken."""
-    return law[1] if y < place[INNER] or y > place[OUTER] else law[0]
+def moment_of_contact(geometry, law, y):
+    """Point between y (0) and w_y (1) at which contact is evaluated."""
+    return law[1] if y < geometry[INNER] or y > geometry[OUTER] else law[0]
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def push(wall, place, y, at):
-    """(side, n0, n1) of a wall's push N = n0 - side n1 w_y, taken ``at`` a place between y and w_y."""
+def push(wall, geometry, y, at):
+    """(side, n0, n1) of the normal force N = n0 - side n1 w_y, evaluated ``at`` a point between y (0) and w_y (1)."""
     if wall == 0:
         return 0.0, 0.0, 0.0
-    k, offset = place[STIFFNESS], 0.0
+    k, offset = geometry[STIFFNESS], 0.0
     if wall > 2:
         k = max(k, HARD_STIFFNESS)
-        offset = (k - place[STIFFNESS]) * HARD_DEPTH
+        offset = (k - geometry[STIFFNESS]) * HARD_DEPTH
     start = (1.0 - at) * y
     if wall % 2 == 1:
-        return 1.0, k * (place[INNER] - start) - offset, k * at
-    return -1.0, k * (start - place[OUTER]) - offset, k * at
+        return 1.0, k * (geometry[INNER] - start) - offset, k * at
+    return -1.0, k * (start - geometry[OUTER]) - offset, k * at
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def contact(wall, place, law, at, d, w):
-    """Push N of a wall and slide of the contact point at w, for a node at d."""
+def contact(wall, geometry, law, at, d, w):
+    """Normal force N and sliding velocity of the contact point at w, for a node at d."""
     _, _, tau, _, speed, _, _ = law
-    side, n0, n1 = push(wall, place, d[1], at)
-    return n0 - side * n1 * w[1], speed + (w[0] - d[0] + side * place[ARM] * (w[2] - d[2])) / tau
+    side, n0, n1 = push(wall, geometry, d[1], at)
+    return n0 - side * n1 * w[1], speed + (w[0] - d[0] + side * geometry[ARM] * (w[2] - d[2])) / tau
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def friction_force(slide, slip, most, stiction):
-    """Friction for a given flag: at its most, or in proportion to the slip."""
+    """Friction for a flag: largest value when sliding, proportional to the slip when sticking."""
     return slide * most if slide != 0 else stiction * slip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def renew_flags(root, places, law, share, first, state, work):
-    """Flags for the next iteration; by how much the law changes the forces of the solution, and the largest push.
+def renew_flags(root, walls, law, share, first, state, work):
+    """Update the flags for the next iteration; returns the largest change of forces and the largest normal force.
 
-    The iterate moves by ``share`` towards the solution. ``law``: moments of contact of a node that was free and of
-    one that was in a wall, tau, c, u, mu, whether friction is frozen.
+    The iterate moves by ``share`` towards the solution. ``law``: points of evaluation for free nodes and for nodes in a
+    wall, tau, c, u, mu, whether friction is frozen.
     """
     _, _, _, stiction, _, coefficient, frozen = law
     worst, largest = 0.0, LEAST_FORCE
     for i in range(root):
-        place = (places[i, 0], places[i, 1], places[i, 2], places[i, 3])
+        geometry = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
         d = (state.d[i, 0], state.d[i, 1], state.d[i, 2])
         w = (work.w[i, 0], work.w[i, 1], work.w[i, 2])
-        at = moment_of_contact(place, law, d[1])
-        wall, old_wall, old_slide = wall_at(d[1] + at * (w[1] - d[1]), place), work.flags[i, 0], work.flags[i, 1]
+        at = moment_of_contact(geometry, law, d[1])
+        wall, old_wall, old_slide = wall_at(d[1] + at * (w[1] - d[1]), geometry), work.flags[i, 0], work.flags[i, 1]
         if wall > 0 or (old_wall > 0 and not first):
-            N, slip = contact(wall, place, law, at, d, w)
+            N, slip = contact(wall, geometry, law, at, d, w)
             most = work.bound[i] if frozen else coefficient * N
             slide = 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
             if not first:
-                N_old, slip_old = contact(old_wall, place, law, at, d, w)
+                N_old, slip_old = contact(old_wall, geometry, law, at, d, w)
                 F = friction_force(slide, slip, most, stiction)
                 F_old = friction_force(old_slide, slip_old, work.bound[i] if frozen else coefficient * N_old, stiction)
                 worst = max(worst, abs(N - N_old) + abs(F - F_old))
@@ -149,18 +148,18 @@ def renew_flags(root, places, law, share, first, state, work):
         for k in range(3):
             work.iterate[i, k] += share * (w[k] - work.iterate[i, k])
         w = (work.iterate[i, 0], work.iterate[i, 1], work.iterate[i, 2])
-        wall = wall_at(d[1] + at * (w[1] - d[1]), place)
-        N, slip = contact(wall, place, law, at, d, w)
+        wall = wall_at(d[1] + at * (w[1] - d[1]), geometry)
+        N, slip = contact(wall, geometry, law, at, d, w)
         most = work.bound[i] if frozen else coefficient * N
         slide = 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
         if slide * old_slide < 0 and not first:
-            slide = 0  # a slide that turns round sticks first, else the iteration goes to and fro
+            slide = 0  # stick before sliding the other way; otherwise the iteration oscillates
         work.flags[i, 0], work.flags[i, 1] = wall, slide
     return worst, largest
 
 
 def couple_limits(chain: Chain, nodes_per_pitch: int) -> tuple[float, float]:
-    """Greatest compression and tension [N] that the couple V l theta is given, see chain.py."""
+    """Largest compression and tension [N] in the couple V l theta, see chain.py."""
     h = chain.element_length
     rigidity = h / chain.bending_compliance
     return most_pressure(rigidity, h, nodes_per_pitch * h), most_tension(rigidity, h)
@@ -223,15 +222,15 @@ class Workspace(NamedTuple):
 
 
 def workspace(nodes: int) -> Workspace:
-    """Scratch for a chain of ``nodes`` nodes."""
+    """Scratch arrays for a chain of ``nodes`` nodes."""
     T, p, free_p, q = np.zeros((nodes, 9)), np.zeros((nodes, 7)), np.zeros((nodes, 7)), np.zeros((nodes, 3))
     s, free_q, iterate, w = q.copy(), q.copy(), q.copy(), q.copy()
     return Workspace(T, s, free_p, free_q, p, q, iterate, w, np.zeros(nodes), np.zeros((nodes, 2), dtype=np.int64))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def solve(chain, root, places, law, state, work):
-    """Solution w by the TICM with the present flags, and the axial forces; the first bad node or -1."""
+def solve(chain, root, walls, law, state, work):
+    """Solve for w and the axial forces by the TICM with the present flags; returns the first invalid node or -1."""
     _, _, tau, stiction, speed, coefficient, frozen = law
     d, P, q, T, s, w = state.d, work.P, work.q, work.T, work.s, work.w
     c, sn, h = chain.cos_phi, chain.sin_phi, chain.element_length
@@ -247,9 +246,9 @@ def solve(chain, root, places, law, state, work):
         p4, p5, p6 = work.free_p[i, 4], work.free_p[i, 5], work.free_p[i, 6]
         q0, q1, q2 = work.free_q[i, 0], work.free_q[i, 1], work.free_q[i, 2]
         if work.flags[i, 0] > 0:  # (11)-(12)
-            place = (places[i, 0], places[i, 1], places[i, 2], places[i, 3])
-            side, n0, n1 = push(work.flags[i, 0], place, d[i, 1], moment_of_contact(place, law, d[i, 1]))
-            arm, slide = side * place[ARM], work.flags[i, 1]
+            geometry = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
+            side, n0, n1 = push(work.flags[i, 0], geometry, d[i, 1], moment_of_contact(geometry, law, d[i, 1]))
+            arm, slide = side * geometry[ARM], work.flags[i, 1]
             p2 += n1
             q1 += side * n0
             if slide == 0:
@@ -298,27 +297,27 @@ HALF_STEPS_FROM, FREEZE_AFTER, MOST_ITERATIONS = 8, 25, 40
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def implicit_step(chain, weights, limits, places, inputs, root, state, work):
-    """One step with node ``root`` held: iterations, whether they converged, and a bad node or -1."""
+def implicit_step(chain, weights, limits, walls, inputs, root, state, work):
+    """One step with node ``root`` held; returns iterations, whether they converged, and an invalid node or -1."""
     dt, theta, tau = weights
     speed, w = inputs[SPEED], work.w
     stiction = STICTION * chain.mass / (theta * dt)
     for i in range(root):
         free_rows(chain, weights, limits, speed, inputs[SLOPE], inputs[AIR], state, i, work.free_p, work.free_q)
-        for k in range(3):  # the first iterate goes on as the last step went, whose mean velocity is kept in a
+        for k in range(3):  # the first iterate uses the mean velocity of the last step
             w[i, k] = state.d[i, k] + tau * state.memory[i, k]
             work.iterate[i, k] = w[i, k]
     zeta = 0.5 + 0.5 * dt / (dt + LONG_STEP)
     law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, False)
-    renew_flags(root, places, law, 1.0, True, state, work)
+    renew_flags(root, walls, law, 1.0, True, state, work)
     iterations, converged, bad = 0, False, -1
     while not converged and iterations < MOST_ITERATIONS:
         iterations += 1
-        node = solve(chain, root, places, law, state, work)
+        node = solve(chain, root, walls, law, state, work)
         if node >= 0:
             return iterations, False, node
         share = 1.0 if iterations < HALF_STEPS_FROM else 0.5
-        worst, largest = renew_flags(root, places, law, share, False, state, work)
+        worst, largest = renew_flags(root, walls, law, share, False, state, work)
         converged = worst <= TOLERANCE * largest
         if iterations == FREEZE_AFTER:
             law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, True)
@@ -335,13 +334,13 @@ def implicit_step(chain, weights, limits, places, inputs, root, state, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def advance(
-    chain, weights, limits, places, inputs, root, state, work, first_sample, every, points, samples, tension_sum, counts
+    chain, weights, limits, walls, inputs, root, state, work, first_sample, every, points, samples, tension_sum, counts
 ):
-    """``ticm.advance`` by ``implicit_step``; ``counts`` (2,) gains iterations and steps that did not converge."""
+    """``ticm.advance`` with ``implicit_step``; adds iterations and steps that did not converge to ``counts`` (2,)."""
     row = 0
     due = first_sample
     for step in range(len(inputs)):
-        iterations, converged, node = implicit_step(chain, weights, limits, places, inputs[step], root, state, work)
+        iterations, converged, node = implicit_step(chain, weights, limits, walls, inputs[step], root, state, work)
         counts[0] += iterations
         counts[1] += 0 if converged else 1
         if node >= 0:
@@ -356,14 +355,14 @@ def advance(
 
 
 class Implicit(Method):
-    """Contact, friction and walls solved within the step, see above."""
+    """Contact and friction solved in each step, see the module."""
 
     name = "implicit"
     order = 2
     usual_step = 1e-4
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
-        """Infinite: every step holds."""
+        """Infinite: the method is stable at every step."""
         return math.inf
 
     contact_step = stable_step
@@ -371,7 +370,7 @@ class Implicit(Method):
     def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[Any, ...]:
         """Chain, weights of the theta rule, limits of the couple and walls at every node."""
         weights = (time_step, *implicit_weights(chain.damping_time, time_step))
-        return chain, weights, couple_limits(chain, nodes_per_pitch), contact_places(chain)
+        return chain, weights, couple_limits(chain, nodes_per_pitch), contact_walls(chain)
 
     def run(
         self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int

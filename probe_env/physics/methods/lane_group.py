@@ -1,7 +1,7 @@
-"""Probes side by side, as many as there are lanes in a vector register: packed, advanced, unpacked.
+"""Groups of probes in the lanes of vector registers: packing, advancing, unpacking.
 
-State lives with the probes, not in the lanes, so that any probes can share a group from one call to the next
-and a probe's result does not depend on the company it keeps.
+Every call packs and unpacks the states of its probes. So any probes can share a group, and the result of a probe does
+not depend on the other probes of its group.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ A, B, C = 0, 9, 18
 
 
 class LaneMethod(Method):
-    """A method whose kernel advances several probes side by side.
+    """A method whose kernel advances several probes in vector lanes.
 
     Attributes:
-        kernel: compiled steps of a group.
+        kernel: compiled function that advances a group.
     """
 
     kernel: Callable[..., Any]
@@ -50,37 +50,37 @@ class LaneMethod(Method):
         return lane_count(self.precision)
 
     def check_chain(self, chain: Chain, sensor: int, nodes_per_pitch: int) -> None:
-        """Raise ValueError if a chain has what the kernels of the lanes do not look at.
+        """Raise ValueError if the kernels do not simulate a chain.
 
-        They know a float at every ``nodes_per_pitch``-th node from the tip, alike up to the sensor and alike behind it,
-        and neither loads nor supports.
+        They simulate a float at every ``nodes_per_pitch``-th node from the tip, with equal floats up to the sensor and
+        equal floats behind it, and no loads or supports.
         """
         for field in ("load", "support_stiffness"):
             if getattr(chain, field).any():
                 raise ValueError(f"chain.{field} is not zero: {self.name} does not simulate it; newmark does")
         index = np.arange(chain.node_count - 1)
         is_float, first = index % nodes_per_pitch == 0, (sensor // nodes_per_pitch + 1) * nodes_per_pitch
-        alike = np.where(index <= sensor, 0, min(first, chain.node_count - 1))
+        equal = np.where(index <= sensor, 0, min(first, chain.node_count - 1))
         for field in ("contact_stiffness", "drag", "lever", "outer_gap"):
             values = getattr(chain, field)
-            expected = values[alike if field != "contact_stiffness" else np.zeros_like(index)]
+            expected = values[equal if field != "contact_stiffness" else np.zeros_like(index)]
             bad = np.flatnonzero(is_float & (values[:-1] != expected))
             if not len(bad) and field in ("contact_stiffness", "drag"):
                 bad = np.flatnonzero(~is_float & (values[:-1] != 0.0))
             if len(bad):
                 raise ValueError(
                     f"chain.{field}[{bad[0]}] = {values[bad[0]]:g}: {self.name} simulates floats at every"
-                    f" {nodes_per_pitch}th node from the tip that are alike up to the sensor and alike behind it;"
+                    f" {nodes_per_pitch}th node from the tip that are equal up to the sensor and equal behind it;"
                     " newmark simulates any"
                 )
 
 
 class NodeLanes(LaneMethod):
-    """A method whose rows are nodes: ``imex`` and ``explicit``."""
+    """A lane method with one row of the state per node: ``imex`` and ``explicit``."""
 
     @abstractmethod
     def factors(self, chain: Chain, time_step: float) -> FloatArray:
-        """(k, 27) matrices of the first k nodes from the tip; the last row serves all beyond."""
+        """(k, 27) matrices of the first k nodes from the tip; further nodes use the last row."""
 
     def constants(
         self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
@@ -94,51 +94,51 @@ class NodeLanes(LaneMethod):
     ) -> float:
         """See ``Method.run``."""
         width, precision = self.width, self.precision
-        entered = Entered.of(lanes, width, precision)
-        parameters, roots = entered.parameters, entered.roots
-        held = entered.held_nodes(len(lanes))
+        group = LaneGroup.pack(lanes, width, precision)
+        parameters, roots = group.parameters, group.roots
+        held = group.held_nodes(len(lanes))
         nodes = int(held.max()) + 3
         rows = max(len(lane.constants[1]) for lane in lanes)
         packed_factors = np.zeros((rows, FACTORS, width), dtype=precision)
         packed = np.zeros((nodes, FIELDS, width), dtype=precision)
         for k, lane in enumerate(lanes):
-            own, factors = lane.state, lane.constants[1]
+            probe, factors = lane.state, lane.constants[1]
             packed_factors[: len(factors), :, k] = factors
             packed_factors[len(factors) :, :, k] = factors[-1]
-            packed[: lane.root + 1, X : T + 1, k] = own.d[: lane.root + 1]
-            packed[: lane.root, VX : VT + 1, k] = own.v[: lane.root]
-            packed[: lane.root, GX : GT + 1, k] = own.memory[: lane.root]
-            packed[: lane.root, V, k] = own.axial_force[: lane.root]
-        samples, tension = entered.scratch(lanes, nodes)
-        pressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if (parameters[TURN] > 0.0).any() else ()
+            packed[: lane.root + 1, X : T + 1, k] = probe.d[: lane.root + 1]
+            packed[: lane.root, VX : VT + 1, k] = probe.v[: lane.root]
+            packed[: lane.root, GX : GT + 1, k] = probe.memory[: lane.root]
+            packed[: lane.root, V, k] = probe.axial_force[: lane.root]
+        samples, tension = group.scratch(lanes, nodes)
+        compressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if (parameters[TURN] > 0.0).any() else ()
         begin = time.perf_counter()
         self.kernel(
-            parameters, pressed, packed_factors.reshape(-1, width), packed.reshape(-1, width),
-            entered.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, nodes_per_pitch,
-            (first_sample, sample_every, entered.points, samples, tension), roots, entered.failed,
+            parameters, compressed, packed_factors.reshape(-1, width), packed.reshape(-1, width),
+            group.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, nodes_per_pitch,
+            (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
-        entered.leave(lanes, samples)
+        group.unpack(lanes, samples)
         for k, lane in enumerate(lanes):
-            own, free = lane.state, lane.root
-            own.d[: free + 1], own.d[free + 1 :] = packed[: free + 1, X : T + 1, k], 0.0
-            own.v[:free], own.v[free:] = packed[:free, VX : VT + 1, k], 0.0
-            own.memory[:free], own.memory[free:] = packed[:free, GX : GT + 1, k], 0.0
-            own.axial_force[:free], own.axial_force[free:] = packed[:free, V, k], 0.0
+            probe, free = lane.state, lane.root
+            probe.d[: free + 1], probe.d[free + 1 :] = packed[: free + 1, X : T + 1, k], 0.0
+            probe.v[:free], probe.v[free:] = packed[:free, VX : VT + 1, k], 0.0
+            probe.memory[:free], probe.memory[free:] = packed[:free, GX : GT + 1, k], 0.0
+            probe.axial_force[:free], probe.axial_force[free:] = packed[:free, V, k], 0.0
             covered = min(len(tension), len(lane.tension_sum))
             lane.tension_sum[:covered] += tension[:covered, k]
         return seconds
 
 
-class Entered(NamedTuple):
-    """What a group of probes is called with, side by side in ``width`` lanes; idle ones are marked in ``failed``.
+class LaneGroup(NamedTuple):
+    """Arguments of a kernel for a group of probes in ``width`` lanes; idle lanes are marked in ``failed``.
 
     Attributes:
         parameters: (24, width), see ``lane_parameters``; ``ROOT`` is the held node.
         inputs: (steps, 4, width), see model/drive.py.
-        points: (p, width) nodes that are sampled, -1 for the root.
+        points: (p, width) sampled nodes, -1 for the root.
         roots: (width,) held nodes.
-        failed: (width,) 0, or -1 in an idle lane; a kernel writes the step at which a probe diverged.
+        failed: (width,) 0, or -1 in an idle lane; kernels store the step at which a probe diverged.
     """
 
     parameters: FloatArray
@@ -148,8 +148,8 @@ class Entered(NamedTuple):
     failed: npt.NDArray[np.int64]
 
     @classmethod
-    def of(cls, lanes: Sequence[Lane], width: int, precision: npt.DTypeLike) -> Entered:
-        """The probes in the first lanes, in a precision."""
+    def pack(cls, lanes: Sequence[Lane], width: int, precision: npt.DTypeLike) -> LaneGroup:
+        """Pack probes into the first lanes with a floating-point type."""
         parameters = np.zeros((PARAMETERS, width), dtype=precision)
         parameters[DAMPING] = 1.0  # idle lanes divide by it
         inputs = np.zeros((len(lanes[0].inputs), INPUTS, width), dtype=precision)
@@ -162,26 +162,26 @@ class Entered(NamedTuple):
         return cls(parameters, inputs, points, roots, failed)
 
     def held_nodes(self, used: int) -> npt.NDArray[np.int64]:
-        """(steps + 1, used) node that each of the ``used`` probes holds in a step, and after the last."""
+        """(steps + 1, used) held node of each of the ``used`` probes in every step, and after the last."""
         held = np.tile(self.roots[:used], (len(self.inputs) + 1, 1))
         held[1:] += np.cumsum(self.inputs[:, APPEND, :used], axis=0).astype(np.int64)
         return held
 
     def scratch(self, lanes: Sequence[Lane], rows: int) -> tuple[FloatArray, FloatArray]:
-        """Samples (k, p, 4, width), and sums of tension (rows, width) or, where no probe asks for them, (0, width)."""
+        """Samples (k, p, 4, width), and sums of tension (rows, width), or (0, width) if no probe requests them."""
         first, width = lanes[0], len(self.roots)
         rows = rows if any(len(lane.tension_sum) for lane in lanes) else 0
         return np.zeros((len(first.samples), len(first.points), 4, width)), np.zeros((rows, width))
 
-    def leave(self, lanes: Sequence[Lane], samples: FloatArray) -> None:
-        """Give the probes what a kernel made of their roots, samples and failures."""
+    def unpack(self, lanes: Sequence[Lane], samples: FloatArray) -> None:
+        """Store roots, samples and failures of a kernel in the probes."""
         for k, lane in enumerate(lanes):
             lane.root, lane.failed = int(self.roots[k]), int(self.failed[k])
             lane.samples[...] = samples[..., k]
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(24,) parameters of a lane; ``ROOT`` and ``PEAK`` are set when it runs."""
+    """(24,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
     values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor

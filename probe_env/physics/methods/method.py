@@ -1,4 +1,4 @@
-"""What a method is: how it advances probes in time, how accurate it is and up to which step it holds."""
+"""Interface of methods that advance probes in time, with their order of convergence and stability limit."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from probe_env.scene import Scene
 
 @dataclass
 class Lane:
-    """One probe as ``Method.run`` takes it; all but ``constants``, ``inputs`` and ``points`` change in place.
+    """One probe, argument of ``Method.run``; all but ``constants``, ``inputs`` and ``points`` change in place.
 
     Attributes:
-        constants: of ``Method.constants``.
+        constants: result of ``Method.constants``.
         state, root: of the probe.
-        inputs: (steps, 4) of the coming steps, see model/drive.py.
-        points: (p,) nodes that are sampled, -1 for the root.
-        samples: (k, p, 4) x, y, theta and V of the points, a row for every sample that falls due.
-        tension_sum: (n + 1,), gains the axial force of every sample; empty: not asked for.
+        inputs: (steps, 4) of the next steps, see model/drive.py.
+        points: (p,) sampled nodes, -1 for the root.
+        samples: (k, p, 4) x, y, theta and V of the points, one row per sample.
+        tension_sum: (n + 1,) sum of the axial forces of all samples; empty if not requested.
         failed: step at which the probe diverged, counted from 1, or 0.
-        iterations, unconverged: of ``implicit``, and its steps that did not converge.
+        iterations, unconverged: iterations of ``implicit`` and its steps that did not converge.
     """
 
     constants: Any
@@ -45,18 +45,18 @@ class Lane:
 
 
 class Method(ABC):
-    """A method that advances chains in time; a subclass declares what holds for it.
+    """A method that advances chains in time; subclasses set the attributes.
 
     Attributes:
-        name: by which it is asked for.
-        order: of convergence where the motion is smooth.
-        usual_step: that table 2's probe is simulated with [s].
-        least_step: below which rounding shows [s].
-        precision: of the numbers in its kernel.
-        alone_share: time that a probe by itself takes, of that of a full group.
-        memory: numbers a node that it keeps of its last step.
-        on_nodes: whether its mesh has ``nodes_per_pitch`` nodes: on the same mesh such methods have the same solution.
-        draws_back: whether it simulates the return: pressed on the outer wall, and drawn out at the root.
+        name: value of the argument ``method``.
+        order: order of convergence for smooth motion.
+        usual_step: time step for the probe of table 2 [s].
+        least_step: step below which rounding errors are significant [s].
+        precision: floating-point type of its kernel.
+        single_share: run time of a single probe divided by that of a full group.
+        memory: numbers per node that it stores between steps.
+        on_nodes: whether its mesh has ``nodes_per_pitch`` nodes; such methods have one solution on equal meshes.
+        simulates_withdrawal: whether it simulates compression on the outer wall, and nodes that leave at the root.
     """
 
     name: str
@@ -64,22 +64,22 @@ class Method(ABC):
     usual_step: float
     least_step: float = 0.0
     precision: npt.DTypeLike = np.float64
-    alone_share: float = 1.0
+    single_share: float = 1.0
     memory: int = 3
     on_nodes: bool = True
-    draws_back: bool = True
+    simulates_withdrawal: bool = True
 
     @property
     def width(self) -> int:
-        """Probes side by side in a group."""
+        """Most probes in a group."""
         return 1
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
-        """Largest step [s] known to hold; 0 where none is known."""
+        """Largest step [s] known to be stable; 0 if none is known."""
         return stability.known_step(scene, nodes_per_pitch)
 
     def contact_step(self, scene: Scene, nodes_per_pitch: int) -> float:
-        """Largest step [s] that contact allows, whatever damping and mesh: beyond it a run diverges."""
+        """Largest step [s] that contact allows for any damping and mesh; larger steps diverge."""
         return stability.contact_step(scene, nodes_per_pitch)
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
@@ -88,39 +88,39 @@ class Method(ABC):
 
     @abstractmethod
     def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> Any:
-        """What its kernel needs of a chain and keeps from step to step; nothing changes it.
+        """Constants of the kernel for a chain.
 
         Args:
-            chain: what is advanced.
-            sensor: its node; guide floats reach from the tip up to it.
+            chain: the chain.
+            sensor: node of the sensor; floats from the tip to it are those of the guide.
             nodes_per_pitch: nodes in a float pitch.
             time_step: [s].
 
         Raises:
-            ValueError: a chain with what the method does not simulate.
+            ValueError: the method does not simulate such a chain.
         """
 
     def kind(self, constants: Any) -> Hashable:
-        """Probes with the same can share a group."""
+        """Key of probes that can share a group."""
         return None
 
     @abstractmethod
     def run(
         self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
-        """Advance up to ``width`` probes of a kind by the rows of their inputs.
+        """Advance up to ``width`` probes of one kind by the rows of their inputs.
 
-        No array is checked: those of a caller are, see ``model.state``.
+        Arrays are not checked here; see ``model.state``.
 
         Args:
-            lanes: the probes, with equally many steps, points and samples.
+            lanes: the probes, with equal numbers of steps, points and samples.
             time_step: [s].
             nodes_per_pitch: nodes in a float pitch.
             first_sample: steps until the first sample.
             sample_every: steps between samples.
 
         Returns:
-            seconds that the kernel took.
+            run time of the kernel [s].
         """
 
     def __eq__(self, other: object) -> bool:

@@ -1,4 +1,4 @@
-"""Newmark-beta and Wilson-theta, the study's methods: coefficients, scratch of a step, and steps by any solver."""
+"""Newmark-beta and Wilson-theta, the methods of the study: coefficients, scratch arrays, and steps with any solver."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from probe_env.physics.model.state import State
 
 
 class Scheme(NamedTuple):
-    """Coefficients of (16) and table 1, with h_a and h_v as combinations of the last d, v and a."""
+    """Coefficients of (16) and table 1; h_a and h_v are combinations of the last d, v and a."""
 
     time_step: float
     theta: float

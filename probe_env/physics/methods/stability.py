@@ -1,18 +1,18 @@
-"""The time step that is known to hold.
+"""Stability limits of the time step.
 
-Newmark and Wilson are unconditionally stable on a linear chain. What limits them is the contact flag of the
-step before: a float meets the wall one step late, so it is pushed out from a depth that it reached unopposed
-and leaves with more energy than it brought. That gain grows with omega dt, omega = sqrt(k / m) of a float on
-its contact spring, and the cable's damping has to eat it. Measured on table 2 with k = 1e4 to 1e7 N/m,
-l = 10 and 50 m, friction 0 to 1, damping times 0 to 1e-2 s and 1 to 16 nodes a pitch (480 + 160 runs):
-omega dt <= 1.8 held wherever damping and mesh are as in the study, 3.0 broke Newmark and 6.0 broke both.
+Newmark and Wilson are unconditionally stable for a linear chain. Contact limits them, because they use the contact
+flag of the last step: a float touches the wall one step late, is pushed back from a depth that it reached without
+force, and leaves with more energy. The gain increases with omega dt, omega = sqrt(k / m) of a float on its contact
+spring, and must be dissipated by the cable. Measured for table 2 with k = 1e4 to 1e7 N/m, l = 10 and 50 m, friction 0
+to 1, damping times 0 to 1e-2 s and 1 to 16 nodes per pitch (480 + 160 runs): with damping and mesh of the study, runs
+were stable at omega dt <= 1.8; Newmark diverged at 3.0 and both at 6.0.
 
-imex takes the contact explicitly: its limit is omega dt < 2 by theory, 1.8 with a margin. explicit is bound by
-the fastest mode of the chain with its damping, see ``explicit_time_step``.
+imex treats contact explicitly: its theoretical limit is omega dt < 2, used with a margin as 1.8. The limit of explicit
+is given by the fastest mode of the chain with its damping, see ``explicit_time_step``.
 
-imex32 has a least step as well: rounding, eps = 6e-8, returns a displacement d as d (1 + eps) step for step, a spring
-to the frame of eps m / dt^2 a mass, which grows as the step shrinks (see ``factors.single_factors``). The
-statistics at 10 to 50 m were compared with those of imex down to 5e-5 s.
+imex32 also has a least step: rounding with eps = 6e-8 acts as a spring to the frame of eps m / dt^2 per mass, which
+increases for shorter steps (see ``factors.single_factors``). Its statistics at 10 to 50 m were compared with those of
+imex down to 5e-5 s.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ TABLE_2_DAMPING = 5e-5  # [s]
 
 
 def contact_step(scene: Scene, nodes_per_pitch: int) -> float:
-    """Largest step [s] that explicit contact allows, whatever damping and mesh."""
+    """Largest step [s] that explicit contact allows for any damping and mesh."""
     return FULL / _contact_frequency(scene, nodes_per_pitch)
 
 
 def known_step(scene: Scene, nodes_per_pitch: int) -> float:
-    """Largest step [s] known to hold where the contact flag is that of the step before; 0 where none is known."""
+    """Largest step [s] known to be stable with the contact flag of the last step; 0 if none is known."""
     omega = _contact_frequency(scene, nodes_per_pitch)
     delta, friction = scene.probe.damping_time, scene.contact.friction
     fine = nodes_per_pitch >= 4
@@ -48,12 +48,12 @@ def known_step(scene: Scene, nodes_per_pitch: int) -> float:
 
 
 def explicit_step(scene: Scene, nodes_per_pitch: int) -> float:
-    """Largest step [s] known to hold for ``explicit``."""
+    """Largest stable step [s] of ``explicit``."""
     return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))
 
 
 def _contact_frequency(scene: Scene, nodes_per_pitch: int) -> float:
-    """Of a float on its contact spring [rad/s]."""
+    """Angular frequency of a float on its contact spring [rad/s]."""
     mass = scene.probe.line_density * scene.probe.float_pitch / nodes_per_pitch
     return math.sqrt(scene.contact.stiffness / mass)
 
@@ -62,7 +62,7 @@ def explicit_time_step(chain: Chain) -> float:
     """Stable step [s] of central differences whose damping force lags half a step.
 
     dt = (2 / omega) (sqrt(1 + xi^2) - xi), xi = delta omega / 2 (Belytschko and Hughes 1983), for the fastest
-    mode: the largest eigenvalue of the endless chain's M^-1 K over all wave numbers, the contact spring added.
+    mode: the largest eigenvalue of M^-1 K of an infinite chain over all wave numbers, with the contact spring.
     """
     _, inner, ahead, behind = node_matrices(chain)
     contact = np.zeros((3, 3))

@@ -1,8 +1,4 @@
-"""The TICM recursion (17)-(29), and the study's scheme stepped with it.
-
-A chain, a state and a step's inputs enter, the state after the step leaves. ``implicit`` builds on its parts too.
-Imports the inputs of a step only.
-"""
+"""TICM recursion (17)-(29) and time stepping of the study's methods with it; ``implicit`` also uses its parts."""
 
 from __future__ import annotations
 
@@ -24,12 +20,11 @@ OK, DIVERGED = 0, 1
 
 @njit(cache=True, nogil=True)
 def move_root(chain, inputs, root, state):
-    """Hold another node if one is due; the node that is held now.
+    """Append or remove a node at the root if the inputs say so; returns the held node.
 
-    What is drawn back is held as it is when it comes to the entrance, so that a pressed probe is drawn out along the
-    outer wall: brought to the inner one there, every float would shake it, and the shaking grows on the way to the tip.
-    What comes in is as far back as the root was, unstretched, on a line that leaves where the root was held for the
-    inner wall within some ``LEAVING``.
+    In withdrawal a node is held with its displacement at the entrance, so that a compressed probe leaves along the
+    outer wall; moving it to the inner wall would cause vibration at every float. In insertion a new node has the axial
+    displacement of the old root, without strain, and a radial one that decays to the inner wall over ``LEAVING``.
     """
     if inputs[APPEND] > 0.0:
         x, y = state.d[root, 0], state.d[root, 1] * math.exp(-chain.element_length / LEAVING)
@@ -46,7 +41,7 @@ def move_root(chain, inputs, root, state):
 
 @njit(cache=True, nogil=True)
 def record(state, root, points, samples, row, tension_sum):
-    """Write one sample of all points (the held root: point < 0) and add up the axial forces."""
+    """Store one sample of all points (point < 0: the held root) and add the axial forces to ``tension_sum``."""
     for p in range(len(points)):
         i = points[p] if points[p] >= 0 else root
         samples[row, p, 0] = state.d[i, 0]
@@ -59,7 +54,7 @@ def record(state, root, points, samples, row, tension_sum):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
 def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
-    """P_j and q_j of (17) from the state of the step before; P as (xx, xy, yy, tx, ty, tt)."""
+    """P_j and q_j of (17) from the last state; P as (xx, xy, yy, tx, ty, tt)."""
     d, v, a = state.d, state.v, state.memory
     y = d[i, 1]
     speed = feed_speed + v[i, 0]
@@ -124,7 +119,7 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def node_equations(chain, scheme, inputs, root, state, work):
-    """All P_j and q_j of one step, for the solvers that are not fused with them."""
+    """All P_j and q_j of one step, for separate solvers."""
     for i in range(root):
         node_equation(chain, scheme, inputs[SPEED], inputs[SLOPE], inputs[AIR], state, i, work.P, work.q)
 
@@ -151,7 +146,7 @@ def update_node(scheme, state, i, x, y, t):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def apply_solution(scheme, state, solution, axial_force):
-    """New state from a solution (n, 3) of (17)-(18) found by another solver; diverged node or -1."""
+    """Update the state from a solution (n, 3) of (17)-(18); returns the first diverged node or -1."""
     diverged = -1
     for i in range(len(axial_force)):
         x, y, t = solution[i, 0], solution[i, 1], solution[i, 2]
@@ -274,7 +269,7 @@ def ticm_step(chain, scheme, inputs, root, state, work):
         vy = scheme.v_d * state.d[i, 1] + scheme.v_v * state.v[i, 1] + scheme.v_a * state.memory[i, 1]
         vt = scheme.v_d * state.d[i, 2] + scheme.v_v * state.v[i, 2] + scheme.v_a * state.memory[i, 2]
 
-        # (22b), mended: L^T s + delta/(1 + delta B_v) [L^T Phi h_v,j-1 - Phi^T h_v,j]
+        # (22b), corrected: L^T s + delta/(1 + delta B_v) [L^T Phi h_v,j-1 - Phi^T h_v,j]
         sx += delta * (wx - (c * vx + sn * vy))
         sy += h * st + delta * (wy + h * wt - (c * vy - sn * vx))
         st += delta * (wt - vt)
@@ -305,13 +300,13 @@ def ticm_step(chain, scheme, inputs, root, state, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def advance(chain, scheme, inputs, root, state, work, first_sample, sample_every, points, samples, tension_sum):
-    """A step for every row of ``inputs`` (see model/drive.py), and a record of ``points`` whenever a sample falls due.
+    """One step for every row of ``inputs`` (see model/drive.py), with samples of ``points``.
 
-    ``first_sample`` is the number of steps until the next sample. ``samples`` is (k, p, 4): x, y, theta, V;
-    ``tension_sum`` (n + 1,) gains the axial force at every sample.
+    ``first_sample`` is the number of steps until the next sample. ``samples`` is (k, p, 4): x, y, theta, V; the axial
+    forces of every sample are added to ``tension_sum`` (n + 1,).
 
     Returns:
-        status, steps done, diverged node or -1, node that is held now.
+        status, number of steps, diverged node or -1, held node.
     """
     row = 0
     due = first_sample

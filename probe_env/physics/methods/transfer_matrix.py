@@ -1,7 +1,7 @@
-"""The transfer-matrix method, the predecessor of the TICM: d and f are carried from the root to the tip.
+"""Transfer-matrix method, the predecessor of the TICM: d and f are transferred from the root to the tip.
 
-The three unknown root forces follow from the free tip. Growing solutions swamp the decaying ones, so the
-method loses its digits on long or stiffly supported chains (Pestel and Leckie 1963); kept to show where.
+The three unknown root forces follow from the free tip. Growing solutions dominate decaying ones, so the method loses
+accuracy on long or stiffly supported chains (Pestel and Leckie 1963); it is included for comparison.
 """
 
 from __future__ import annotations
@@ -45,9 +45,8 @@ def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: Sta
 def _sweep(chain, B_v, held, h_v, P, q, columns, axial):
     """Displacements of all nodes and axial forces as linear functions of the root force and 1.
 
-    The first three of the four columns belong to the root force, the last to the loads and where the root is held.
-    Returns the force
-    on the tip's free side (3, 4).
+    The first three of the four columns belong to the root force, the last to the loads and the position of the root.
+    Returns the force on the free side of the tip (3, 4).
     """
     c, s, h = chain.cos_phi, chain.sin_phi, chain.element_length
     damped = 1.0 + chain.damping_time * B_v

@@ -1,7 +1,7 @@
-"""From a scene to the arrays that the kernels work on: masses, element compliance, frame, floats.
+"""Lumped-mass chain of a scene: masses, element compliance, frame and floats as arrays for the kernels.
 
-Nodes are numbered from the tip (0) to the held root (n), so that a longer probe only appends nodes; the
-study's node j is node n - j here. Element i joins node i and its neighbour i + 1 on the root side.
+Nodes are numbered from the tip (0) to the held root (n), so that a longer probe appends nodes; node j of the study is
+node n - j here. Element i joins nodes i and i + 1, the latter on the root side.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from probe_env.arrays import FloatArray
 from probe_env.scene import Scene
 
 RISE = 0.5
-"""Length in which a probe on the outer wall comes to it from the entrance [m]."""
+"""Length from the entrance over which a probe approaches the outer wall [m]."""
 
 
 class Chain(NamedTuple):
     """A chain of equal elements with per-node contact, drag and support; SI units, arrays of n + 1 nodes.
 
-    The last node is held. ``curvature`` (1/r) drives the inertia terms of (14) and ``cos_phi``/``sin_phi``
-    the geometry; both vanish together in a scene, but tests of closed forms set them apart.
+    The last node is held. ``curvature`` (1/r) determines the inertia terms of (14), ``cos_phi`` and ``sin_phi`` the
+    geometry; tests of closed forms set them independently.
     """
 
     element_length: float
@@ -39,11 +39,11 @@ class Chain(NamedTuple):
     couple_length: float  # l in V l theta of (9); 0 switches the couple off
     frame_inertia: float  # J / r of (15)
     friction: float
-    cable_radius: float  # d_c / 2, where the cable itself touches the wall
-    cable_stiffness: float  # of the wall under it; 0 where only floats touch
-    most_pressure: float  # [N] that acts in the couple; infinite where only floats touch
-    most_tension: float  # likewise: beyond it bending is finer than the mesh
-    couple_turn: float  # by how much the tube's tangent turns along it, where the couple counts from there, else 0
+    cable_radius: float  # d_c / 2, for contact of the cable
+    cable_stiffness: float  # of the wall for the cable; 0 if only floats touch
+    most_pressure: float  # largest compression in the couple [N]; infinite if only floats touch
+    most_tension: float  # largest tension in the couple [N]; infinite if only floats touch
+    couple_turn: float  # curvature if the couple counts from the tangent of the tube, else 0
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
@@ -53,12 +53,12 @@ class Chain(NamedTuple):
 
     @property
     def node_count(self) -> int:
-        """Nodes, the held root included."""
+        """Number of nodes, including the held root."""
         return len(self.drag)
 
 
 def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = None) -> Chain:
-    """Lumped-mass chain of a scene after (1), (2) and (5)-(11); ``length`` [m] if not the inserted one."""
+    """Lumped-mass chain of a scene after (1), (2) and (5)-(11); ``length`` [m] replaces the inserted length."""
     tube, probe, contact, air = scene.tube, scene.probe, scene.contact, scene.air
     h = probe.float_pitch / nodes_per_pitch
     nodes = round((scene.inserted_length if length is None else length) / h) + 1
@@ -104,7 +104,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
 
 
 def air_speed(scene: Scene, air_supply_rate: float) -> float:
-    """Speed of the air between cable and tube, Q / (a - A_c) of (10) [m/s]."""
+    """Air speed between cable and tube, Q / (a - A_c) of (10) [m/s]."""
     area = math.pi * (scene.tube.inner_diameter**2 - scene.probe.cable_diameter**2) / 4.0
     return air_supply_rate / area
 
@@ -115,7 +115,7 @@ def sensor_node(scene: Scene, nodes_per_pitch: int) -> int:
 
 
 def element_blocks(chain: Chain) -> tuple[FloatArray, FloatArray]:
-    """(3, 3) matrices G, H: deformation of element i in its own frame is G d_i + H d_{i+1}, after (5).
+    """(3, 3) matrices G, H: the deformation of element i in its frame is G d_i + H d_{i+1}, after (5).
 
     The element's force on node i is -G^T fbar and on node i + 1 is -H^T fbar, with fbar from
     ``element_stiffness``.
@@ -141,23 +141,23 @@ def element_stiffness(chain: Chain) -> FloatArray:
 
 
 def most_pressure(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
-    """Greatest compression [N] that the couple V l theta is given where the cable touches the walls.
+    """Largest compression [N] in the couple V l theta if the cable touches the walls.
 
-    Beyond pi^2 EI / p^2 the cable has buckled between two floats and lies against the walls; beyond EI / h^2 its
-    bending is finer than the mesh.
+    Beyond pi^2 EI / p^2 the cable has buckled between floats and lies against the walls; beyond EI / h^2 the mesh does
+    not resolve its bending.
     """
     return flexural_rigidity * min(1.0 / element_length**2, (math.pi / float_pitch) ** 2)
 
 
 def most_tension(flexural_rigidity: float, element_length: float) -> float:
-    """Greatest tension [N] that the couple V l theta is given: beyond 3 EI / h^2 its bending is finer than the mesh."""
+    """Largest tension [N] in the couple V l theta: beyond 3 EI / h^2 the mesh does not resolve bending."""
     return 3.0 * flexural_rigidity / element_length**2
 
 
 def outer_start(chain: Chain, root: int) -> FloatArray:
-    """Displacements (n + 1, 3) of an unstretched probe that lies on the outer wall, but for its way there at the root.
+    """Displacements (n + 1, 3) of an unstretched probe on the outer wall, which it approaches from the root.
 
-    The outer wall is the longer way round: the probe lies back by the turn times the clearance.
+    The outer wall is longer: the probe is displaced backwards by the turned angle times the clearance.
     """
     d = np.zeros((chain.node_count, 3))
     floats = np.flatnonzero(chain.contact_stiffness[:root] > 0.0)
@@ -172,12 +172,12 @@ def outer_start(chain: Chain, root: int) -> FloatArray:
 
 
 def linear_part(chain: Chain) -> tuple[float, ...]:
-    """The numbers that the linear cable depends on, so that equal ones share their factors; see ``cable_of``."""
+    """Parameters of the linear cable, the key of cached factors; see ``cable_of``."""
     return tuple(float(value) for value in chain[: Chain._fields.index("friction")])
 
 
 def cable_of(linear: tuple[float, ...]) -> Chain:
-    """A chain with a ``linear_part`` and nothing else."""
+    """A chain with a ``linear_part`` only."""
     none = np.zeros((2, 3))
     arrays = (*[none[:, 0]] * 4, none, none)  # from contact_stiffness on
     contact = [0.0] * (len(Chain._fields) - len(linear) - len(arrays))

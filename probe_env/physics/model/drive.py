@@ -1,6 +1,6 @@
-"""How the probe is driven: feed speed with a ramp limit, air with a first-order lag, and the length that follows.
+"""Drive of a probe: feed speed with a ramp limit, air with a first-order lag, and inserted length.
 
-``inputs_of_steps`` turns targets into the inputs of every coming step, for the kernels of all methods.
+``inputs_of_steps`` converts targets to the inputs of every step, for the kernels of all methods.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from probe_env.arrays import FloatArray
 
 SPEED, SLOPE, AIR, APPEND = range(4)
 INPUTS = 4
-"""Columns of a step's inputs: u and Q / (a - A_c) at its start [m/s], du/dt over it [m/s2], nodes appended after it
-(-1: the last free one is held)."""
+"""Columns of the inputs of a step: u and du/dt [m/s], [m/s2], Q / (a - A_c) [m/s] at its start, nodes appended after it
+(-1: one node is removed)."""
 
 
 @dataclass
 class Drive:
-    """Feed speed, air speed and fed cable, now and where they are heading.
+    """Feed speed, air speed and inserted cable, with targets.
 
     Attributes:
         feed_speed, feed_speed_target: [m/s].
         air_speed, air_speed_target: in the tube [m/s].
-        ramp: greatest change of the feed speed [m/s2].
-        air_lag: time constant of the air [s]; 0 follows at once.
-        travel: of the held root from the entrance, 0 to an element's length [m].
-        growth: length fed in per length travelled: 0 constant length, 1 insertion, more is time-lapse.
+        ramp: largest change of the feed speed [m/s2].
+        air_lag: time constant of the air [s]; 0: no lag.
+        travel: distance of the held root from the entrance, 0 to the length of an element [m].
+        growth: change of length per length fed: 0 constant length, 1 insertion, more is time-lapse.
     """
 
     feed_speed: float
@@ -45,14 +45,14 @@ class Drive:
     def inputs_of_steps(
         self, steps: int, time_step: float, element_length: float, room: int, spare: int = 0
     ) -> FloatArray:
-        """Inputs (steps, 4) of the coming steps; moves on to their end.
+        """Inputs (steps, 4) of the next steps; advances the drive to their end.
 
         Args:
-            steps: how many.
+            steps: number of steps.
             time_step: [s].
             element_length: [m].
-            room: nodes that may be appended.
-            spare: nodes that may be drawn back.
+            room: nodes that can be appended.
+            spare: nodes that can be removed.
         """
         inputs = np.empty((steps, INPUTS))
         gain = _gain(time_step, self.air_lag)
@@ -63,7 +63,7 @@ class Drive:
         return inputs
 
 
-def moved_on(
+def drives_after(
     steps: int,
     time_step: float,
     ramp: float,
@@ -73,20 +73,20 @@ def moved_on(
     targets: FloatArray,
     length: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Feed speed, air and fed length (N,) of N drives after some steps, where no mesh is moved on with them.
+    """Feed speed, air and fed length (N,) of N drives after some steps, without a mesh.
 
     Args:
-        steps: how many.
+        steps: number of steps.
         time_step: [s].
-        ramp: greatest change of the feed speed [m/s2].
-        air_lag: time constant of the air [s]; 0 follows at once.
-        speed: (N,) now [m/s].
-        air: (N,) now, in the units of its targets.
+        ramp: largest change of the feed speed [m/s2].
+        air_lag: time constant of the air [s]; 0: no lag.
+        speed: (N,) present feed speed [m/s].
+        air: (N,) present air, in the units of its targets.
         targets: (N, 2) of feed speed and air.
-        length: (N,) fed so far [m].
+        length: (N,) present fed length [m].
     """
     rows = np.column_stack([speed, air, length])
-    speed, air, length = _moved_on(rows, targets, steps, ramp * time_step, _gain(time_step, air_lag), time_step).T
+    speed, air, length = _drives_after(rows, targets, steps, ramp * time_step, _gain(time_step, air_lag), time_step).T
     return speed, air, length
 
 
@@ -95,7 +95,7 @@ def _gain(time_step: float, air_lag: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _moved_on(rows, targets, steps, ramp_step, gain, dt):
+def _drives_after(rows, targets, steps, ramp_step, gain, dt):
     inputs = np.empty((steps, INPUTS))
     for row, (speed, air) in zip(rows, targets):  # noqa: B905
         row[:] = _inputs(inputs, row[0], speed, ramp_step, row[1], air, gain, row[2], 1.0, dt, np.inf, 0, 0)
@@ -104,7 +104,7 @@ def _moved_on(rows, targets, steps, ramp_step, gain, dt):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _inputs(inputs, speed, speed_target, ramp_step, air, air_target, gain, travel, growth, dt, h, room, spare):
-    """Step by step, so that the result does not depend on how a run is cut into calls."""
+    """One step at a time, so that the result does not depend on the division of a run into calls."""
     for k in range(len(inputs)):
         change = min(max(speed_target - speed, -ramp_step), ramp_step)
         inputs[k, SPEED] = speed

@@ -1,6 +1,6 @@
-"""The state that every method advances, and that it fits a chain.
+"""State of a probe, and checks that it fits a chain.
 
-Kernels are compiled without bounds checks: no array of a caller may make one read or write outside it.
+Kernels are compiled without bounds checks, so arrays from callers must be checked here.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
 class State(NamedTuple):
     """Displacement and velocity (n + 1, 3), memory of the last step (n + 1, w), axial force of each element (n + 1,).
 
-    What ``memory`` is belongs to the method: the acceleration (Newmark, Wilson), the mean velocity of the last step
-    (implicit), the fields GX, GY, GT of a lane (imex), momenta and modes in the rows of floats (superelement);
-    ``explicit`` has none. Its width w is ``Method.memory``, 3 mostly.
+    ``memory`` depends on the method: acceleration (Newmark, Wilson), mean velocity of the last step (implicit), the
+    fields GX, GY, GT of a lane (imex), momenta and modes in the rows of floats (superelement); ``explicit`` does not
+    use it. Its width w is ``Method.memory``, usually 3.
 
     ``axial_force[i]`` is Vbar of (8) at node i, on its root side; the last entry is unused.
     """
@@ -32,18 +32,17 @@ class State(NamedTuple):
 
 
 def at_rest(nodes: int, memory: int = 3) -> State:
-    """All zero, the study's start; ``memory`` of a method, see ``Method.memory``."""
+    """All zero, the initial state of the study; ``memory`` is ``Method.memory``."""
     return State(np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, memory)), np.zeros(nodes))
 
 
 def check_array(name: str, array: object, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-    """Raise ValueError unless this is a writable, contiguous array of a shape (-1: any) and a type."""
+    """Raise ValueError unless ``array`` is writable, contiguous and has a shape (-1: any) and a type."""
     if not isinstance(array, np.ndarray):
         raise ValueError(f"{name} is a {type(array).__name__}, not an array")
-    fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
-    if not fits:
-        wanted = ", ".join("any" if size < 0 else str(size) for size in shape)
-        raise ValueError(f"{name} has shape {array.shape}; ({wanted}) is accepted")
+    if array.ndim != len(shape) or any(n not in (-1, size) for n, size in zip(shape, array.shape, strict=True)):
+        accepted = ", ".join("any" if size < 0 else str(size) for size in shape)
+        raise ValueError(f"{name} has shape {array.shape}; ({accepted}) is accepted")
     if array.dtype != dtype:
         raise ValueError(f"{name} has type {array.dtype}; {np.dtype(dtype)} is accepted")
     if not (array.flags.c_contiguous and array.flags.writeable):

@@ -1,4 +1,4 @@
-"""Many probes, those of the fast schemes in lanes, their groups on threads: the batch counterpart of Simulator."""
+"""Simulator of many probes: the fast methods compute groups of probes in vector lanes, threads compute groups."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from probe_env.settings import whole_steps
 
 
 def groups_of(simulators: Sequence[Simulator], running: Sequence[int]) -> list[list[int]]:
-    """Which of the ``running`` probes advance together: of a kind, about equally long, as many as there are lanes.
+    """Groups of the ``running`` probes: of equal kind, similar length, and at most as many as the method has lanes.
 
-    So few that each by itself takes less time do that. All are of one method.
+    A group that is faster as single probes is split. All probes have one method.
     """
     kinds: dict[Hashable, list[int]] = {}
     for k in sorted(running, key=lambda k: simulators[k].root):
@@ -37,20 +37,20 @@ def groups_of(simulators: Sequence[Simulator], running: Sequence[int]) -> list[l
         method = simulators[same[0]].method
         for start in range(0, len(same), method.width):
             group = same[start : start + method.width]
-            groups += [[k] for k in group] if len(group) * method.alone_share < 1.0 else [group]
+            groups += [[k] for k in group] if len(group) * method.single_share < 1.0 else [group]
     return groups
 
 
 def advance_group(members: Sequence[Simulator], steps: int, every: int) -> tuple[list[FloatArray], float]:
-    """Advance probes side by side; one that diverges stops, the others go on.
+    """Advance a group of probes; a probe that diverges stops, the others continue.
 
     Args:
-        members: the probes of a group.
-        steps: to do.
-        every: so many steps a sample is taken.
+        members: the probes.
+        steps: number of steps.
+        every: steps between samples.
 
     Returns:
-        samples (k, 2, 4) of sensor and root of each, zero from its divergence on; seconds that the kernels took.
+        samples (k, 2, 4) of sensor and root of each probe, zero after divergence; run time of the kernels [s].
     """
     none = np.zeros(0)
     samples = [
@@ -62,26 +62,26 @@ def advance_group(members: Sequence[Simulator], steps: int, every: int) -> tuple
         running = [k for k, simulator in enumerate(members) if not simulator.diverged]
         if not running:
             break
-        going, written = [members[k] for k in running], [samples[k] for k in running]
-        seconds += advance_together(going, written, done, min(steps - done, STEPS_PER_CALL))
-    return [own.rows for own in samples], seconds
+        probes, records = [members[k] for k in running], [samples[k] for k in running]
+        seconds += advance_together(probes, records, done, min(steps - done, STEPS_PER_CALL))
+    return [record.rows for record in samples], seconds
 
 
 class SimulatorBatch:
-    """N probes that are advanced together; each equals, bit for bit, a ``Simulator`` of its own.
+    """Simulates N probes together; each is equal bit for bit to a single ``Simulator``.
 
     Args:
-        scenes: one a probe; they may differ in everything.
-        method: as for ``Simulator``; "imex", "superelement" and "explicit" run four probes side by side in
-            vector registers, "imex32" and "superelement32" eight; one probe by superelements, two by
-            "superelement32", run each by itself.
+        scenes: one per probe; they may differ in all fields.
+        method: as for ``Simulator``; "imex", "superelement" and "explicit" compute four probes at once in vector
+            registers, "imex32" and "superelement32" eight. One probe with superelements, or two with
+            "superelement32", are computed one by one.
         time_step: [s].
         nodes_per_pitch: nodes in one float pitch.
-        threads: at most so many; default: the cores of this process.
-        seeds: of each probe's start perturbation; default 0, 1, 2, ...
-        options: of ``Simulator``, the same for all.
+        threads: greatest number of threads; default: the cores of this process.
+        seeds: of the initial perturbation of each probe; default 0, 1, 2, ...
+        options: of ``Simulator``, equal for all probes.
 
-    ``kernel_seconds`` adds up what the kernels took, over all threads.
+    ``kernel_seconds`` is the run time of the kernels, summed over all threads.
 
     Raises:
         ValueError: an argument is not valid.
@@ -111,7 +111,7 @@ class SimulatorBatch:
         ]
         self.time_step, self.nodes_per_pitch = time_step, nodes_per_pitch
         self.kernel_seconds = 0.0
-        # the two samples before a window, for differences across its start: every probe comes from rest
+        # the two samples before a window, for differences at its start; initially at rest
         self._before = [np.zeros((2, 3)) for _ in scenes]
 
     def __len__(self) -> int:
@@ -123,15 +123,15 @@ class SimulatorBatch:
         )
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        """A copy of everything that changes with time, for ``restore``, and the arguments of the probes."""
         probes = [s.snapshot() for s in self.simulators]
         return {"format": FORMAT, "probes": probes, "before": [before.copy() for before in self._before]}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Back to a snapshot of this batch, or of one with the same probes in the same places.
+        """Restore a snapshot of this batch, or of one with equal probes in the same order.
 
         Raises:
-            ValueError: not such a snapshot; names the probe and the field. Nothing has been changed then.
+            ValueError: not such a snapshot; names the probe and the field. The batch is unchanged.
         """
         saved = check_names("snapshot", check_format("snapshot", snapshot), ("format", "probes", "before"))
         for name in ("probes", "before"):
@@ -141,7 +141,7 @@ class SimulatorBatch:
         for k, (simulator, state, before) in enumerate(
             zip(self.simulators, saved["probes"], saved["before"], strict=True)
         ):
-            simulator.checked(state, f"snapshot: probe {k}")
+            simulator.validate_snapshot(state, f"snapshot: probe {k}")
             check_array(f"snapshot: before[{k}]", before, (2, 3))
         for simulator, state in zip(self.simulators, saved["probes"], strict=True):
             simulator.restore(state)
@@ -151,25 +151,25 @@ class SimulatorBatch:
         return {"format": FORMAT} | self.__dict__
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        given = dict(check_format("pickled SimulatorBatch", saved))
-        del given["format"]
-        self.__dict__.update(given)
+        state = dict(check_format("pickled SimulatorBatch", saved))
+        del state["format"]
+        self.__dict__.update(state)
 
     def branch(self, which: Sequence[int], scenes: Mapping[int, Scene] | None = None) -> SimulatorBatch:
-        """A batch of copies of some of its probes, in their present state: what a controller tries out.
+        """A batch of independent copies of some probes in their present state, for predictions.
 
         Args:
-            which: probes, each as often as copies of it are wanted.
-            scenes: of probes that go on in another scene with the same mesh.
+            which: indices of the probes; repeat an index for several copies.
+            scenes: new scenes by index, with the same mesh; default: unchanged.
 
         Raises:
-            ValueError: ``which`` is empty or names no probe of these, or a state does not fit its scene.
+            ValueError: ``which`` is empty or has an invalid index, or a state does not fit its scene.
         """
         if not len(which):
-            raise ValueError("which is empty: name at least one probe")
-        for place, k in enumerate(which):
+            raise ValueError("which is empty: give at least one index")
+        for index, k in enumerate(which):
             if not isinstance(k, int | np.integer) or not -len(self) <= k < len(self):
-                raise ValueError(f"which[{place}] = {k!r} is none of {len(self)} probes, counted from 0")
+                raise ValueError(f"which[{index}] = {k!r} is none of {len(self)} probes, counted from 0")
         new = copy.copy(self)
         first = {k: self.simulators[k].branch((scenes or {}).get(k)) for k in set(which)}
         new.simulators = [first[k].branch() for k in which]
@@ -178,14 +178,14 @@ class SimulatorBatch:
         return new
 
     def replace(self, index: int, simulator: Simulator) -> None:
-        """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
-        own, other = (
+        """Replace a probe by another one at rest with equal method, time step and nodes per pitch."""
+        here, other = (
             {"method": s.method.name, "time_step": s.time_step, "nodes_per_pitch": s.nodes_per_pitch}
             for s in (self, simulator)
         )
         for name, value in other.items():
-            if value != own[name]:
-                raise ValueError(f"{name} = {value!r} differs from the batch's {own[name]!r}")
+            if value != here[name]:
+                raise ValueError(f"{name} = {value!r} differs from the batch's {here[name]!r}")
         self.simulators[index] = simulator
         self._before[index] = np.zeros((2, 3))
 
@@ -198,12 +198,12 @@ class SimulatorBatch:
         active: npt.NDArray[np.bool_] | None = None,
         keep_samples: bool = False,
     ) -> Window:
-        """Advance all active probes by ``duration`` towards new targets (a value, (N,) values, or None: as before).
+        """Advance all active probes by ``duration`` with new targets: a value, (N,) values, or None for unchanged.
 
-        A probe that diverges is reported in the window and left out from then on; the others go on.
+        A probe that diverges is reported in the window and no longer advanced; the others continue.
 
         Raises:
-            ValueError: an argument is not valid, or the samples would not fit; nothing was advanced.
+            ValueError: an argument is not valid, or the samples exceed the memory limit; nothing was advanced.
         """
         count = len(self)
         steps = whole_steps("duration", duration, self.time_step)
@@ -217,17 +217,17 @@ class SimulatorBatch:
             simulator.check_targets(speed, air)
         chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
         if chosen.shape != (count,):
-            raise ValueError(f"active of shape {chosen.shape}: one truth value for each of {count} probes")
+            raise ValueError(f"active has shape {chosen.shape}; ({count},), a value for each probe, is accepted")
         running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
-        for k in running:  # all before any: the kernels check no bounds
+        for k in running:  # before any advances: the kernels check no bounds
             self._check_fits(k)
         check_size(steps // every + 2, count)
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
         groups = groups_of(self.simulators, running)
-        with ThreadPoolExecutor(self.threads) as pool:  # starts a thread with the first group that it is given
-            mapped = pool.map if len(groups) > 1 else map  # to hand over to a thread waits on a busy processor
+        with ThreadPoolExecutor(self.threads) as pool:  # starts no thread before its first task
+            mapped = pool.map if len(groups) > 1 else map  # starting a thread takes long on a busy processor
             members = ([self.simulators[k] for k in group] for group in groups)
             for group, (samples, seconds) in zip(
                 groups, mapped(lambda group: advance_group(group, steps, every), members), strict=True

@@ -21,18 +21,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CHANNELS: Final = 4
-"""Of a sample: x, y, theta and V."""
+"""Values of a sample: x, y, theta and V."""
 QUANTITIES: Final = {"axial": "m", "radial": "m", "rotation": "rad", "tension": "N"}
 """Signals of a run and their units."""
+Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Whole-probe snapshots (the study's figure 19); s snapshots of n + 1 nodes, entrance first.
+    """Snapshots of the whole probe (figure 19 of the study); s snapshots of n + 1 nodes, entrance first.
 
     Attributes:
         time: (s,) [s].
-        position: (n + 1,) distance from the tube's entrance of the unstretched probe [m].
+        position: (n + 1,) distance from the entrance of the tube, unstretched probe [m].
         axial, radial: (s, n + 1) displacement [m].
         rotation: (s, n + 1) [rad].
         tension: (s, n) axial force of the elements [N].
@@ -51,18 +52,18 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Run:
-    """Signals of p points at k sample times; the first sample is the start of the run.
+    """Signals of p points at k sample times; the first sample is the initial state.
 
     Attributes:
         time: (k,) [s].
-        axial, radial: (k, p) displacement from the unstretched probe that moves at the feed speed [m].
+        axial, radial: (k, p) displacement from an unstretched probe moving at the feed speed [m].
         rotation: (k, p) [rad].
         tension: (k, p) axial force in the element on the point's root side [N]; for the root, ahead of it.
         points: names of the points, in the order of the columns.
-        distance_from_tip: (p,) of the node taken for each point [m].
+        distance_from_tip: (p,) of the node of each point [m].
         mean_tension: (n,) axial force of every element, mean of all samples after the first [N].
-        position: (n,) distance of the elements' middle from the tube's entrance [m], entrance first.
-        shapes: snapshots, if any were asked for.
+        position: (n,) distance of the middle of each element from the entrance of the tube [m], entrance first.
+        shapes: requested snapshots, or None.
     """
 
     time: FloatArray
@@ -93,8 +94,8 @@ class Run:
         return float(self.time[1] - self.time[0]) if len(self.time) > 1 else float("nan")
 
     def to_pandas(self) -> pd.DataFrame:
-        """The signals over ``time_s``, a column a point and quantity: ("sensor", "radial_m") and so on."""
-        import pandas as pd  # which takes half a second to load
+        """Signals over ``time_s``, a column for each point and quantity, such as ("sensor", "radial_m")."""
+        import pandas as pd  # takes half a second
 
         columns = {
             (point, f"{name}_{unit.lower()}"): getattr(self, name)[:, k]
@@ -104,7 +105,7 @@ class Run:
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time_s"))
 
     def summary(self) -> pd.DataFrame:
-        """Rms about the mean and largest magnitude of every signal, SI units; a row a point."""
+        """Rms about the mean and largest magnitude of every signal, SI units; a row for each point."""
         import pandas as pd
 
         frame = self.to_pandas()
@@ -120,14 +121,14 @@ class Run:
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def plot(self, quantity: str = "radial", **options: Any) -> Any:
-        """Draw a quantity of all points over time; needs matplotlib.
+        """Plot a quantity of all points over time; needs matplotlib.
 
         Args:
             quantity: one of ``QUANTITIES``.
             options: of ``pandas.DataFrame.plot``.
 
         Returns:
-            matplotlib's axes.
+            the axes.
 
         Raises:
             ValueError: no such quantity.
@@ -146,7 +147,7 @@ class Run:
         return f"<Run of {span}, {len(self.time)} samples; radial rms [mm]: {rms}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """Table of ``summary`` for notebooks."""
         return f"<p>{self.time[0]:g} to {self.time[-1]:g} s, {len(self.time)} samples</p>{self.summary().to_html()}"
 
 
@@ -156,31 +157,31 @@ def point_name(point: str | float) -> str:
 
 
 @contextmanager
-def shown(progress: Callable[[float], None] | bool, start: float, duration: float) -> Iterator[Callable[[float], None]]:
-    """What to call with the simulated time [s]: nothing, a bar's update, or a given function."""
+def progress_bar(progress: Progress | bool, start: float, duration: float) -> Iterator[Progress]:
+    """A function of the simulated time [s] that updates a progress bar, or the function given as ``progress``."""
     if callable(progress):
         yield progress
         return
     with tqdm(total=round(duration, 6), unit="s", disable=not progress) as bar:
 
-        def tell(time: float) -> None:
+        def report(time: float) -> None:
             bar.update(round(time - start, 6) - bar.n)
 
-        yield tell
+        yield report
 
 
 MOST_SAMPLES: Final = 2**31
-"""Bytes that the samples of one call may take."""
+"""Greatest size of the samples of one call [bytes]."""
 
 
 class Samples(NamedTuple):
-    """Samples of p points, taken every so many steps of an advance; a kernel writes them.
+    """Arrays in which a kernel stores samples of p points.
 
     Attributes:
-        every: so many steps.
-        points: (p,) nodes, -1: the root, which moves as the probe grows.
+        every: steps between samples.
+        points: (p,) nodes; -1 is the root, which moves as the probe grows.
         rows: (k, p, 4) x, y, theta and V.
-        tension_sum: (n + 1,), gains the axial force of every sample; empty: not asked for.
+        tension_sum: (n + 1,) sum of the axial forces of all samples; empty if not requested.
     """
 
     every: int
@@ -189,23 +190,23 @@ class Samples(NamedTuple):
     tension_sum: FloatArray
 
     def due(self, done: int, steps: int) -> FloatArray:
-        """The rows that fall due in so many steps after those that are done."""
+        """Rows to be filled in ``steps`` steps after ``done`` steps."""
         return self.rows[done // self.every : (done + steps) // self.every]
 
 
-class Recording:
-    """Signals of p points every so many steps of a run, from its start on, and snapshots when told to.
+class Recorder:
+    """Records signals of p points and snapshots of a run.
 
     Args:
-        chain: of the probe.
-        state: at the start.
-        root: node that is held at the start.
-        nodes: (p,) that are sampled, -1: the root, which moves as the probe grows.
-        steps: of the run.
-        every: so many steps a sample.
+        chain: the probe.
+        state: initial state.
+        root: node that is held initially.
+        nodes: (p,) sampled nodes; -1 is the root, which moves as the probe grows.
+        steps: number of steps of the run.
+        every: steps between samples.
 
     Raises:
-        ValueError: the samples would not fit in memory.
+        ValueError: the samples exceed ``MOST_SAMPLES``.
     """
 
     def __init__(
@@ -218,12 +219,12 @@ class Recording:
         self.shapes: list[tuple[float, FloatArray, FloatArray]] = []
         ticm.record(state, root, nodes, self.signals, 0, np.zeros(chain.node_count))
 
-    def keep_shape(self, time: float, state: State) -> None:
-        """Take a snapshot, at a time [s]."""
+    def add_snapshot(self, time: float, state: State) -> None:
+        """Add a snapshot at a time [s]."""
         self.shapes.append((time, state.d.copy(), state.axial_force.copy()))
 
-    def as_run(self, first: int, time_step: float, points: Sequence[str | float]) -> Run:
-        """All that was kept, of a run that began after ``first`` steps of ``time_step`` [s]."""
+    def to_run(self, first: int, time_step: float, points: Sequence[str | float]) -> Run:
+        """The recorded run; it began after ``first`` steps of ``time_step`` [s]."""
         h, root, signals, (every, nodes, _, tension_sum) = self.element_length, self.root, self.signals, self.samples
         return Run(
             time=(first + every * np.arange(len(signals))) * time_step,
@@ -256,8 +257,8 @@ def node_of(point: str | float, sensor: int, length: float, element_length: floa
 
     Args:
         point: "sensor", "tip", "root" or a distance from the tip [m].
-        sensor: its node.
-        length: that is inserted [m].
+        sensor: node of the sensor.
+        length: inserted length [m].
         element_length: [m].
 
     Raises:
@@ -276,17 +277,17 @@ def node_of(point: str | float, sensor: int, length: float, element_length: floa
 
 
 def check_size(rows: int, points: int) -> None:
-    """Raise ValueError where the samples would take more than ``MOST_SAMPLES`` bytes."""
+    """Raise ValueError if the samples need more than ``MOST_SAMPLES`` bytes."""
     size = 8 * CHANNELS * rows * points
     if size > MOST_SAMPLES:
         raise ValueError(
             f"duration, sample_period, points: {rows} samples of {points} points take {size / 2**30:.3g} GiB, more than"
-            f" {MOST_SAMPLES / 2**30:g}: sample less often or fewer points, or advance in pieces"
+            f" {MOST_SAMPLES / 2**30:g}: increase sample_period, reduce points or advance in several calls"
         )
 
 
 def snapshot_steps(snapshots: Sequence[float], time_step: float, first: int, steps: int) -> list[int]:
-    """Steps of a run that begins with step ``first`` after which its snapshots are due, from their times [s].
+    """Steps after which snapshots are due, from their times [s], for a run that begins with step ``first``.
 
     Raises:
         ValueError: not on a time step of the run, or not ascending.

@@ -1,4 +1,4 @@
-"""Saved states, and that one fits where it is put back: an error names field, what was found and what is accepted."""
+"""Checks of snapshots and pickles before they are restored; errors name the field, its value and the accepted one."""
 
 from __future__ import annotations
 
@@ -6,56 +6,51 @@ from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 FORMAT: Final = 5
-"""Of snapshots and pickles; goes up whenever what a simulator, its drive or a batch holds changes."""
+"""Version of snapshots and pickles; increase it when the attributes of a simulator, its drive or a batch change."""
 
 
 def check_format(what: str, saved: object) -> Mapping[str, Any]:
-    """What was saved, as a mapping.
+    """The saved mapping, if its format is ``FORMAT``.
 
     Raises:
-        ValueError: of another version, or nothing of the kind.
+        ValueError: another format, or not a mapping.
     """
-    given = saved.get("format") if isinstance(saved, Mapping) else None
-    if not isinstance(saved, Mapping) or given != FORMAT or isinstance(given, bool):
-        description = (
-            f"format = {given!r}" if isinstance(saved, Mapping) else f"a {type(saved).__name__} without a format"
-        )
-        raise ValueError(f"{what}: {description} cannot be read; this version reads format {FORMAT}: save it anew")
+    version = saved.get("format") if isinstance(saved, Mapping) else None
+    if not isinstance(saved, Mapping) or version != FORMAT or isinstance(version, bool):
+        kind = f"format = {version!r}" if isinstance(saved, Mapping) else f"a {type(saved).__name__} without a format"
+        raise ValueError(f"{what}: {kind} cannot be read; this version reads format {FORMAT}: save it again")
     return saved
 
 
-def check_names(what: str, given: object, expected: Collection[str]) -> Mapping[str, Any]:
-    """A mapping with exactly the expected names.
+def check_names(what: str, saved: object, expected: Collection[str]) -> Mapping[str, Any]:
+    """The saved mapping, if it has exactly the expected names.
 
     Raises:
-        ValueError: names one that is missing or unknown.
+        ValueError: a name is missing or unknown.
     """
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{what} is a {type(given).__name__}, not a mapping of {', '.join(sorted(expected))}")
-    for description, names in (
-        ("is missing", set(expected) - set(given)),
-        ("is not known", set(given) - set(expected)),
-    ):
+    if not isinstance(saved, Mapping):
+        raise ValueError(f"{what} is a {type(saved).__name__}, not a mapping of {', '.join(sorted(expected))}")
+    for problem, names in (("missing", set(expected) - set(saved)), ("unknown", set(saved) - set(expected))):
         if names:
-            raise ValueError(f"{what}: {min(names, key=str)!r} {description}; it has {', '.join(sorted(expected))}")
-    return given
+            raise ValueError(f"{what}: {min(names, key=str)!r} is {problem}; it has {', '.join(sorted(expected))}")
+    return saved
 
 
-def check_same(what: str, given: object, expected: Mapping[str, Any], path: str = "") -> None:
-    """Raise ValueError, with the dotted name, at the first field in which nested mappings differ."""
-    given = check_names(f"{what}: {path.rstrip('.') or 'built'}", given, expected)
-    for name, wanted in expected.items():
-        if isinstance(wanted, Mapping):
-            check_same(what, given[name], wanted, f"{path}{name}.")
-        elif type(given[name]) is not type(wanted) or given[name] != wanted:
-            raise ValueError(f"{what}: {path}{name} = {given[name]!r}; here it is {wanted!r}")
+def check_same(what: str, saved: object, expected: Mapping[str, Any], path: str = "") -> None:
+    """Raise ValueError with the dotted name of the first field in which nested mappings differ."""
+    saved = check_names(f"{what}: {path.rstrip('.') or 'built'}", saved, expected)
+    for name, required in expected.items():
+        if isinstance(required, Mapping):
+            check_same(what, saved[name], required, f"{path}{name}.")
+        elif type(saved[name]) is not type(required) or saved[name] != required:
+            raise ValueError(f"{what}: {path}{name} = {saved[name]!r}; here it is {required!r}")
 
 
-def check_types(what: str, given: Mapping[str, Any], expected: Mapping[str, type]) -> None:
-    """Raise ValueError at the first field that is of another type; whole numbers must not be negative."""
-    for name, wanted in expected.items():
-        value = given[name]
-        if type(value) is not wanted or (isinstance(value, int) and value < 0):
-            least = " of 0 or more" if wanted is int else ""
+def check_types(what: str, saved: Mapping[str, Any], expected: Mapping[str, type]) -> None:
+    """Raise ValueError with the first field of another type; whole numbers must not be negative."""
+    for name, required in expected.items():
+        value = saved[name]
+        if type(value) is not required or (isinstance(value, int) and value < 0):
+            least = " of 0 or more" if required is int else ""
             description = f"= {value!r}" if isinstance(value, int | float | str | None) else f"({type(value).__name__})"
-            raise ValueError(f"{what}: {name} {description} is not {wanted.__name__}{least}")
+            raise ValueError(f"{what}: {name} {description} is not {required.__name__}{least}")

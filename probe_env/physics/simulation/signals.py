@@ -1,4 +1,4 @@
-"""Statistics of sampled signals: one definition for reports, environments and tests."""
+"""Statistics of sampled signals, for reports, environments and tests."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from scipy.signal import csd, find_peaks, welch
 from probe_env.arrays import FloatArray
 from probe_env.physics.simulation.run import Run
 
-SAMPLE_PERIOD = 1e-3  # [s], of the sensor's signals wherever they are heard, drawn or judged
-LOWEST_FREQUENCY = 2.0  # [Hz]; slower is drift of the mean, not ringing
-QUIET = 1e-9  # [m]; below a nanometre a spectrum shows rounding, not motion
+SAMPLE_PERIOD = 1e-3  # [s], of the sensor signals in detection, plots and scores
+LOWEST_FREQUENCY = 2.0  # [Hz]; slower motion is drift of the mean, not vibration
+QUIET = 1e-9  # [m]; the spectrum of a smaller signal is rounding
 
 
 def dominant_frequencies(signal: FloatArray, sample_period: float, count: int = 3) -> tuple[float, ...]:
     """Frequencies [Hz] of the highest peaks of the Welch spectrum above 2 Hz, strongest first.
 
-    Hann windows of 2 s (or the whole signal, if shorter), half overlapping, so 0.5 Hz apart. Empty for a
-    signal at rest.
+    Hann windows of 2 s (or the whole signal, if shorter) with half overlap; the resolution is 0.5 Hz. Empty for a
+    constant signal.
     """
     if np.ptp(signal) < QUIET:
         return ()
@@ -29,7 +29,7 @@ def dominant_frequencies(signal: FloatArray, sample_period: float, count: int = 
 
 
 def common_frequency(first: FloatArray, second: FloatArray, sample_period: float) -> float:
-    """Frequency [Hz] above 2 Hz at which two signals share most power: peak of their cross-spectrum."""
+    """Frequency [Hz] of the highest peak of the cross-spectrum of two signals above 2 Hz."""
     if min(np.ptp(first), np.ptp(second)) < QUIET:
         return float("nan")
     segment = min(len(first), round(2.0 / sample_period))
@@ -44,13 +44,13 @@ def window_statistics(
     """Statistics of N probes over a window of k samples, each (N,), in SI units.
 
     Args:
-        axial: (k + 2, N) displacement [m]; the first two samples are those before the window, for the
-            differences: velocity is the first, acceleration the second difference of the samples.
-        radial: likewise.
+        axial: (k + 2, N) displacement [m]; the first two samples are those before the window. Velocity is the
+            first, acceleration the second difference of the samples.
+        radial: (k + 2, N) displacement [m].
         tension: (k + 2, N) [N].
-        sample_period: [s]; half its inverse bounds the band of velocity and acceleration.
+        sample_period: [s]; velocity and acceleration are limited to frequencies up to half its inverse.
 
-    rms is the standard deviation about the window's own mean; displacement p99 and max are of y itself
+    rms is the standard deviation about the mean of the window; p99 and max of displacement are of the signed value
     (positive: off the inner wall), those of acceleration are of its magnitude.
     """
     values: dict[str, FloatArray] = {}
@@ -74,10 +74,10 @@ def window_statistics(
 
 
 def point_statistics(run: Run, point: str | float = "sensor", start: float = 2.0) -> dict[str, float]:
-    """Statistics of one point of a run from time ``start`` [s] on, NaN where there is no spectral peak.
+    """Statistics of one point of a run from time ``start`` [s] on; NaN if there is no spectral peak.
 
-    Those of ``window_statistics`` (the first two samples only serve its differences), the drift of the axial
-    mean, and the highest peaks above 2 Hz of the axial and radial spectrum and of their cross-spectrum.
+    They are those of ``window_statistics`` (the first two samples are used for differences only), the drift of the
+    axial mean, and the highest peaks above 2 Hz of the axial and radial spectrum and of their cross-spectrum.
 
     Raises:
         ValueError: fewer than 16 samples after ``start``, or the point was not recorded.

@@ -1,4 +1,4 @@
-"""One probe: state, driving, stepping, sampling, and an error when the state diverges."""
+"""Simulator of one probe: drive, time stepping, sampling, and an error if the state diverges."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import State, at_rest, check_points, check_state
-from probe_env.physics.simulation.run import Recording, Run, Samples, node_of, shown, snapshot_steps
+from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_bar, snapshot_steps
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
-from probe_env.settings import check_known, whole_steps, within
+from probe_env.settings import check_keywords, whole_steps, within
 
 STEPS_PER_CALL: Final = 2000
-"""Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
+"""Most steps in one kernel call; progress and interrupts are handled between calls."""
 
 
 class Options(TypedDict, total=False):
-    """How a probe starts and is fed; see ``Simulator`` for what they mean."""
+    """Options of the start and the feed of a probe, documented in ``Simulator``."""
 
     solver: str
     growing: bool
@@ -45,70 +45,69 @@ DEFAULTS: Final[Options] = {
 
 
 def advance_together(simulators: Sequence[Simulator], samples: Sequence[Samples], done: int, steps: int) -> float:
-    """Advance probes of one method and kind side by side; a probe by itself is a group of one.
+    """Advance a group of probes of one method and kind; a group may have one probe.
 
-    A probe that diverges keeps its error, and its samples end there.
+    A probe that diverges stores its error and takes no more samples.
 
     Args:
-        simulators: the probes, with equal steps and nodes a pitch.
-        samples: of each, with equal periods and as many points.
-        done: steps since the first of these began.
-        steps: to do, at most ``STEPS_PER_CALL`` by custom.
+        simulators: the probes, with equal time steps and nodes per pitch.
+        samples: of each probe, with equal periods and equally many points.
+        done: steps since the first sample period began.
+        steps: number of steps, normally at most ``STEPS_PER_CALL``.
 
     Returns:
-        seconds that the kernel took.
+        run time of the kernel [s].
     """
     first = simulators[0]
     lanes = [
-        Lane(s.constants, s.state, s.root, s.inputs_of_steps(steps), own.points, own.due(done, steps), own.tension_sum)
-        for s, own in zip(simulators, samples, strict=True)
+        Lane(s.constants, s.state, s.root, s.inputs_of_steps(steps), r.points, r.due(done, steps), r.tension_sum)
+        for s, r in zip(simulators, samples, strict=True)
     ]
     every = samples[0].every
     seconds = first.method.run(lanes, first.time_step, first.nodes_per_pitch, every - done % every, every)
     for simulator, lane in zip(simulators, lanes, strict=True):
-        simulator.note(lane, steps)
+        simulator.take_result(lane, steps)
     return seconds
 
 
 class Simulator:
-    """Advances one probe, of constant length or growing as it is fed in.
+    """Simulates one probe, of constant length or growing during insertion.
 
-    ``iterations`` and ``unconverged_steps`` count, since the start, the iterations of ``implicit`` and its steps
-    in which they did not converge (see ``methods.implicit`` for what is done then).
+    ``iterations`` and ``unconverged_steps`` count the iterations of ``implicit`` since the start, and the steps in
+    which they did not converge (see ``methods.implicit``).
 
     Args:
-        scene: what to simulate; its carrier length is the one at the start.
-        method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), the study's table 1; "imex", the fast
-            scheme; "superelement", a converged mesh condensed to its floats, which environments have; "imex32" and
-            "superelement32", the same in single precision, for batches; "implicit", which holds with any step;
-            "explicit", central differences.
-        time_step: [s], > 0, for imex32 and superelement32 at least 5e-5. Beyond ``stable_time_step`` a
-            ``StabilityWarning`` is given, nothing refused.
+        scene: tube, probe and inputs; its carrier length is the initial one.
+        method: "newmark" (beta 1/4, gamma 1/2) or "wilson" (theta 1.4), table 1 of the study; "imex", a fast
+            implicit-explicit scheme; "superelement", a converged mesh condensed to its floats, the method of the
+            environments; "imex32" and "superelement32", the same in single precision, for batches; "implicit", stable
+            at any step; "explicit", central differences.
+        time_step: [s], > 0, for imex32 and superelement32 at least 5e-5. A step above ``stable_time_step`` causes a
+            ``StabilityWarning``.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         seed: of the perturbation.
         options: ``solver`` of the linear system of a step: "ticm" (default), "banded" (LAPACK) or "transfer-matrix";
-            ``growing`` (default False): feed the probe in: nodes are appended at the root as cable enters, up to the
-            helix's end;
-            ``time_lapse`` (default 1, the truth): length fed in per length travelled, >= 1: the length grows faster
-            than the clock while the dynamics keep the true speed;
-            ``ramp`` (default: none): greatest change of the feed speed [m/s2];
-            ``air_lag`` (default 0): time constant with which the air supply follows its target [s];
-            ``perturbation`` (default 0, the study's start): standard deviation of a random radial start displacement of
-            all nodes [m], to get independent members of an ensemble;
-            ``start`` (default "inner"): the wall that the probe lies on at rest; "outer" is for the return, in which it
-            is pressed there: from the inner wall it would have to fall across the tube.
+            ``growing`` (default False): append nodes at the root as cable enters, up to the end of the helix;
+            ``time_lapse`` (default 1, real time): length fed in per length travelled, >= 1: the length grows faster
+            than the feed speed, which the dynamics keep;
+            ``ramp`` (default: no limit): greatest change of the feed speed [m/s2];
+            ``air_lag`` (default 0): time constant of the air supply [s];
+            ``perturbation`` (default 0, as in the study): standard deviation of random initial radial displacements of
+            all nodes [m], for independent members of an ensemble;
+            ``start`` (default "inner"): wall on which the probe lies initially; use "outer" for withdrawal, in which
+            compression presses the probe against the outer wall.
 
     Raises:
-        ValueError: an argument is not valid; names it, its value and what is accepted.
-        TypeError: there is no such option.
+        ValueError: an argument is not valid; names argument, value and accepted range.
+        TypeError: unknown option.
     """
 
     BUILT: Final = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
-    """Those that a state depends on, with the scene."""
+    """Arguments that, with the scene, must be equal for a snapshot to be restored."""
     FIXED: Final = frozenset(BUILT) | {
         "scene", "perturbation", "seed", "start", "chain", "sensor", "stable_time_step", "_start_root", "constants",
     }  # fmt: skip
-    """Attributes that nothing changes after the constructor; all others are in a snapshot."""
+    """Attributes that do not change after the constructor; all others are in a snapshot."""
 
     def __init__(
         self,
@@ -120,25 +119,25 @@ class Simulator:
         seed: int = 0,
         **options: Unpack[Options],
     ) -> None:
-        check_known(type(self).__name__, options, DEFAULTS)
-        given = DEFAULTS | options
-        self.method: Final = method_named(method, given["solver"])
+        check_keywords(type(self).__name__, options, DEFAULTS)
+        settings = DEFAULTS | options
+        self.method: Final = method_named(method, settings["solver"])
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
         check_step(self.method, time_step)
-        within("time_lapse", given["time_lapse"], 1.0, 1000.0, "")
-        within("ramp", given["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
-        within("air_lag", given["air_lag"], 0.0, 1e3, "s")
-        within("perturbation", given["perturbation"], 0.0, 1e-3, "m")
-        if given["start"] not in ("inner", "outer"):
-            raise ValueError(f"start = {given['start']!r} is not one of inner, outer")
+        within("time_lapse", settings["time_lapse"], 1.0, 1000.0, "")
+        within("ramp", settings["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
+        within("air_lag", settings["air_lag"], 0.0, 1e3, "s")
+        within("perturbation", settings["perturbation"], 0.0, 1e-3, "m")
+        if settings["start"] not in ("inner", "outer"):
+            raise ValueError(f"start = {options['start']!r} is not one of inner, outer")
         whole = not isinstance(nodes_per_pitch, bool) and nodes_per_pitch == int(nodes_per_pitch)
         if not (whole and 1 <= nodes_per_pitch <= 64):
             raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
-        self.scene, self.solver = scene, given["solver"]
+        self.scene, self.solver = scene, settings["solver"]
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
-        self.growing, self.time_lapse = given["growing"], given["time_lapse"]
-        self.ramp, self.air_lag = given["ramp"], given["air_lag"]
-        self.perturbation, self.seed, self.start = given["perturbation"], seed, given["start"]
+        self.growing, self.time_lapse = settings["growing"], settings["time_lapse"]
+        self.ramp, self.air_lag = settings["ramp"], settings["air_lag"]
+        self.perturbation, self.seed, self.start = settings["perturbation"], seed, settings["start"]
         h = scene.probe.float_pitch / self.nodes_per_pitch
         longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if self.growing else scene.inserted_length
         self.chain = build_chain(scene, self.nodes_per_pitch, longest)
@@ -148,16 +147,18 @@ class Simulator:
         self.check_targets(scene.feed_speed, scene.air_supply_rate)
         self.stable_time_step = self.method.stable_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
+            stable = self.stable_time_step
+            limit = f"is beyond the known stable limit {stable:.2g} s of" if stable else "has no known limit with"
             warnings.warn(
-                f"time_step = {time_step:g} s is beyond the known stable limit {self.stable_time_step:.2g} s of"
-                f" {self.method.name} for this scene; the run stops with SimulationError if it diverges",
+                f"time_step = {time_step:g} s {limit} {self.method.name} for this scene; the run"
+                " stops with SimulationError if it diverges",
                 StabilityWarning,
                 stacklevel=2,
             )
         self.reset()
 
     def reset(self) -> None:
-        """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
+        """Return to the initial state: t = 0, at rest, with length, feed speed and air supply of the scene."""
         self.state = at_rest(self.chain.node_count, self.method.memory)
         self.steps_done, self.root = 0, self._start_root
         self.iterations, self.unconverged_steps = 0, 0
@@ -178,12 +179,10 @@ class Simulator:
             self.state = self.method.at_rest(self.chain, self.nodes_per_pitch, self.time_step, self.root, self.state.d)
 
     def branch(self, scene: Scene | None = None) -> Simulator:
-        """Another one in the same state, which goes on by itself: what a controller tries out, see ``SimulatorBatch``.
-
-        What nothing changes is shared with this one.
+        """An independent copy in the same state, for predictions; constant data are shared.
 
         Args:
-            scene: another one to go on in, with the same mesh; default: this one's.
+            scene: scene of the copy, with the same mesh; default: the scene of this simulator.
 
         Raises:
             ValueError: the state does not fit the scene: another mesh or length.
@@ -208,44 +207,44 @@ class Simulator:
         return new
 
     def hold_length(self) -> None:
-        """Feed without the length growing, until ``feed_length``: a probe that settles inspects nothing."""
+        """Keep the length constant at any feed speed until ``feed_length`` is called, as in settling."""
         self.drive.growth = 0.0
 
     def displace(self, radial: FloatArray) -> None:
-        """Move the free nodes radially by (root,) displacements, tip first [m]: what is not known of a state.
+        """Displace the free nodes radially by ``radial`` (root,), tip first [m], as a disturbance.
 
         Raises:
-            ValueError: of another shape.
+            ValueError: another shape.
         """
         if radial.shape != (self.root,):
             raise ValueError(f"radial of shape {radial.shape}: one displacement for each of {self.root} free nodes")
         self.state.d[: self.root, 1] += radial
 
     def feed_length(self) -> None:
-        """Let the length grow with the feed, where the probe is a growing one."""
+        """Change the length by ``time_lapse`` times the feed, if the probe is growing."""
         self.drive.growth = self.time_lapse if self.growing else 0.0
 
     def follow_length(self) -> None:
-        """Let the length go with the feed as it is, without time-lapse, where the probe is a growing one."""
+        """Change the length by the feed, without time-lapse, if the probe is growing."""
         self.drive.growth = 1.0 if self.growing else 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
+        """A copy of everything that changes with time, for ``restore``, and the arguments of the constructor."""
         return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Back to a snapshot of this simulator, or of one built alike; goes on bit for bit as it did.
+        """Restore a snapshot of this simulator or of one with equal arguments; the run continues with equal bits.
 
-        Alike is all but ``perturbation`` and ``seed``, which only ``reset`` looks at.
+        ``perturbation`` and ``seed`` may differ, because only ``reset`` uses them.
 
         Raises:
-            ValueError: not a snapshot, of another version, or of one built otherwise; names the field, what was found
-                and what is accepted. Nothing has been changed then.
+            ValueError: not a snapshot, another version, or other arguments; names the field, its value and the accepted
+                one. The simulator is unchanged.
         """
-        self.__dict__.update(copy.deepcopy(self.checked(snapshot)))
+        self.__dict__.update(copy.deepcopy(self.validate_snapshot(snapshot)))
 
-    def checked(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
-        """What ``restore`` would take from a snapshot; its errors name it ``what``."""
+    def validate_snapshot(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
+        """The changing part of a snapshot, after checks; errors call the snapshot ``what``."""
         snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
         check_same(what, snapshot["built"], self._built())
         changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
@@ -257,11 +256,11 @@ class Simulator:
         return built | {"method": self.method.name, "scene": self.scene.model_dump()}
 
     def _changing(self) -> dict[str, Any]:
-        """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
+        """All attributes that are not declared as fixed, so that a new attribute is saved by default."""
         return {name: value for name, value in self.__dict__.items() if name not in self.FIXED}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the kernel's constants, which are made again."""
+        """All attributes but the constants of the kernel, which are computed again."""
         return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "constants"}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
@@ -295,27 +294,27 @@ class Simulator:
 
     @property
     def inserted_length(self) -> float:
-        """Cable inside the helix, the part of an element that has not got its node yet included [m]."""
+        """Length of cable inside the helix, including a partial element at the entrance [m]."""
         return self.root * self.chain.element_length + self.drive.travel
 
     @property
     def length_in_helix(self) -> float:
-        """``inserted_length``, and not more than the helix is long [m]."""
+        """``inserted_length``, at most the length of the helix [m]."""
         return min(self.inserted_length, self.scene.tube.helix_length)
 
     @property
     def feed_speed(self) -> float:
-        """Feed speed now [m/s]."""
+        """Present feed speed [m/s]."""
         return self.drive.feed_speed
 
     @property
     def air_supply_rate(self) -> float:
-        """Air supply rate now [m3/s]."""
+        """Present air supply rate [m3/s]."""
         return self.drive.air_speed / air_speed(self.scene, 1.0)
 
     @property
     def tension(self) -> FloatArray:
-        """(n,) axial force of every element now [N], entrance first."""
+        """(n,) present axial force of every element [N], entrance first."""
         return self.state.axial_force[self.root - 1 :: -1].copy()
 
     def run(
@@ -340,22 +339,22 @@ class Simulator:
         snapshots: Sequence[float] = (),
         progress: Callable[[float], None] | bool = False,
     ) -> Run:
-        """Continue for ``duration`` towards new targets of feed speed and air supply.
+        """Continue for ``duration`` with new targets of feed speed and air supply.
 
         Args:
-            feed_speed: target [m/s], -2 to 2, approached within the ramp limit. Below 0 the cable is drawn back, of a
-                growing probe until the sensor is a pitch from the entrance. None: as before.
-            air_supply_rate: target [m3/s], -0.2 to 0.2, below 0 towards the feed device; approached with the air's
-                lag. None: as before.
-            duration: [s], a whole number of time steps; must be given.
+            feed_speed: target [m/s], -2 to 2, approached within the ramp limit. A negative speed withdraws the cable;
+                a growing probe stops with the sensor one pitch from the entrance. None: unchanged.
+            air_supply_rate: target [m3/s], -0.2 to 0.2, negative: towards the feed device; approached with the air
+                lag. None: unchanged.
+            duration: [s], a whole number of time steps; required.
             sample_period: [s], a whole number of time steps.
-            points: "sensor", "tip", "root" or distances from the tip [m] (the nearest node is taken).
-            snapshots: times of whole-probe snapshots [s], ascending, within this run, on a time step;
+            points: "sensor", "tip", "root" or distances from the tip [m] (the nearest node is used).
+            snapshots: ascending times of snapshots of the whole probe [s], on time steps of this run;
                 constant length only.
-            progress: True shows a bar; a function is called now and then with the simulated time [s].
+            progress: True shows a progress bar; a function is called repeatedly with the simulated time [s].
 
         Raises:
-            ValueError: an argument is not valid, or the samples would not fit in memory.
+            ValueError: an argument is not valid, or the samples exceed the memory limit.
             SimulationError: the state diverged, now or in an earlier call.
         """
         steps = whole_steps("duration", duration, self.time_step)
@@ -369,35 +368,35 @@ class Simulator:
         if self._error is not None:
             raise self._error
         self.check_fits()
-        recording = Recording(self.chain, self.state, self.root, nodes, steps, every)
+        recording = Recorder(self.chain, self.state, self.root, nodes, steps, every)
         self.set_targets(feed_speed, air_supply_rate)
         first, done = self.steps_done, 0
-        with shown(progress, self.time, steps * self.time_step) as tell:
+        with progress_bar(progress, self.time, steps * self.time_step) as report:
             while True:
                 if done in stops:
-                    recording.keep_shape(self.time, self.state)
+                    recording.add_snapshot(self.time, self.state)
                 if done == steps:
                     break
-                stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
-                advance_together([self], [recording.samples], done, stretch)
+                count = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
+                advance_together([self], [recording.samples], done, count)
                 if self._error is not None:
                     raise self._error
-                done += stretch
-                tell(self.time)
-        return recording.as_run(first, self.time_step, points)
+                done += count
+                report(self.time)
+        return recording.to_run(first, self.time_step, points)
 
     def inputs_of_steps(self, steps: int) -> FloatArray:
-        """Inputs (steps, 4) of the coming steps, see model/drive.py; the drive moves on to their end."""
+        """Inputs (steps, 4) of the next steps, see model/drive.py; advances the drive to their end."""
         room, spare = self.chain.node_count - 1 - self.root, self.root - self.sensor - self.nodes_per_pitch
         return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room, max(spare, 0))
 
-    def note(self, lane: Lane, steps: int) -> None:
-        """Count the steps that a kernel has done on this state, and keep the error if it diverged."""
+    def take_result(self, lane: Lane, steps: int) -> None:
+        """Update counters after ``steps`` steps of a kernel; store the error if the state diverged."""
         self.steps_done += lane.failed or steps
         self.root = int(lane.root)
         self.iterations += lane.iterations
         self.unconverged_steps += lane.unconverged
-        # the lanes look at floats and the tip only: nothing that is not finite may go on from here
+        # the lanes check floats and the tip only: check that all nodes are finite
         if lane.failed or not np.isfinite(self.state.d[: self.root]).all():
             size = np.abs(self.state.d[: self.root]).max(axis=1)
             worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
@@ -408,55 +407,55 @@ class Simulator:
 
     @property
     def diverged(self) -> bool:
-        """Whether the state has diverged; it is not continued then."""
+        """Whether the state has diverged; it cannot be continued then."""
         return self._error is not None
 
     @property
     def error(self) -> SimulationError | None:
-        """Why the state is not continued, if it has diverged."""
+        """The error of a state that has diverged, or None."""
         return self._error
 
     def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
-        """Raise ValueError if a target, [m/s] or [m3/s], is out of range or not for this method; None is none.
+        """Raise ValueError if a target, [m/s] or [m3/s], is out of range or not supported by the method; None is valid.
 
-        Warns where a probe is pressed or drawn back and the couple of (9) is not fit for it.
+        Warns of withdrawal or compression with a couple (9) that is not valid for it.
         """
         targets = (("feed_speed", feed_speed, 2.0, "m/s"), ("air_supply_rate", air_supply_rate, 0.2, "m3/s"))
         for name, value, most, unit in targets:
             if value is None:
                 continue
             within(name, value, -most, most, unit)
-            if value < 0.0 and not self.method.draws_back:
-                able = names_of(lambda known: known.draws_back)
+            if value < 0.0 and not self.method.simulates_withdrawal:
+                able = names_of(lambda method: method.simulates_withdrawal)
                 raise ValueError(
-                    f"{name} = {value!r} {unit}: {self.method.name} does not simulate the return; {able} do"
+                    f"{name} = {value!r} {unit}: {self.method.name} does not simulate withdrawal; use {able}"
                 )
             if value < 0.0 and self.scene.couple == "frame":
                 warnings.warn(
-                    f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
-                    ' pressed probe, whose root force is some three times too large; couple = "tangent" does not',
+                    f'{name} = {value:g} {unit} with couple = "frame": this couple adds energy to a compressed probe,'
+                    ' and its root force is about three times too large; use couple = "tangent"',
                     StabilityWarning,
                     stacklevel=3,
                 )
 
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
-        """New targets [m/s], [m3/s]; None leaves one as it is."""
+        """Set new targets [m/s], [m3/s]; None leaves a target unchanged."""
         if feed_speed is not None:
             self.drive.feed_speed_target = float(feed_speed)
         if air_supply_rate is not None:
             self.drive.air_speed_target = air_speed(self.scene, float(air_supply_rate))
 
     def set_friction(self, friction: float) -> None:
-        """Slide with another coefficient of friction from now on; a snapshot does not keep it.
+        """Change the coefficient of friction; a snapshot does not contain it.
 
         Raises:
-            ValueError: it is out of range.
+            ValueError: out of range.
         """
         within("friction", friction, 0.0, 1.0, "")
         self.chain = self.chain._replace(friction=float(friction))
         self.constants = self._constants()
 
     def check_fits(self) -> None:
-        """Raise ValueError if the state is not one of this chain any more: its arrays are open to the user."""
+        """Raise ValueError if the state does not fit the chain; users may change its arrays."""
         check_state(self.state, self.root, self.chain.node_count, self.method.memory)
         check_points(np.array([self.sensor]), self.root)

@@ -1,4 +1,4 @@
-"""What a batch shows of a window of time."""
+"""Result of one advance of a batch."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 
-MOST_SHOWN: Final = 8
-"""Probes of a window in its short form."""
+MAX_PRINTED: Final = 8
+"""Probes in the ``repr`` of a window."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """What a window of time showed at the sensor of each of N probes.
+    """Statistics and samples at the sensor of each of N probes over a window of time.
 
     Attributes:
-        statistics: name -> (N,) in SI units, see ``signals.window_statistics``; NaN-free, zero for probes that
-            were not advanced or have diverged.
+        statistics: name -> (N,) in SI units, see ``signals.window_statistics``; never NaN, zero for probes that were
+            not advanced or have diverged.
         inserted_length: (N,) at the end of the window [m].
         feed_speed, air_supply_rate: (N,) at the end of the window [m/s], [m3/s].
         diverged: (N,) bool.
-        time, axial, radial, tension: samples (k,), (k, N) if asked for: displacements of the sensor [m] and
-            root tension [N]; NaN where a probe of a ``joined`` window was advanced for a shorter time.
+        time, axial, radial, tension: samples (k,), (k, N) if requested: displacements of the sensor [m] and root
+            tension [N]; NaN after the end of a probe that was advanced for a shorter time, see ``joined``.
     """
 
     statistics: dict[str, FloatArray]
@@ -40,24 +40,24 @@ class Window:
     tension: FloatArray | None = None
 
     def radial_of(self, k: int) -> FloatArray:
-        """(k,) radial displacement of one probe's sensor [m], as long as it was advanced; samples were asked for."""
+        """(k,) radial displacement of the sensor of probe k [m], without NaN; samples must have been requested."""
         assert self.radial is not None
         samples = self.radial[:, k]
         return samples[~np.isnan(samples)]
 
     def __repr__(self) -> str:
-        rms = ", ".join(f"{1e3 * value:.3g}" for value in self.statistics["radial_rms_m"][:MOST_SHOWN])
-        more = ", ..." if len(self.diverged) > MOST_SHOWN else ""
-        kept = "" if self.time is None else f", {len(self.time)} samples"
-        counts = f"{len(self.diverged)} probes, {self.diverged.sum()} diverged{kept}"
+        rms = ", ".join(f"{1e3 * value:.3g}" for value in self.statistics["radial_rms_m"][:MAX_PRINTED])
+        more = ", ..." if len(self.diverged) > MAX_PRINTED else ""
+        samples = "" if self.time is None else f", {len(self.time)} samples"
+        counts = f"{len(self.diverged)} probes, {self.diverged.sum()} diverged{samples}"
         return f"<Window of {counts}; radial rms [mm]: {rms}{more}>"
 
 
 def joined(parts: Sequence[tuple[npt.NDArray[np.bool_], Window]]) -> Window:
-    """One window of N probes of which some were advanced by themselves, for as long as they needed.
+    """One window of N probes from the windows of groups that were advanced for different times.
 
     Args:
-        parts: which (N,) probes, and their window, with samples; in the order in which they were advanced.
+        parts: mask (N,) of a group and its window with samples, in the order in which they were advanced.
     """
     if len(parts) == 1:
         return parts[0][1]
@@ -68,10 +68,10 @@ def joined(parts: Sequence[tuple[npt.NDArray[np.bool_], Window]]) -> Window:
     for which, window in parts:
         for name, values in statistics.items():
             values[which] = window.statistics[name][which]
-        for of_all, samples in ((axial, window.axial), (radial, window.radial), (tension, window.tension)):
+        for signal, samples in ((axial, window.axial), (radial, window.radial), (tension, window.tension)):
             assert samples is not None
-            of_all[: len(samples), which] = samples[:, which]
-            of_all[len(samples) :, which] = np.nan
+            signal[: len(samples), which] = samples[:, which]
+            signal[len(samples) :, which] = np.nan
     return replace(last, statistics=statistics, time=longest.time, axial=axial, radial=radial, tension=tension)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles.dense import dense_step
 
-from probe_env import Scene, Simulator
+from probe_env import Scene
 from probe_env.physics.methods import banded, ticm, transfer_matrix
 from probe_env.physics.methods.newmark import newmark, wilson, workspace
 from probe_env.physics.model.chain import build_chain
@@ -38,7 +38,7 @@ def random_state(rng, nodes):
     return State(d, v, a, rng.normal(size=nodes) * 4.0)
 
 
-def pressed(chain, rng):
+def compressed(chain, rng):
     """The same chain with a cable that touches the walls and a couple that counts from the tangent."""
     return chain._replace(
         cable_stiffness=10 ** rng.uniform(3.0, 7.0), cable_radius=4e-3, couple_turn=chain.curvature, most_pressure=5.0
@@ -51,13 +51,13 @@ def copy(state):
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 50, pytest.param(500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("time_step", [1e-5, 1e-4, 1e-3])
-@pytest.mark.parametrize(("scheme", "returning"), [(newmark, False), (wilson, False), (newmark, True)])
-def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme, returning):
+@pytest.mark.parametrize(("scheme", "withdrawal"), [(newmark, False), (wilson, False), (newmark, True)])
+def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme, withdrawal):
     rng = np.random.default_rng([n, round(1e5 * time_step), scheme is wilson])
     chain = random_chain(rng, n, 10 ** rng.uniform(3.0, 7.0))
     start = random_state(rng, n + 1)
-    if returning:
-        chain = pressed(chain, rng)
+    if withdrawal:
+        chain = compressed(chain, rng)
         start.d[-1] = rng.normal(size=3) * [1e-2, 1e-3, 1e-2]  # where the root is held
     coefficients = scheme(time_step)._replace(wilson=False)  # the solution of (17)-(18) itself
     h_a = coefficients.a_d * start.d + coefficients.a_v * start.v + coefficients.a_a * start.memory
@@ -75,15 +75,6 @@ def test_ticm_and_banded_equal_the_dense_solution(n, time_step, scheme, returnin
         step(state)
         assert np.abs(state.d - d).max() <= 1e-10 * np.abs(d).max()
         assert np.abs(state.axial_force - axial)[:-1].max() <= 1e-9 * np.abs(axial).max()
-
-
-def test_banded_and_ticm_stay_together_over_2000_steps():
-    """Without feed the motion is smooth; with it, contact chatter multiplies rounding by 1e3 in 0.2 s."""
-    scene = Scene(carrier_length=5.0, feed_speed=0.0)
-    runs = [Simulator(scene, solver=solver).run(0.2, points=("sensor", "tip", 4.0)) for solver in ("ticm", "banded")]
-    for signal in ("axial", "radial", "rotation"):
-        first, second = (getattr(run, signal) for run in runs)
-        assert np.abs(first - second).max() <= 1e-8 * np.abs(first).max()
 
 
 def loss_of_digits(n, time_step, stiffness):

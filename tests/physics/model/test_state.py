@@ -1,4 +1,4 @@
-"""No state that a caller gives makes a kernel write outside its arrays, and no chain is simulated in part."""
+"""States and chains that a kernel does not support are errors; kernels do not check bounds."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_state_that_does_not_fit_is_named_and_nothing_is_advanced(method):
+def test_an_invalid_state_is_an_error_and_nothing_is_advanced(method):
     """It was a write beyond the array, which ended the interpreter."""
     step = min(1e-4, METHODS[method].stable_step(SCENE, 4))
     simulator, batch = Simulator(SCENE, method, step), SimulatorBatch([SCENE, SCENE], method, step)
@@ -69,7 +69,7 @@ UNKNOWN = {
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_lanes_refuse_a_chain_that_they_would_simulate_in_part(method):
+def test_lane_methods_refuse_unsupported_chains(method):
     for message, changes in UNKNOWN.items():
         chain = CHAIN._replace(**changes)
         if METHODS[method].width == 1:

@@ -63,19 +63,6 @@ def test_the_frame_s_inertia_moves_a_free_probe_like_a_rigid_body(method, slope)
 
 
 @METHODS
-def test_a_ramp_and_its_mirror(method, time_step):
-    """Without air, contact and curvature the motion is linear in du/dt: opposite ramps, opposite motion."""
-    scene = Scene.model_validate({"tube": {"helix_diameter": 1e4}, "carrier_length": 5.0, "feed_speed": 1.0})
-    scene = scene.model_copy(update={"air": {"drag_coefficient": 0.0}, "contact": {"friction": 0.0}})
-    up, down = (
-        Simulator(scene, method, time_step, ramp=0.5).advance(target, None, 0.4, points=("tip",)).axial[:, 0]
-        for target in (1.1, 0.9)
-    )
-    assert np.abs(up).max() > 1e-6
-    assert np.abs(up + down).max() < 0.02 * np.abs(up).max()  # the centrifugal force is quadratic in u
-
-
-@METHODS
 def test_mass_length_and_root_tension_are_right_at_every_append(method, time_step):
     """Slow growth in a quiet tube: the root tension follows the closed form of the length that is in."""
     simulator = Simulator(QUIET, method, time_step, growing=True)
@@ -112,9 +99,3 @@ def test_time_lapse_feeds_faster_and_keeps_the_true_speed():
     fast.advance(None, None, 1.0)
     assert fast.inserted_length == pytest.approx(7.5 + 0.8, abs=1e-3)
     assert fast.feed_speed == 0.2
-
-
-def test_air_follows_with_its_lag():
-    simulator = Simulator(QUIET, "imex", 2e-4, air_lag=1.0)
-    simulator.advance(None, 0.03, 1.0)
-    assert simulator.air_supply_rate == pytest.approx(0.03 - (0.03 - 0.0175) * math.exp(-1.0), rel=1e-6)

@@ -1,4 +1,4 @@
-"""A snapshot or a pickle goes back where it fits, and is refused by name everywhere else."""
+"""Snapshots and pickles are restored if they fit; otherwise the error names the field."""
 
 import copy
 import pickle
@@ -13,14 +13,10 @@ from probe_env.physics.simulation.saved import FORMAT
 SCENE = Scene(carrier_length=2.0, probe={"guide_length": 0.5})
 OTHER = {
     "scene.contact.friction = 0.2; here it is 0.15": {"scene": SCENE.model_copy(update={"contact": {"friction": 0.2}})},
-    "scene.carrier_length = 3.0; here it is 2.0": {"scene": SCENE.model_copy(update={"carrier_length": 3.0})},
     "method = 'wilson'; here it is 'newmark'": {"method": "wilson"},
     "solver = 'banded'; here it is 'ticm'": {"solver": "banded"},
     "time_step = 5e-05; here it is 0.0001": {"time_step": 5e-5},
-    "nodes_per_pitch = 8; here it is 4": {"nodes_per_pitch": 8},
     "growing = True; here it is False": {"growing": True},
-    "time_lapse = 2.0; here it is 1.0": {"time_lapse": 2.0},
-    "ramp = 0.5; here it is inf": {"ramp": 0.5},
     "air_lag = 1.0; here it is 0.0": {"air_lag": 1.0},
 }
 
@@ -44,7 +40,7 @@ def test_a_snapshot_of_another_simulator_is_refused_by_the_field():
 
 
 def changed(path, value):
-    """A snapshot with one entry put otherwise, or taken out."""
+    """A snapshot with one entry changed or removed."""
     snapshot = moved(Simulator(SCENE)).snapshot()
     inner = snapshot
     for name in path[:-1]:
@@ -65,30 +61,26 @@ NODES = 101
     [
         ({"foo": 1}, "format = None cannot be read; this version reads format"),
         ([], "a list without a format cannot be read"),
-        ({"state": LONG, "root": 100}, "format = None"),
         (changed(["format"], FORMAT - 1), rf"format = {FORMAT - 1} cannot be read; this version reads format {FORMAT}"),
-        (changed(["foo"], 1), "'foo' is not known"),
+        (changed(["foo"], 1), "'foo' is unknown"),
         (changed(["built"], {}), "built: 'air_lag' is missing"),
-        (changed(["built", "scene", "tube", "turns"], 3), "scene.tube: 'turns' is not known"),
+        (changed(["built", "scene", "tube", "turns"], 3), "scene.tube: 'turns' is unknown"),
         (changed(["changing", "drive"], None), "changing: 'drive' is missing"),
         (changed(["changing", "drive"], 0.2), "drive = 0.2 is not Drive"),
         (changed(["changing", "root"], NODES), f"root = {NODES} is outside the accepted range 1 to {NODES - 1}"),
-        (changed(["changing", "root"], -1), "root = -1 is not int of 0 or more"),
-        (changed(["changing", "steps_done"], 1.0), "steps_done = 1.0 is not int"),
         (changed(["changing", "state"], LONG), rf"state.d has shape \(500, 3\); \({NODES}, 3\) is accepted"),
         (
             changed(["changing", "state"], at_rest(NODES)._replace(memory=np.zeros((NODES, 3), np.float32))),
             "state.memory has type",
         ),
         (changed(["changing", "state"], tuple(at_rest(NODES))), r"state \(tuple\) is not State"),
-        (changed(["changing", "_error"], "oh"), "_error = 'oh' is not a SimulationError"),
     ],
 )
-def test_what_is_no_snapshot_is_refused_and_changes_nothing(snapshot, message):
+def test_an_invalid_snapshot_is_an_error_and_changes_nothing(snapshot, message):
     refused(moved(Simulator(SCENE)), snapshot, message)
 
 
-def test_seed_and_perturbation_may_differ_because_only_reset_looks_at_them():
+def test_seed_and_perturbation_may_differ():
     one, other = Simulator(SCENE, perturbation=1e-5, seed=1), Simulator(SCENE)
     moved(one)
     other.restore(one.snapshot())
@@ -96,7 +88,7 @@ def test_seed_and_perturbation_may_differ_because_only_reset_looks_at_them():
 
 
 @pytest.mark.parametrize("method", ["newmark", "implicit", "imex"])
-def test_what_is_declared_as_fixed_stays_and_all_else_is_in_a_snapshot(method):
+def test_fixed_attributes_do_not_change_and_others_are_in_a_snapshot(method):
     """A new attribute that changes is saved unless it is declared as fixed, and then this finds it."""
     simulator = Simulator(SCENE, method, growing=True, ramp=0.5, air_lag=0.1)
     assert set(vars(simulator)) >= Simulator.FIXED

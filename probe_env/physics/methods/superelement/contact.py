@@ -1,19 +1,19 @@
-"""What an endless row of pieces does under a contact's spring, and how that sets modes, stiffness and step.
+"""Response of a periodic row of pieces to a contact spring, from which modes, stiffness and time step follow.
 
-The step takes contact explicitly, a kick from the depth at its start. In steps the cable answers otherwise than it
-does: implicit bending ties more of it to a float, modes that are left out tie less, and a kick once a step is a spring
-that is too hard. The dynamic stiffness of float and spring together, per displacement e^{i omega t} of one float,
+Contact is explicit: a kick from the depth at the start of a step. The time-discrete response of the cable differs from
+the exact one: implicit bending couples more cable to a float, omitted modes couple less, and one kick per step acts as
+a stiffer spring. The dynamic stiffness of float and spring, per displacement e^{i omega t} of one float,
 
     k + 1 / C(i omega),        C = mean over phases of [(i omega)^2 M + (1 + i omega delta) K]^-1 at y of a float,
 
-becomes, with z = e^{i omega dt} and a force at each step's start,
+becomes, with z = e^{i omega dt} and a force at the start of each step,
 
     k' + 1 / C'(z),            C' = z mean of [(z - 1)^2 / dt^2 A + K (theta (z - 1) + 1) + tau (z - 1) / dt K]^-1.
 
-``fitted_stiffness`` gives the k' with which both agree where float and cable answer an impact at 45 degrees: where the
-real part has fallen to the imaginary one (679 Hz on table 2). The difference there is complex: a spring, and a dashpot
-(on v_m of the step before) that is not applied. It stands for what the rule takes off the cable's own damping, which
-acts off the wall too; applied at the wall alone it takes a quarter off the vibration at 30 m.
+``fitted_stiffness`` is the k' at which both agree at the frequency where the real part equals the imaginary part (679
+Hz for table 2). Their difference there is complex: a spring, and a dashpot (on v_m of the last step) that is not
+applied. The dashpot represents the damping that the rule subtracts from the cable, which also acts off the wall;
+applied at the wall only, it reduces the vibration at 30 m by a quarter.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from probe_env.physics.methods.superelement.pitch import ENDS, Pitch
 from probe_env.physics.model.chain import Chain
 
 PHASES = 32
-"""Of the endless row's motion from piece to piece."""
+"""Number of phase differences between neighbouring pieces."""
 LEAST = 0.8
-"""Of the contact's stiffness: a step that would need less is too long for it, and none needs more."""
+"""Least fitted stiffness divided by the contact stiffness."""
 
 
 def contact_frequency(chain: Chain, stiffness: float) -> float:
-    """Of a long bar on one contact spring [Hz]: |2 sqrt(2) EI beta^3| = k, beta^4 = rho omega^2 / EI.
+    """Frequency of a long bar on one contact spring [Hz]: |2 sqrt(2) EI beta^3| = k, beta^4 = rho omega^2 / EI.
 
-    Up to about there the impact of a float on the wall has its force; half a pitch of cable swings with it.
+    The impact force of a float on the wall has frequencies up to about this one; half a pitch of cable moves with it.
     """
     rigidity = chain.element_length / chain.bending_compliance
     density = chain.mass / chain.element_length
@@ -45,8 +45,8 @@ def contact_frequency(chain: Chain, stiffness: float) -> float:
     return float(omega / (2.0 * math.pi))
 
 
-class Endless:
-    """Matrices of an endless row of a piece, one a phase from piece to piece: (PHASES, 3 + m, 3 + m)."""
+class PeriodicRow:
+    """Matrices of an infinite periodic row of pieces, one per phase difference: (PHASES, 3 + m, 3 + m)."""
 
     def __init__(self, piece: Pitch) -> None:
         turned = np.zeros((PHASES, ENDS + piece.modes, 3 + piece.modes), dtype=complex)
@@ -60,17 +60,17 @@ class Endless:
         )
 
     def least_mass(self, damping_time: float, time_step: float) -> float:
-        """What a radial kick of a float meets in a step [kg], that of M + theta dt tau K; the least over all phases."""
+        """Least effective mass [kg] for a radial kick of a float, that of M + theta dt tau K, over all phases."""
         theta, tau = linear_weights(damping_time, time_step)
         return float(1.0 / _radial(self.mass + theta * time_step * tau * self.stiffness).real.max())
 
     def compliance(self, omega: float, damping_time: float) -> complex:
-        """Of one float, radially: displacement by force at a frequency [m/N]."""
+        """Radial compliance of one float at an angular frequency [m/N]."""
         whole = -(omega**2) * self.mass + (1.0 + 1j * omega * damping_time) * self.stiffness
         return complex(_radial(whole).mean())
 
     def stepped_compliance(self, omega: float, damping_time: float, time_step: float) -> complex:
-        """The same of the chain in steps, kicked at each one's start."""
+        """Compliance of the time-discrete chain with a kick at the start of each step."""
         theta, tau = linear_weights(damping_time, time_step)
         z = np.exp(1j * omega * time_step)
         rate = (z - 1.0) / time_step
@@ -80,17 +80,17 @@ class Endless:
 
 
 def _radial(matrices: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    """(PHASES,) what y of the float is under a unit force on it."""
+    """(PHASES,) radial displacement of the float under a unit force."""
     force = np.zeros((matrices.shape[-1], 1))
     force[1] = 1.0
     return np.asarray(np.linalg.solve(matrices, force)[:, 1, 0])
 
 
-def fitted_stiffness(whole: Pitch, kept: Pitch, stiffness: float, damping_time: float, time_step: float) -> float:
-    """The contact's stiffness in steps [N/m], see above; ``whole`` with modes far beyond."""
+def fitted_stiffness(whole: Pitch, reduced: Pitch, stiffness: float, damping_time: float, time_step: float) -> float:
+    """Contact stiffness of the time-discrete chain [N/m], see above; ``whole`` has modes of much higher frequency."""
     if stiffness == 0.0:
         return 0.0
-    exact, own = Endless(whole), Endless(kept)
+    exact, row = PeriodicRow(whole), PeriodicRow(reduced)
 
     def lead(frequency: float) -> float:
         total = stiffness + 1.0 / exact.compliance(2.0 * math.pi * frequency, damping_time)
@@ -101,15 +101,15 @@ def fitted_stiffness(whole: Pitch, kept: Pitch, stiffness: float, damping_time: 
         high *= 1.5
     corner = 2.0 * math.pi * float(brentq(lead, 1.0, high, xtol=0.1))
     missing = stiffness + 1.0 / exact.compliance(corner, damping_time)
-    missing -= 1.0 / own.stepped_compliance(corner, damping_time, time_step)
+    missing -= 1.0 / row.stepped_compliance(corner, damping_time, time_step)
     behind = (1.0 - np.exp(-1j * corner * time_step)) / time_step
     dashpot = missing.imag / behind.imag
     return float(min(max(missing.real - dashpot * behind.real, LEAST * stiffness), stiffness))
 
 
 def most_tension(piece: Pitch, time_step: float, theta: float, tau: float) -> float:
-    """Nine tenths of where dt^2 V lambda = 4, lambda the largest eigenvalue of A^-1 times the couple's matrix [N]."""
-    row = Endless(piece)
+    """0.9 times the tension [N] at which dt^2 V lambda = 4, lambda the largest eigenvalue of A^-1 times ``couple``."""
+    row = PeriodicRow(piece)
     both = np.linalg.solve(row.mass + theta * time_step * tau * row.stiffness, row.couple)
     largest = float(np.abs(np.linalg.eigvals(both)).max())
     return 3.6 / (time_step**2 * largest) if largest > 0.0 else math.inf

@@ -1,6 +1,6 @@
-"""The superelement methods: pieces of cable condensed to their floats and a few modes, probes or floats in the lanes.
+"""Superelement methods: cable condensed to floats and a few modes, with probes or floats in the lanes.
 
-State is packed into the lanes of a kernel, advanced and unpacked; see lane_group.py.
+The state is packed into lanes, advanced by a kernel and unpacked; see lane_group.py.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from probe_env.physics.methods.lane_group import (
     SENSOR,
     STIFFNESS,
     TENSION,
-    Entered,
+    LaneGroup,
     LaneMethod,
     lane_parameters,
 )
@@ -42,19 +42,19 @@ from probe_env.physics.methods.superelement.kernel import (
     T,
     V,
     X,
+    assign_roots,
     displacements,
-    place_roots,
     superelement_advance,
 )
 from probe_env.physics.methods.superelement.pitch import ENDS, MIRROR
 from probe_env.physics.methods.superelement.single_probe import (
     BEHIND,
     DRAG,
+    E_SIZE,
     FLOATS,
     GAP,
     LEVER,
     LINKS,
-    OWN,
     superelement_advance_single,
 )
 from probe_env.physics.methods.superelement.tables import (
@@ -76,24 +76,24 @@ from probe_env.scene import Scene
 
 MOMENTUM = 3
 MEMORY = MOMENTUM + 4 * MOST
-"""Momentum, then q and p of the even and of the odd modes; rows of floats alone are in use."""
+"""Momentum, then q and p of the even and of the odd modes; only rows of floats are used."""
 ROOMS = (LEAST, (3, 3), (MOST, MOST))
-"""Even and odd modes of which there is a kernel."""
+"""Numbers of even and odd modes of the kernels."""
 
 
 def room(table: Tables) -> tuple[int, int]:
-    """Least of ``ROOMS`` that holds a probe's even and odd modes."""
+    """Smallest of ``ROOMS`` for the modes of a probe."""
     return next(room for room in ROOMS if table.even <= room[0] and table.odd <= room[1])
 
 
 def mode_fields(table: Tables, even: int) -> list[tuple[int, int]]:
-    """Where a probe's modes are: column of the memory and field of q; p follows."""
+    """Column of the memory and field of q for each mode; p follows."""
     evens = [(MOMENTUM + 2 * j, MODES + 2 * j) for j in range(table.even)]
     return evens + [(MOMENTUM + 2 * (table.even + j), MODES + 2 * (even + j)) for j in range(table.odd)]
 
 
 def pack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
-    """A probe's state to rows (floats, fields)."""
+    """Copy the state of a probe to rows (floats, fields)."""
     count = (root - 1) // per_pitch + 1
     floats = slice(0, root, per_pitch)
     rows[:count, X : T + 1] = state.d[floats]
@@ -106,7 +106,7 @@ def pack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Table
 
 
 def unpack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
-    """``pack`` backwards; the axial force is that of the piece at all its places."""
+    """Inverse of ``pack``; all nodes of a piece have its axial force."""
     count = (root - 1) // per_pitch + 1
     floats = slice(0, root, per_pitch)
     state.d[floats], state.v[floats] = rows[:count, X : T + 1], rows[:count, VX : VT + 1]
@@ -117,28 +117,28 @@ def unpack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tab
         memory[:, column : column + 2] = rows[:count, at : at + 2]
 
 
-def root_tables(own: Sequence[Tables], width: int, even: int, odd: int, rows: int) -> RootTables:
-    """Tables side by side, those with fewer modes or rows of factors than the group filled up."""
-    modes, places = even + odd, len(own[0].root_factors)
+def root_tables(group: Sequence[Tables], width: int, even: int, odd: int, rows: int) -> RootTables:
+    """Tables of a group of probes, padded to equal numbers of modes and rows of factors."""
+    modes, per_pitch = even + odd, len(group[0].root_factors)
     size = ENDS + 2 * modes
     stacked = RootTables(
-        np.zeros((width, places + 1, CONSTANTS)), np.zeros((width, rows, FACTORS)),
-        np.zeros((width, places, rows, FACTORS)), np.zeros((width, places, size, size)),
-        np.zeros((width, places, places, 3, ENDS + modes)), np.zeros(size), np.zeros(size),
+        np.zeros((width, per_pitch + 1, CONSTANTS)), np.zeros((width, rows, FACTORS)),
+        np.zeros((width, per_pitch, rows, FACTORS)), np.zeros((width, per_pitch, size, size)),
+        np.zeros((width, per_pitch, per_pitch, 3, ENDS + modes)), np.zeros(size), np.zeros(size),
     )  # fmt: skip
-    for k, table in enumerate(own):
+    for k, table in enumerate(group):
         stacked.pieces[k] = table.pieces
         row = np.minimum(np.arange(rows), len(table.factors) - 1)
         stacked.factors[k], stacked.root_factors[k] = table.factors[row], table.root_factors[:, row]
         mode = np.r_[: table.even, even : even + table.odd]
-        kept = np.r_[:ENDS, ENDS + mode, ENDS + modes + mode]
-        stacked.growth[k][:, kept[:, None], kept] = table.growth
+        columns = np.r_[:ENDS, ENDS + mode, ENDS + modes + mode]
+        stacked.growth[k][:, columns[:, None], columns] = table.growth
         stacked.shape[k][..., np.r_[:ENDS, ENDS + mode]] = table.shape
     return stacked
 
 
 def floats_of(parameters: FloatArray, table: Tables, count: int) -> FloatArray:
-    """(count, FLOATS) of floats from the tip: the guide's up to the sensor, the carrier's beyond."""
+    """(count, FLOATS) parameters of floats from the tip: guide floats up to the sensor, carrier floats beyond."""
     guide = np.arange(count) - 0.5 < parameters[SENSOR]
     rows = np.zeros((count, FLOATS))
     kinds = ((GUIDE_LEVER, CARRIER_LEVER), (GUIDE_GAP, CARRIER_GAP), (GUIDE_DRAG, CARRIER_DRAG))
@@ -149,14 +149,14 @@ def floats_of(parameters: FloatArray, table: Tables, count: int) -> FloatArray:
 
 
 def in_blocks(rows: FloatArray, width: int, precision: npt.DTypeLike) -> FloatArray:
-    """(blocks f, width) of (blocks width, f): neighbouring rows side by side."""
+    """Reorder (blocks width, f) to (blocks f, width): neighbouring rows in neighbouring lanes."""
     blocks = rows.reshape(-1, width, rows.shape[1]).transpose(0, 2, 1)
     return np.ascontiguousarray(blocks.reshape(-1, width), dtype=precision)
 
 
 def _elastic(constants: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Elastic force of a piece at its L and its R end."""
-    flip = -MIRROR  # R's share of an even unknown, and of an odd one but for the sign
+    flip = -MIRROR  # sign of R in even unknowns, opposite in odd ones
     even, odd = ends[:3] - flip * ends[3:], ends[:3] + flip * ends[3:]
     from_even = constants[K_EVEN : K_EVEN + 9].reshape(3, 3) @ even
     from_odd = constants[K_ODD + 3 : K_ODD + 6] * (constants[K_ODD : K_ODD + 3] @ odd)
@@ -165,31 +165,31 @@ def _elastic(constants: FloatArray, ends: FloatArray) -> tuple[FloatArray, Float
 
 INSTEAD = "imex with 8 nodes a pitch simulates it"
 STABLE, UNSTABLE = 1.65, 1.8
-"""Omega dt of a float on its contact spring: up to which runs held (96 random probes and tubes of 10 to 50 m among
-them), and from which they diverge."""
+"""Largest omega dt of a float on its contact spring at which runs were stable (including 96 random probes and tubes of
+10 to 50 m), and least at which they diverge."""
 LONGEST_STEP = 5e-4
-"""[s] Soft contact would allow more; at 1e-3 s runs of 1e4 N/m diverge."""
+"""Largest step with soft contact [s]; at 1e-3 s runs with 1e4 N/m diverge."""
 
 
 class Superelement(LaneMethod):
-    """A converged mesh condensed to its floats and a few modes of the cable between them; four probes side by side.
+    """A converged mesh condensed to its floats and a few modes of the cable between them; groups of four probes.
 
     Attributes:
-        single: the kernel of one probe by itself, bit for bit the same.
+        single: kernel of a single probe, with equal results bit for bit.
     """
 
     name = "superelement"
     order = 2
     usual_step = 2e-4
-    alone_share = 0.5
+    single_share = 0.5
     memory = MEMORY
     on_nodes = False
-    draws_back = False
+    simulates_withdrawal = False
     kernel = staticmethod(superelement_advance)
     single: Callable[..., Any] = staticmethod(superelement_advance_single)
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
-        """Largest step [s] known to hold; 0: a cable with less damping than in the study's ensemble."""
+        """Largest step [s] known to be stable; 0 for a cable with less damping than in the study."""
         damped = scene.probe.damping_time >= TABLE_2_DAMPING
         step = longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, STABLE)
         return min(step, LONGEST_STEP) if damped else 0.0
@@ -199,11 +199,11 @@ class Superelement(LaneMethod):
         return longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE)
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
-        """At rest with displacements d (n + 1, 3) [m, rad]; q is what fits best between the floats, p is zero.
+        """A state at rest with displacements d (n + 1, 3) [m, rad]; q is a least-squares fit, p is zero.
 
-        The kernel's momentum still lacks tau K d, the last share of the elastic force.
+        The momentum of the kernel is p + tau K d.
         """
-        own = tables(chain, nodes_per_pitch, time_step)
+        table = tables(chain, nodes_per_pitch, time_step)
         tau = linear_weights(chain.damping_time, time_step)[1]
         state = at_rest(len(d), MEMORY)
         floats = range(0, root, nodes_per_pitch)
@@ -212,11 +212,11 @@ class Superelement(LaneMethod):
             count = min(nodes_per_pitch, root - first)
             behind = d[first + count] if first + count < root else np.zeros(3)
             ends = np.concatenate([d[first], behind])
-            shape = own.shape[count - 1, 1:count].reshape(-1, ENDS + own.even + own.odd)
+            shape = table.shape[count - 1, 1:count].reshape(-1, ENDS + table.even + table.odd)
             rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
             q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
             state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
-            constants = own.pieces[-1] if first + count < root else own.pieces[count - 1]
+            constants = table.pieces[-1] if first + count < root else table.pieces[count - 1]
             left, right = _elastic(constants, ends)
             state.memory[first, :MOMENTUM] += tau * left
             if first + count < root:
@@ -227,22 +227,22 @@ class Superelement(LaneMethod):
         """Parameters and tables of a probe.
 
         Raises:
-            ValueError: a scene in which the cable between floats is more than elastic.
+            ValueError: contact of the cable, or a couple from the tangent.
         """
         self.check_chain(chain, sensor, nodes_per_pitch)
         if chain.cable_stiffness > 0.0:
             raise ValueError(f"contact.cable = true: superelement has no nodes between floats; {INSTEAD}")
         if chain.couple_turn > 0.0:
-            raise ValueError(f'couple = "tangent": superelement knows "frame" only; {INSTEAD}')
-        own = tables(chain, nodes_per_pitch, time_step)
+            raise ValueError(f'couple = "tangent": superelement supports "frame" only; {INSTEAD}')
+        table = tables(chain, nodes_per_pitch, time_step)
         values = lane_parameters(chain, sensor, nodes_per_pitch)
         values[[GUIDE_DRAG, CARRIER_DRAG]] *= chain.mass  # forces, not per mass
-        values[STIFFNESS], values[MASS_RATIO], values[TENSION] = own.stiffness, 1.0, own.most_tension
+        values[STIFFNESS], values[MASS_RATIO], values[TENSION] = table.stiffness, 1.0, table.most_tension
         values[SENSOR] = sensor // nodes_per_pitch
-        return values, own
+        return values, table
 
     def kind(self, constants: tuple[FloatArray, Tables]) -> Hashable:
-        """The kernel that has room for a probe's modes: compiled otherwise, it rounds otherwise."""
+        """Numbers of modes of the kernel: kernels with other numbers round differently."""
         return room(constants[1])
 
     def run(
@@ -250,39 +250,39 @@ class Superelement(LaneMethod):
     ) -> float:
         """See ``Method.run``."""
         if len(lanes) == 1:
-            return self._run_alone(lanes[0], time_step, nodes_per_pitch, first_sample, sample_every)
-        per_pitch, own = nodes_per_pitch, [lane.constants[1] for lane in lanes]
-        even, odd = room(own[0])
+            return self._run_single(lanes[0], time_step, nodes_per_pitch, first_sample, sample_every)
+        per_pitch, members = nodes_per_pitch, [lane.constants[1] for lane in lanes]
+        even, odd = room(members[0])
         used, width, precision = len(lanes), self.width, self.precision
-        fields, last = MODES + 2 * (even + odd), max(len(t.factors) for t in own) - 1
-        entered = Entered.of(lanes, width, precision)
-        roots = entered.roots
-        last_float = (entered.held_nodes(used) - 1) // per_pitch
-        entered.parameters[ROOT, :used] = last_float[0] + 1
+        fields, last = MODES + 2 * (even + odd), max(len(t.factors) for t in members) - 1
+        group = LaneGroup.pack(lanes, width, precision)
+        roots = group.roots
+        last_float = (group.held_nodes(used) - 1) // per_pitch
+        group.parameters[ROOT, :used] = last_float[0] + 1
         rows = int(last_float[-1].max()) + 2
         state = np.zeros((rows, fields, width), dtype=precision)
-        for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
+        for k, (lane, table) in enumerate(zip(lanes, members, strict=True)):
             pack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
-        stacked = root_tables(own, width, even, odd, last + 1)
+        stacked = root_tables(members, width, even, odd, last + 1)
         constants, factors, at = _placed(stacked, roots, rows, precision)
-        samples, tension = entered.scratch(lanes, rows)
+        samples, tension = group.scratch(lanes, rows)
         begin = time.perf_counter()
         self.kernel(
-            entered.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), state.reshape(-1, width),
-            entered.inputs.reshape(-1, width), last_float[:-1].max(axis=1), last_float[:-1].min(axis=1), time_step,
-            stacked, (first_sample, sample_every, entered.points, samples, tension), roots, entered.failed,
+            group.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), state.reshape(-1, width),
+            group.inputs.reshape(-1, width), last_float[:-1].max(axis=1), last_float[:-1].min(axis=1), time_step,
+            stacked, (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
-        entered.leave(lanes, samples)
-        for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
+        group.unpack(lanes, samples)
+        for k, (lane, table) in enumerate(zip(lanes, members, strict=True)):
             unpack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
             displacements(stacked, state.reshape(-1, width), fields, lane.root, k, lane.state.d)
             add_tension(lane, tension[:, k], per_pitch)
         return seconds
 
-    def _run_alone(self, lane: Lane, time_step: float, per_pitch: int, first_sample: int, sample_every: int) -> float:
-        """``run`` of one probe that has no company: its floats are in the lanes."""
-        own, table = lane.constants
+    def _run_single(self, lane: Lane, time_step: float, per_pitch: int, first_sample: int, sample_every: int) -> float:
+        """``run`` for a single probe, whose floats are in the lanes."""
+        values, table = lane.constants
         (even, odd), width, precision = room(table), self.width, self.precision
         fields = MODES + 2 * (even + odd)
         last_float = (lane.root + int(lane.inputs[:, APPEND].sum()) - 1) // per_pitch
@@ -290,18 +290,18 @@ class Superelement(LaneMethod):
         rows = np.zeros((blocks * width, fields))
         pack(rows, lane.state, lane.root, per_pitch, table, even)
         state = in_blocks(rows, width, precision)
-        parameters = np.repeat(own[:, None], width, axis=1).astype(precision)
+        parameters = np.repeat(values[:, None], width, axis=1).astype(precision)
         stacked = root_tables([table], 1, even, odd, len(table.factors))
         constants = np.zeros((2 * CONSTANTS, width), dtype=precision)
         constants[:CONSTANTS] = stacked.pieces[0, -1][:, None]
         settled = (len(table.factors) - 1) // width + 1  # first block whose floats share their factors
         row = np.minimum(np.arange((settled + 1) * width), len(table.factors) - 1)
-        factors = np.zeros(((settled + 2) * OWN, width), dtype=precision)
-        factors[: (settled + 1) * OWN] = in_blocks(table.factors[row, :OWN], width, precision)
+        factors = np.zeros(((settled + 2) * E_SIZE, width), dtype=precision)
+        factors[: (settled + 1) * E_SIZE] = in_blocks(table.factors[row, :E_SIZE], width, precision)
         links = np.zeros((len(table.factors) + 1, LINKS), dtype=precision)
-        links[:-1] = table.factors[:, OWN:]
+        links[:-1] = table.factors[:, E_SIZE:]
         tension = np.zeros(len(rows) if len(lane.tension_sum) else 0)
-        floats = in_blocks(floats_of(own, table, len(rows)), width, precision)
+        floats = in_blocks(floats_of(values, table, len(rows)), width, precision)
         begin = time.perf_counter()
         lane.failed, lane.root = self.single(
             parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), state,
@@ -317,16 +317,16 @@ class Superelement(LaneMethod):
 
 
 class Superelement32(Superelement):
-    """The same in single precision; eight probes side by side."""
+    """``Superelement`` in single precision; groups of eight probes."""
 
     name = "superelement32"
     least_step = 5e-5
     precision = np.float32
-    alone_share = 0.33
+    single_share = 0.33
 
 
 def add_tension(lane: Lane, tension: FloatArray, per_pitch: int) -> None:
-    """Add the axial forces of a probe's pieces to the sum at its nodes."""
+    """Add the axial forces of pieces to the sums at the nodes of a probe."""
     covered = min(len(tension) * per_pitch, lane.root, len(lane.tension_sum))
     lane.tension_sum[:covered] += np.repeat(tension, per_pitch)[:covered]
 
@@ -341,5 +341,5 @@ def _placed(
     constants[:CONSTANTS] = stacked.pieces[:, -1].T
     factors[: (last + 1) * FACTORS] = stacked.factors.reshape(width, -1).T
     at = np.zeros(rows, dtype=np.int64)
-    place_roots(stacked, constants, factors, at, last, roots)
+    assign_roots(stacked, constants, factors, at, last, roots)
     return constants, factors, at

@@ -1,4 +1,4 @@
-"""The superelement's step: the theta rule in momenta, on pieces of cable condensed to their floats and some modes.
+"""Kernel of the superelement: the theta rule in momenta, for cable condensed to floats and modes.
 
 With M, K of the condensed chain, d the unknowns, p = M v, and f contact, friction, drag, inertia forces and the couple,
 the rule of ``imex``, multiplied by M, is
@@ -6,13 +6,13 @@ the rule of ``imex``, multiplied by M, is
     kick        p* = p + dt f(d, v_m of the step before),
     elastic     (M + theta dt tau K) v_m = p* - theta dt K d,   d += dt v_m,   p = p* - dt K (d_before + tau v_m),
 
-so neither M^-1 f nor M v is ever formed, and K d alone is multiplied: K (d_before + tau v_m) is (1 - tau / dt) K
-d_before + tau / dt K d, the first of them from the step before. Modes are eliminated piece by piece, where the matrix
-is diagonal, then the floats from the tip to the root: u_i = E_i r_i - F_i u_{i-1}, coming back v_i = u_i - U_i v_{i+1}.
+so neither M^-1 f nor M v is computed, and K d is the only product: K (d_before + tau v_m) = (1 - tau / dt) K d_before
++ tau / dt K d, the first term from the last step. Modes are eliminated in each piece, where the matrix is diagonal,
+then the floats from the tip to the root: u_i = E_i r_i - F_i u_{i-1}, and back: v_i = u_i - U_i v_{i+1}.
 
-Each symmetric matrix of a piece falls into an even and an odd block (see pitch.py). Lanes as in ``imex``, but a row of
-the state is a float with the piece on its root side. The root's piece is a part of a pitch and lies elsewhere in each
-lane: those rows have constants of their own (see ``place_roots``).
+Each symmetric matrix of a piece has an even and an odd block (see pitch.py). Lanes as in ``imex``, but a row of the
+state is a float with the piece on its root side. The piece at the root is a part of a pitch, in different rows in each
+lane: these rows have separate constants (see ``assign_roots``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numba import njit
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex import float_at, float_forces, less_product, loaded_floats, loaded_wall, magnitude
+from probe_env.physics.methods.imex import float_at, float_forces, less_product, load_floats, load_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION
 from probe_env.physics.methods.lanes import load, splat, store, where_less
 from probe_env.physics.methods.superelement.tables import (
@@ -50,13 +50,13 @@ from probe_env.physics.methods.superelement.tables import (
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 
-# fields of a row: displacement, momentum but for the last share of K d, mean velocity, axial force; then q, p a mode
+# fields of a row: displacement, momentum + tau K d, mean velocity, axial force; then q and p of each mode
 X, Y, T, PX, PY, PT, VX, VY, VT, V = range(10)
 MODES = 10
 
 
 class RootTables(NamedTuple):
-    """Tables of every lane, see ``Tables``, with as many modes as the group has; scratch for one growth.
+    """Tables of every lane, see ``Tables``, with the number of modes of the group; scratch for ``grow``.
 
     Attributes:
         pieces: (lanes, n + 1, CONSTANTS).
@@ -64,7 +64,7 @@ class RootTables(NamedTuple):
         root_factors: (lanes, n, k, 27).
         growth: (lanes, n, 6 + 2 m, 6 + 2 m).
         shape: (lanes, n, n, 3, 6 + m).
-        given, gained: (6 + 2 m,).
+        old, change: (6 + 2 m,).
     """
 
     pieces: FloatArray
@@ -72,68 +72,68 @@ class RootTables(NamedTuple):
     root_factors: FloatArray
     growth: FloatArray
     shape: FloatArray
-    given: FloatArray
-    gained: FloatArray
+    old: FloatArray
+    change: FloatArray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def place_roots(tables, constants, factors, at, last, roots):
-    """Give the rows with a root their constants and factors: a lane's own where its root is, else those of a pitch."""
-    places, lanes = tables.pieces.shape[1] - 1, tables.pieces.shape[0]
+def assign_roots(tables, constants, factors, at, last, roots):
+    """Set constants and factors of rows with a root: those of the root piece in its lane, of a pitch in other lanes."""
+    per_pitch, lanes = tables.pieces.shape[1] - 1, tables.pieces.shape[0]
     at[:] = 0
     for k in range(lanes):
         if roots[k] == 0:  # an idle lane
             continue
-        i = (roots[k] - 1) // places
+        i = (roots[k] - 1) // per_pitch
         at[i] = 1 + k
         for lane in range(lanes):
-            own = roots[lane] > 0 and (roots[lane] - 1) // places == i
-            kind = roots[lane] - i * places - 1 if own else places
+            has_root = roots[lane] > 0 and (roots[lane] - 1) // per_pitch == i
+            kind = roots[lane] - i * per_pitch - 1 if has_root else per_pitch
             row = min(i, last)
             for c in range(CONSTANTS):
                 constants[(1 + k) * CONSTANTS + c, lane] = tables.pieces[lane, kind, c]
             for f in range(FACTORS):
-                value = tables.root_factors[lane, kind, row, f] if own else tables.factors[lane, row, f]
+                value = tables.root_factors[lane, kind, row, f] if has_root else tables.factors[lane, row, f]
                 factors[(last + 1 + k) * FACTORS + f, lane] = value
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def grow(tables, state, fields, root, lane, tau):
-    """Hold a lane's cable one place further from the float: the state of its last piece goes over to the longer one.
+    """Append a node at the root of a lane: transfer the state of its last piece to a longer one.
 
-    A pitch that is complete lets the float at its end go, at rest; what is beyond it rests too.
+    If the pitch is complete, its end becomes a free float at rest, and the next piece is at rest.
     """
-    places, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
-    i = (root - 1) // places
-    q, length = i * fields, root - i * places
-    given, gained, matrix = tables.given, tables.gained, tables.growth[lane, length - 1]
+    per_pitch, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
+    i = (root - 1) // per_pitch
+    q, length = i * fields, root - i * per_pitch
+    old, change, matrix = tables.old, tables.change, tables.growth[lane, length - 1]
     for c in range(3):
-        given[c], given[3 + c] = state[q + X + c, lane], state[q + VX + c, lane]
+        old[c], old[3 + c] = state[q + X + c, lane], state[q + VX + c, lane]
     for j in range(modes):
-        given[6 + j], given[6 + modes + j] = state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane]
-    for r in range(len(gained)):
-        gained[r] = 0.0
-        for c in range(len(given)):
-            gained[r] += matrix[r, c] * given[c]
-    if length == places:
+        old[6 + j], old[6 + modes + j] = state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane]
+    for r in range(len(change)):
+        change[r] = 0.0
+        for c in range(len(old)):
+            change[r] += matrix[r, c] * old[c]
+    if length == per_pitch:
         q += fields
         for c in range(3):
             state[q + X + c, lane], state[q + VX + c, lane], state[q + PX + c, lane] = 0.0, 0.0, 0.0
         state[q + V, lane] = state[q - fields + V, lane]
     for c in range(3):
-        state[q + PX + c, lane] += gained[3 + c] + tau * gained[c]
+        state[q + PX + c, lane] += change[3 + c] + tau * change[c]
     for j in range(modes):
-        state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane] = gained[6 + j], gained[6 + modes + j]
+        state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane] = change[6 + j], change[6 + modes + j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def displacement(tables, state, fields, root, lane, node, component):
-    """X, y or theta at a place between two floats."""
-    places, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
-    i = node // places
+    """X, y or theta at a node between two floats."""
+    per_pitch, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
+    i = node // per_pitch
     q = i * fields
-    kind = min(root - i * places, places) - 1
-    row = tables.shape[lane, kind, node - i * places, component]
+    kind = min(root - i * per_pitch, per_pitch) - 1
+    row = tables.shape[lane, kind, node - i * per_pitch, component]
     value = 0.0
     for c in range(3):
         value += row[c] * state[q + X + c, lane] + row[3 + c] * state[q + fields + X + c, lane]
@@ -144,7 +144,7 @@ def displacement(tables, state, fields, root, lane, node, component):
 
 @njit(nogil=True, error_model="numpy")
 def node_displacement(tables, state, fields, root, lane, i, node, component):
-    """X, y or theta of a node, which float i or the piece behind it has."""
+    """X, y or theta at a node of float i or of the piece behind it."""
     if node >= root:
         return 0.0
     if node == i * (tables.pieces.shape[1] - 1):
@@ -154,10 +154,10 @@ def node_displacement(tables, state, fields, root, lane, i, node, component):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def displacements(tables, state, fields, root, lane, d):
-    """Displacements of all places between floats of a lane, from the state of the pieces."""
-    places = tables.pieces.shape[1] - 1
+    """Displacements at all nodes between floats of a lane."""
+    per_pitch = tables.pieces.shape[1] - 1
     for node in range(root):
-        if node % places:
+        if node % per_pitch:
             for c in range(3):
                 d[node, c] = displacement(tables, state, fields, root, lane, node, c)
 
@@ -167,11 +167,11 @@ def after_step(
     parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, tau, tables,
     points, roots, samples, tension, failed,
 ):  # fmt: skip
-    """Sampling, failure and growth after a step; True if no lane is left. Arguments as in ``imex.after_step``.
+    """Sampling, failure and growth after a step; True if no lane is running. Arguments as in ``imex.after_step``.
 
-    ``tension`` (rows, lanes), unless empty, gains the axial force of the pieces.
+    The axial forces of the pieces are added to ``tension`` (rows, lanes), unless it is empty.
     """
-    places = tables.pieces.shape[1] - 1
+    per_pitch = tables.pieces.shape[1] - 1
     running, moved = 0, False
     for lane in range(len(failed)):
         if failed[lane] != 0:
@@ -181,11 +181,11 @@ def after_step(
             continue
         running += 1
         root = roots[lane]
-        outermost = (root - 1) // places
+        outermost = (root - 1) // per_pitch
         if due == 0:
             for p in range(len(points)):
                 node = points[p, lane] if points[p, lane] >= 0 else root
-                i = min(node // places, outermost)
+                i = min(node // per_pitch, outermost)
                 for c in range(3):
                     samples[row, p, c, lane] = node_displacement(tables, state, fields, root, lane, i, node, c)
                 samples[row, p, 3, lane] = state[i * fields + V, lane]
@@ -194,10 +194,10 @@ def after_step(
         if inputs[k + APPEND, lane] > 0.0:
             grow(tables, state, fields, root, lane, tau[lane])
             roots[lane] += 1
-            parameters[ROOT, lane] = (root // places) + 1
+            parameters[ROOT, lane] = (root // per_pitch) + 1
             moved = True
     if moved:
-        place_roots(tables, constants, factors, at, last, roots)
+        assign_roots(tables, constants, factors, at, last, roots)
     return running == 0
 
 
@@ -209,15 +209,15 @@ def even_odd(lx, ly, lt, rx, ry, rt):
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def ends_of(ex, ey, et, ox, oy, ot):
-    """What an even and an odd force are at the L end and at the R end."""
+    """Forces at the L end and the R end from an even and an odd force."""
     return ex + ox, ey + oy, et + ot, ox - ex, ey - oy, ot - et
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def push_modes(constants, c, count, state, q, ax, ay, at, push):
-    """The couple's kick of the modes of one parity; its force on their ends, and what their elimination leaves there.
+    """Kick the modes of one parity by the couple; returns its force on the ends, and the terms of elimination there.
 
-    ``push`` is -dt V, (ax, ay, at) are the ends' unknowns; the forces are still to be multiplied by it.
+    ``push`` is -dt V, (ax, ay, at) are the unknowns of the ends; the returned forces must be multiplied by ``push``.
     """
     zero = splat(push, 0.0)
     hx = hy = ht = sx = sy = st = zero
@@ -240,7 +240,7 @@ def push_modes(constants, c, count, state, q, ax, ay, at, push):
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def move_modes(constants, c, count, state, q, ux, uy, ut, dt, tau):
-    """New q and p of the modes of one parity from their ends' velocities; returns the axial force that they add."""
+    """Update q and p of the modes of one parity from the velocities of the ends; returns their axial force."""
     force = splat(ux, 0.0)
     for j in range(count):
         m, r = c + j * MODE, q + 2 * j
@@ -274,15 +274,14 @@ def dot(constants, c, x, y, t):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def float_kick(constants, c, state, q, own, wall, curvature, behind, speed, slope, air, y):
+def float_kick(constants, c, state, q, float_, wall, curvature, behind, speed, slope, air, y):
     """Contact, friction, drag and inertia of a float with half the cable on either side: x, y, moment.
 
-    ``behind`` is half the mass of the piece behind it. Which of two products is fused with their sum hangs on the
-    order in which things are loaded here.
+    ``behind`` is half the mass of the piece behind it. The order of loads affects the rounding (fused multiply-add).
     """
     vx, vy = load(state, q + VX), load(state, q + VY)
     forward = speed + vx
-    cx, cy, ct = float_forces(own, wall, forward, air, y, vx + speed, load(state, q + VT))
+    cx, cy, ct = float_forces(float_, wall, forward, air, y, vx + speed, load(state, q + VT))
     mass = behind + load(constants, c + HALF_MASS)
     turn = mass * curvature * forward
     cx = cx - 2.0 * turn * vy - mass * slope
@@ -291,11 +290,11 @@ def float_kick(constants, c, state, q, own, wall, curvature, behind, speed, slop
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
-    """Couple, modes and K d of a piece between two floats, whose displacements are given.
+    """Couple, modes and K d of a piece between two floats with given displacements.
 
     Returns:
-        what it does to the float here: -dt V, the couple's force (to be multiplied by it), what the modes leave, K d;
-        and to the one ahead: K d, what the modes leave, the couple's kick.
+        for this float: -dt V, force of the couple (to be multiplied by it), terms of the modes, K d; for the float
+        ahead: K d, terms of the modes, kick of the couple.
     """
     (x, y, t), (nx, ny, nt), even, odd = here, ahead, len(evens), len(odds)
     ax, ay, aa, bx, by, bt = even_odd(x, y, t, nx, ny, nt)
@@ -322,10 +321,10 @@ def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def momentum_kick(state, q, kick, own, behind, dt, before, now, weight):
-    """New momentum of a float from what acts on it and from the pieces on both sides; what is to be solved for."""
+def momentum_kick(state, q, kick, piece, behind, dt, before, now, weight):
+    """Update the momentum of a float from its kick and the pieces on both sides; returns the right-hand side."""
     cx, cy, ct = kick
-    push, gx, gy, gt, jx, jy, jt, ex, ey, et = own
+    push, gx, gy, gt, jx, jy, jt, ex, ey, et = piece
     kx, ky, kt, sx, sy, st, hx, hy, ht = behind
     ex, ey, et = ex + kx, ey + ky, et + kt
     px = load(state, q + PX) - now * ex + dt * cx + push * gx + hx
@@ -347,10 +346,10 @@ def middle_of(state, q, velocity, tau):
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def axial_force(constants, c, evens, odds, state, q, velocity, velocity_ahead, middle, middle_ahead, dt, tau):
-    """Axial force of a piece from v_m and d_before + tau v_m of its two floats; its modes are moved.
+    """Axial force of a piece from v_m and d_before + tau v_m of its two floats; updates its modes.
 
     Returns:
-        that of a pitch between floats; what a piece with the root has besides, together with ``root_force``.
+        axial force of a pitch between floats; additional force of the piece at the root, without ``root_force``.
     """
     (ux, uy, ut), (wx, wy, wt), (nx, ny, nt), (zx, zy, zt) = velocity, velocity_ahead, middle, middle_ahead
     even, odd = len(evens), len(odds)
@@ -364,14 +363,14 @@ def axial_force(constants, c, evens, odds, state, q, velocity, velocity_ahead, m
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def root_force(constants, c, middle, middle_ahead):
-    """What the ends' odd unknowns add to the axial force of a piece with the root."""
+    """Contribution of the odd unknowns of the ends to the axial force of the piece at the root."""
     (nx, ny, nt), (zx, zy, zt) = middle, middle_ahead
     return dot(constants, c + AXIAL_ODD, nx + zx, ny - zy, nt + zt)
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def move_float(state, q, velocity, dt):
-    """New displacement of a float from its mean velocity, which is kept: friction goes by it."""
+    """Update the displacement of a float; its mean velocity is stored for the direction of friction."""
     ux, uy, ut = velocity
     store(state, q + X, load(state, q + X) + dt * ux)
     store(state, q + Y, load(state, q + Y) + dt * uy)
@@ -385,13 +384,13 @@ def move_float(state, q, velocity, dt):
 def superelement_advance(
     parameters, constants, factors, at, last, modes, state, inputs, tops, bottoms, dt, tables, sampling, roots, failed
 ):
-    """Steps of all lanes; see ``imex_advance`` for sampling, ``after_step`` for growth. Returns the steps done.
+    """Advance all lanes; returns the number of steps. ``sampling`` as in ``imex_advance``, growth as in ``after_step``.
 
-    ``constants`` ((1 + lanes) CONSTANTS, lanes) are those of a pitch, then of the rows with a root; ``factors`` have
-    ``last`` + 1 rows of the chain, then those with a root; ``at[i]`` says which block row i uses. A row is a float and
-    the modes of the piece behind it, as many even and odd ones as the two tuples ``modes`` are long: a tuple's length
-    is part of its type, so a kernel is compiled for each number and has no loops over them. ``tops`` and ``bottoms``
-    (steps,) are the last floats of the longest and of the shortest probe.
+    ``constants`` ((1 + lanes) CONSTANTS, lanes) are those of a pitch, then of rows with a root; ``factors`` are those
+    of ``last`` + 1 rows, then of rows with a root; ``at[i]`` is the block of row i. A row is a float and the modes of
+    the piece behind it. The lengths of the two tuples ``modes`` are the numbers of even and odd modes; numba compiles a
+    kernel without loops for each length. ``tops`` and ``bottoms`` (steps,) are the last floats of the longest and of
+    the shortest probe.
     """
     first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
@@ -404,7 +403,7 @@ def superelement_advance(
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
-    floats, wall = loaded_floats(parameters), loaded_wall(parameters)
+    floats, wall = load_floats(parameters), load_wall(parameters)
     pitch_half = load(constants, HALF_MASS)
     row, due = 0, first
     for step in range(len(tops)):

@@ -1,25 +1,24 @@
-"""A piece of cable between two floats, condensed by Craig and Bampton: its ends' motion and a few modes between them.
+"""Craig-Bampton condensation of a piece of cable between two floats to the motion of its ends and a few modes.
 
-Between floats the cable is linear, so of a fine mesh only what the floats notice is kept. The motion u of all nodes is
-u = T z, z = (x, y, theta of the tip-side end, of the root-side end, m modal coordinates):
+Between floats the cable is linear, so a fine mesh can be condensed. The motion u of all nodes is u = T z,
+z = (x, y, theta of the tip-side end, of the root-side end, m modal coordinates):
 
-* six static shapes, psi = -K_ii^-1 K_ib: what the inner nodes do when an end is moved slowly;
+* six static shapes, psi = -K_ii^-1 K_ib: displacements of the inner nodes for a unit displacement of an end;
 * the m lowest modes of the inner nodes with both ends held, K_ii phi = omega^2 M_ii phi, phi^T M_ii phi = 1.
 
-With all modes T is a change of coordinates and nothing is lost; frequencies fall towards those of the mesh as modes are
-added (Rayleigh and Ritz). K falls apart into a block of the ends and a diagonal of omega^2; M joins them.
+With all modes T is an exact change of coordinates; frequencies decrease towards those of the mesh as modes are added
+(Rayleigh and Ritz). K consists of a block of the ends and a diagonal of omega^2; M couples them.
 
-The helix's curvature is in the piece: one that is stretched bulges, and the first mode, which changes the length of the
-cable, has hoop stiffness (319 instead of 234 Hz on table 2).
+The piece includes the curvature of the helix: tension changes its curvature, and the first mode, which changes the
+length of the cable, has hoop stiffness (319 instead of 234 Hz for table 2).
 
-A piece is its own mirror image: x -> -x, y -> y, theta -> -theta with the ends exchanged. Every mode is even or odd
-under it, and in the unknowns
+A piece is symmetric under x -> -x, y -> y, theta -> -theta with exchanged ends. Every mode is even or odd, and in the
+unknowns
 
     even (x_L - x_R, y_L + y_R, theta_L - theta_R) and the even modes, odd (x_L + x_R, y_L - y_R, theta_L + theta_R) and
-    the odd ones, L the tip-side and R the root-side end,
+    the odd modes, L the tip-side and R the root-side end,
 
-each symmetric matrix falls apart into an even and an odd block: ``halves`` gives what acts on L, R has its mirror
-image.
+each symmetric matrix has an even and an odd block. ``halves`` returns the part that acts on L; R has its mirror image.
 """
 
 from __future__ import annotations
@@ -36,18 +35,18 @@ from probe_env.physics.model.chain import Chain, element_blocks, element_stiffne
 ENDS = 6
 """Unknowns of the two ends; the modal coordinates follow."""
 MIRROR = np.array([-1.0, 1.0, -1.0])
-"""Of x, y and theta."""
+"""Signs of x, y and theta under reflection."""
 
 
 class Pitch(NamedTuple):
     """Condensed matrices of a piece, unknowns z in the order above; SI units.
 
     Attributes:
-        mass: (6 + m, 6 + m); rows of rotation hold -J / r of (15) too.
+        mass: (6 + m, 6 + m); rows of rotation include -J / r of (15).
         stiffness: (6 + m, 6 + m).
-        couple: (6 + m, 6 + m) of (9), -V times it is the force of the axial force V, here the piece's mean.
-        tension: (6 + m,) the mean axial force is its product with z.
-        root_tension: (6 + m,) the same for the element at the root-side end.
+        couple: (6 + m, 6 + m) of (9); -V times it is the force of the couple for a mean axial force V.
+        tension: (6 + m,); its product with z is the mean axial force.
+        root_tension: (6 + m,); its product with z is the axial force of the element at the root-side end.
         shape: (3 (n + 1), 6 + m) T.
         frequencies: (3 (n - 1),) of all modes of the mesh with the ends held [Hz], ascending.
     """
@@ -62,7 +61,7 @@ class Pitch(NamedTuple):
 
     @property
     def modes(self) -> int:
-        """M."""
+        """Number m of modes."""
         return len(self.tension) - ENDS
 
     @property
@@ -72,13 +71,13 @@ class Pitch(NamedTuple):
         mirrored = modes[::-1] * MIRROR[None, :, None]
         return np.asarray((modes * mirrored).sum(axis=(0, 1)) > 0.0)
 
-    def only(self, modes: npt.ArrayLike) -> Pitch:
-        """The same with some of its modes, in the order of their indices."""
-        kept = np.r_[:ENDS, ENDS + np.asarray(modes, dtype=int)]
-        square = np.ix_(kept, kept)
+    def select_modes(self, modes: npt.ArrayLike) -> Pitch:
+        """The piece with some of its modes, in the order of ``modes``."""
+        columns = np.r_[:ENDS, ENDS + np.asarray(modes, dtype=int)]
+        square = np.ix_(columns, columns)
         return Pitch(
-            self.mass[square], self.stiffness[square], self.couple[square], self.tension[kept], self.root_tension[kept],
-            self.shape[:, kept], self.frequencies,
+            self.mass[square], self.stiffness[square], self.couple[square], self.tension[columns],
+            self.root_tension[columns], self.shape[:, columns], self.frequencies,
         )  # fmt: skip
 
 
@@ -91,16 +90,16 @@ def halves(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     return 0.5 * (left - right), 0.5 * (left + right)
 
 
-def refined(chain: Chain, nodes_per_pitch: int, elements: int, places: int) -> Chain:
-    """A piece of ``places`` elements of a chain, as one with ``elements`` in a float pitch; nothing but the cable.
+def refined(chain: Chain, nodes_per_pitch: int, elements: int, count: int) -> Chain:
+    """The cable of ``count`` elements of a chain, refined to ``elements`` per float pitch; no contact, drag or loads.
 
-    Lengths, masses and compliances after (1), (2) and (5), rotary inertia with the cable's radius as it is there.
+    Lengths, masses and compliances follow (1), (2) and (5); rotary inertia includes the radius of the cable.
     """
     ratio = nodes_per_pitch / elements
     h, sin_phi = chain.element_length * ratio, chain.sin_phi * ratio
     section = chain.inertia / chain.mass - chain.element_length**2 / 12.0
     mass = chain.mass * ratio
-    nodes = np.zeros(places * elements // nodes_per_pitch + 1)
+    nodes = np.zeros(count * elements // nodes_per_pitch + 1)
     return chain._replace(
         element_length=h, sin_phi=sin_phi, cos_phi=float(np.sqrt(1.0 - sin_phi**2)),
         axial_compliance=chain.axial_compliance * ratio, shear_compliance=chain.shear_compliance * ratio**3,
@@ -112,12 +111,12 @@ def refined(chain: Chain, nodes_per_pitch: int, elements: int, places: int) -> C
 
 
 def condensed(chain: Chain, modes: int) -> Pitch:
-    """A whole chain of n elements, two at least, as one piece with so many modes.
+    """A chain of n >= 2 elements condensed to one piece with a number of modes.
 
-    Its end nodes count with half their mass, so that pieces in a row are a chain.
+    The end nodes have half their mass, so that pieces in a row form a chain.
 
     Raises:
-        ValueError: more modes than the mesh has, or fewer than none.
+        ValueError: the number of modes is negative or larger than that of the mesh.
     """
     mass, stiffness, couple, axial = _mesh(chain)
     size = len(mass)
@@ -126,7 +125,7 @@ def condensed(chain: Chain, modes: int) -> Pitch:
         raise ValueError(
             f"modes = {modes!r} is outside the accepted range 0 to {size - ENDS} of {size // 3 - 1} elements"
         )
-    # the modes are those of the symmetric part: -J / r is a part in 1e5 of J over an element
+    # modes of the symmetric part: -J / r is negligible, 1e-5 of J over an element
     squares, all_modes = eigh(stiffness[inner, inner], np.diag(np.diag(mass)[inner]))
     shape = np.zeros((size, ENDS + modes))
     shape[ends, range(ENDS)] = 1.0

@@ -1,11 +1,10 @@
-"""The superelement's step of one probe: neighbouring floats in the lanes, bit for bit what ``kernel.py`` gives.
+"""Kernel of the superelement for a single probe, with neighbouring floats in the lanes; equal bits as ``kernel.py``.
 
-A group of probes costs what its lanes do, full or not. Here the lanes are as many floats in a row of one probe: what a
-float and its piece do by themselves is done for a block of them at once, and only the two sweeps through the chain,
-u_i = E_i r_i - F_i u_{i-1} and v_i = u_i - U_i v_{i+1}, go from float to float. Every number is made by the same
-functions from the same numbers.
+The run time of a group does not depend on how many lanes are used. Here the lanes are neighbouring floats of one probe:
+the forces of a block of floats and pieces are computed at once, and only the two sweeps, u_i = E_i r_i - F_i u_{i-1}
+and v_i = u_i - U_i v_{i+1}, go from float to float. All numbers come from the same functions with the same arguments.
 
-Field f of float i lies in row (i // lanes) fields + f of the state, lane i % lanes.
+Field f of float i is in row (i // lanes) fields + f of the state, lane i % lanes.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from __future__ import annotations
 from numba import njit
 
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex import loaded_wall, magnitude
+from probe_env.physics.methods.imex import load_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION
 from probe_env.physics.methods.lanes import from_ahead, from_behind, load, splat, store, where_less
 from probe_env.physics.methods.superelement.kernel import (
@@ -39,31 +38,31 @@ from probe_env.physics.methods.superelement.tables import CONSTANTS
 from probe_env.physics.model.drive import AIR, APPEND, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 
-OWN = 9
-"""Of a float's factors E, in lanes; F and U, ``LINKS`` numbers, are in rows of their own."""
+E_SIZE = 9
+"""Entries of the factor E of a float, in lanes; the entries of F and U, ``LINKS`` numbers, are in separate rows."""
 LINKS = 18
 
 
 @njit(nogil=True, error_model="numpy")
-def place_root(tables, constants, factors, links, root):
-    """Give the root's block its constants and factors, the float before the root those of a shorter piece."""
-    places, lanes = tables.pieces.shape[1] - 1, constants.shape[1]
-    top, f, settled = (root - 1) // places, len(factors) - OWN, tables.factors.shape[1] - 1
+def assign_root(tables, constants, factors, links, root):
+    """Set constants and factors of the block of the root; the last float has those of a shorter piece."""
+    per_pitch, lanes = tables.pieces.shape[1] - 1, constants.shape[1]
+    top, f, settled = (root - 1) // per_pitch, len(factors) - E_SIZE, tables.factors.shape[1] - 1
     for lane in range(lanes):
         i = (top // lanes) * lanes + lane
         row = min(i, settled)
-        kind = root - top * places - 1 if i == top else places
+        kind = root - top * per_pitch - 1 if i == top else per_pitch
         for c in range(CONSTANTS):
             constants[CONSTANTS + c, lane] = tables.pieces[0, kind, c]
-        for k in range(OWN):
+        for k in range(E_SIZE):
             value = tables.root_factors[0, kind, row, k] if i == top else tables.factors[0, row, k]
             factors[f + k, lane] = value
     for k in range(LINKS):
-        links[len(links) - 1, k] = tables.root_factors[0, root - top * places - 1, min(top, settled), OWN + k]
+        links[len(links) - 1, k] = tables.root_factors[0, root - top * per_pitch - 1, min(top, settled), E_SIZE + k]
 
 
 @njit(nogil=True, error_model="numpy")
-def bring(state, fields, i, near):
+def copy_out(state, fields, i, near):
     """Copy float i and the one on its root side to ``near``."""
     lanes = state.shape[1]
     for k in range(2):
@@ -72,8 +71,8 @@ def bring(state, fields, i, near):
 
 
 @njit(nogil=True, error_model="numpy")
-def take_back(state, fields, i, near):
-    """``bring`` backwards."""
+def copy_back(state, fields, i, near):
+    """Inverse of ``copy_out``."""
     lanes = state.shape[1]
     for k in range(2):
         for field in range(fields):
@@ -82,13 +81,13 @@ def take_back(state, fields, i, near):
 
 @njit(nogil=True, error_model="numpy")
 def sample(tables, state, fields, root, near, points, samples):
-    """Write x, y, theta and the axial force at some nodes; see ``kernel.after_step``."""
-    places = tables.pieces.shape[1] - 1
+    """Store x, y, theta and the axial force at nodes; see ``kernel.after_step``."""
+    per_pitch = tables.pieces.shape[1] - 1
     for p in range(len(points)):
         node = points[p] if points[p] >= 0 else root
-        i = min(node // places, (root - 1) // places)
-        bring(state, fields, i, near)
-        first = i * places
+        i = min(node // per_pitch, (root - 1) // per_pitch)
+        copy_out(state, fields, i, near)
+        first = i * per_pitch
         for c in range(3):
             samples[p, c] = node_displacement(tables, near, fields, root - first, 0, 0, node - first, c)
         samples[p, 3] = near[V, 0]
@@ -96,18 +95,18 @@ def sample(tables, state, fields, root, near, points, samples):
 
 LEVER, GAP, DRAG, BEHIND = range(4)
 FLOATS = 4
-"""Of a float: its lever, gap and drag, and half the mass of the piece behind it."""
+"""Parameters of a float: lever, gap, drag, and half the mass of the piece behind it."""
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def three(state, q):
-    """Three fields in a row."""
+    """Three consecutive fields."""
     return load(state, q), load(state, q + 1), load(state, q + 2)
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def all_from_behind(a, b):
-    """``from_behind`` of the nine figures that a piece gives the float ahead."""
+    """``from_behind`` of the nine values that a piece passes to the float ahead."""
     return (
         from_behind(a[0], b[0]), from_behind(a[1], b[1]), from_behind(a[2], b[2]),
         from_behind(a[3], b[3]), from_behind(a[4], b[4]), from_behind(a[5], b[5]),
@@ -135,26 +134,26 @@ def link(a, b, c, links, row, f, x, y, t):
 def superelement_advance_single(
     parameters, constants, factors, links, floats, modes, state, inputs, root, dt, tables, near, sampling
 ):
-    """Steps of one probe that is held at ``root``; see ``kernel.superelement_advance``.
+    """Advance one probe that is held at ``root``; see ``kernel.superelement_advance``.
 
     Args:
-        parameters: (24, lanes) of the probe, the same in all lanes.
+        parameters: (24, lanes) of the probe, equal in all lanes.
         constants: (2 CONSTANTS, lanes) of a pitch, and of the block with the root.
-        factors: ((blocks + 1) OWN, lanes) E of the floats; one block serves all beyond; then that of the root's block.
-        links: (k + 1, LINKS) F and U of the floats, the last but one serves all beyond, the last is the root's.
+        factors: ((blocks + 1) E_SIZE, lanes) E of the floats; further floats use the last block but one; last: root.
+        links: (k + 1, LINKS) F and U of the floats; further floats use the last row but one; last: root.
         floats: (blocks FLOATS, lanes).
-        modes: two tuples, as long as there are even and odd modes.
-        state: (blocks fields, lanes) with a block at rest beyond the last one.
+        modes: two tuples with the lengths of the numbers of even and odd modes.
+        state: (blocks fields, lanes), with a block at rest after the last one.
         inputs: (steps, 4), see model/drive.py.
         root: node that is held.
         dt: [s].
         tables: of the probe alone.
         near: (2 fields, 1) scratch: two floats and their pieces.
         sampling: steps until the first sample and between samples; points (p,), -1 for the root; samples (k, p, 4);
-            tension (rows,), unless empty, gains the axial force of the pieces.
+            tension (rows,), sum of the axial forces of the pieces, or empty.
 
     Returns:
-        the step at which it diverged, from 1, or 0; the node that is held.
+        step at which the probe diverged, counted from 1, or 0; held node.
     """
     first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
@@ -162,29 +161,29 @@ def superelement_advance_single(
     lag = linear_weights(float(parameters[DAMPING, 0]), dt)[1]
     evens, odds = modes
     lanes, fields = state.shape[1], MODES + 2 * (len(evens) + len(odds))
-    beyond, places = len(factors) // OWN - 2, tables.pieces.shape[1] - 1
+    beyond, per_pitch = len(factors) // E_SIZE - 2, tables.pieces.shape[1] - 1
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
-    wall = loaded_wall(parameters)
+    wall = load_wall(parameters)
     row, due, held = 0, first, len(links) - 1
-    place_root(tables, constants, factors, links, root)
+    assign_root(tables, constants, factors, links, root)
     for step in range(len(inputs)):
         speed, slope = splat(parameters, inputs[step, SPEED]), splat(parameters, inputs[step, SLOPE])
         air = splat(parameters, inputs[step, AIR])
-        top, peak = (root - 1) // places, zero
+        top, peak = (root - 1) // per_pitch, zero
         last = top // lanes
         ux = uy = ut = rest
         behind = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
         here = three(state, X)
         for b in range(last + 1):
             q, c = b * fields, CONSTANTS if b == last else 0
-            f = (beyond + 1 if b == last else min(b, beyond)) * OWN
+            f = (beyond + 1 if b == last else min(b, beyond)) * E_SIZE
             further = three(state, q + fields + X)
             ahead = all_from_ahead(here, further)
-            own = load(floats, b * FLOATS + LEVER), load(floats, b * FLOATS + GAP), load(floats, b * FLOATS + DRAG)
+            float_ = load(floats, b * FLOATS + LEVER), load(floats, b * FLOATS + GAP), load(floats, b * FLOATS + DRAG)
             half = load(floats, b * FLOATS + BEHIND)
-            kick = float_kick(constants, c, state, q, own, wall, curvature, half, speed, slope, air, here[1])
+            kick = float_kick(constants, c, state, q, float_, wall, curvature, half, speed, slope, air, here[1])
             height = magnitude(here[1])
             peak = where_less(peak, height, height, peak)
             done, carried = piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt)
@@ -242,9 +241,9 @@ def superelement_advance_single(
                 tension[i] += state[(i // lanes) * fields + V, i % lanes]
             due, row = every, row + 1
         if inputs[step, APPEND] > 0.0:
-            bring(state, fields, top, near)
-            grow(tables, near, fields, root - top * places, 0, lag)
-            take_back(state, fields, top, near)
+            copy_out(state, fields, top, near)
+            grow(tables, near, fields, root - top * per_pitch, 0, lag)
+            copy_back(state, fields, top, near)
             root += 1
-            place_root(tables, constants, factors, links, root)
+            assign_root(tables, constants, factors, links, root)
     return 0, root

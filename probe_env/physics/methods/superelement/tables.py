@@ -1,7 +1,7 @@
-"""What the kernel of the superelement needs of a probe: constants of its pieces, factors, maps for a growing length.
+"""Tables of a probe for the superelement kernel: constants of the pieces, factors, maps for a growing length.
 
-A piece is a pitch, or at the root a part of one: some of the n places in a pitch at which the cable can be held. All
-are condensed from the same fine mesh and keep equally many even and odd modes.
+A piece is a pitch, or at the root 1 to n nodes of it; the cable can be held at every node. All pieces are condensed
+from one fine mesh and have equal numbers of even and odd modes.
 """
 
 from __future__ import annotations
@@ -15,16 +15,21 @@ from scipy.optimize import brentq
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.superelement.contact import Endless, contact_frequency, fitted_stiffness, most_tension
+from probe_env.physics.methods.superelement.contact import (
+    PeriodicRow,
+    contact_frequency,
+    fitted_stiffness,
+    most_tension,
+)
 from probe_env.physics.methods.superelement.pitch import ENDS, Pitch, condensed, halves, refined
 from probe_env.physics.model.chain import Chain, cable_of, linear_part
 
 ELEMENTS = 16
-"""Of the fine mesh in a pitch."""
+"""Elements of the fine mesh per pitch."""
 REACH = 1.8
-"""Modes are kept up to this many times the frequency of contact."""
+"""Highest frequency of the modes divided by the contact frequency."""
 LEAST, MOST = (2, 1), 5
-"""Even and odd modes that are always kept; most of either kind."""
+"""Least numbers of even and odd modes, and largest number of either kind."""
 
 # constants of a piece: blocks of its ends' unknowns, axial force and mass, then its modes
 K_EVEN, K_ODD, G_EVEN, G_ODD, AXIAL_EVEN, AXIAL_ODD, HALF_MASS = 0, 9, 15, 24, 33, 36, 39
@@ -42,17 +47,17 @@ MOST_FACTORS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """Of a probe; n places in a pitch, e even and o odd modes, m = e + o.
+    """Tables of a probe with n nodes per pitch, e even and o odd modes, m = e + o.
 
     Attributes:
         even, odd: e and o.
-        pieces: (n + 1, CONSTANTS) of the root's piece with 1, ..., n places, and of a pitch between floats.
-        factors: (k, 27) E, F, U of the first k floats from the tip; the last row serves all beyond.
-        root_factors: (n, k, 27) the same where the next piece has 1, ..., n places and is held.
+        pieces: (n + 1, CONSTANTS) of the piece at the root with 1, ..., n nodes, and of a pitch between floats.
+        factors: (k, 27) E, F, U of the first k floats from the tip; further floats use the last row.
+        root_factors: (n, k, 27) factors if the next piece is at the root and has 1, ..., n nodes.
         growth: (n, 6 + 2 m, 6 + 2 m), see ``_growth``.
-        shape: (n, n, 3, 6 + m) displacement at the places 0, ..., n - 1 from the L end of each piece.
-        most_tension: up to which the couple, explicit, leaves the floats stable [N].
-        stiffness: of contact, as this step needs it, see contact.py [N/m].
+        shape: (n, n, 3, 6 + m) displacement at the nodes 0, ..., n - 1 from the L end of each piece.
+        most_tension: largest tension at which the explicit couple is stable [N].
+        stiffness: fitted contact stiffness for this step, see contact.py [N/m].
     """
 
     even: int
@@ -67,10 +72,10 @@ class Tables:
 
 
 def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
-    """Those of a probe's chain, whose nodes are the places; as many modes as its contact asks for, three at least.
+    """Tables for a chain, with three or more modes according to its contact stiffness.
 
     Raises:
-        ValueError: the places are not nodes of the fine mesh, or there is no room for the modes.
+        ValueError: the nodes are not nodes of the fine mesh, or the contact needs too many modes.
     """
     if ELEMENTS % nodes_per_pitch:
         raise ValueError(
@@ -80,15 +85,15 @@ def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
 
 
 def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
-    """Step [s] at which omega dt of a float on its contact spring, with the cable tied to it, is ``limit``."""
+    """Step [s] at which omega dt of a float with its cable on the contact spring is ``limit``."""
     return _longest_step(linear_part(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
 
 
 @lru_cache(maxsize=256)
-def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limit: float) -> float:
+def _longest_step(linear: tuple[float, ...], stiffness: float, per_pitch: int, limit: float) -> float:
     chain = cable_of(linear)
-    whole = _piece(linear, places, ELEMENTS, places)
-    row = Endless(_chosen(whole, *_modes(whole, chain, stiffness, places, ELEMENTS), 0.0))
+    whole = _piece(linear, per_pitch, ELEMENTS, per_pitch)
+    row = PeriodicRow(_chosen(whole, *_modes(whole, chain, stiffness, per_pitch, ELEMENTS), 0.0))
 
     def beyond(step: float) -> float:
         return step * math.sqrt(stiffness * row.least_mass(chain.damping_time, step) ** -1) - limit
@@ -96,11 +101,11 @@ def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limi
     return float(brentq(beyond, 1e-8, 1.0, rtol=1e-6))
 
 
-def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: int) -> tuple[int, int]:
-    """How many even and odd modes a contact asks for, ``LEAST`` at least.
+def _modes(whole: Pitch, chain: Chain, stiffness: float, per_pitch: int, elements: int) -> tuple[int, int]:
+    """Numbers of even and odd modes for a contact stiffness, at least ``LEAST``.
 
     Raises:
-        ValueError: more than there is room for, in the kernel or in the shortest piece at the root.
+        ValueError: more than the kernel or the shortest piece at the root supports.
     """
     reach = REACH * contact_frequency(chain, stiffness)
     below, kinds = whole.frequencies[: whole.modes] <= reach, (whole.even, ~whole.even)
@@ -110,27 +115,27 @@ def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: 
             f"contact.stiffness asks for modes up to {reach:.0f} Hz, {even} even and {odd} odd ones: superelement has"
             f" room for {MOST} and {MOST}; imex with 8 or more nodes a pitch simulates it"
         )
-    inner = 3 * (elements // places // 2)  # unknowns of half a piece; y of its middle is even, x and theta are odd
+    inner = 3 * (elements // per_pitch // 2)  # unknowns of half a piece; y of its middle is even, x and theta are odd
     if even > inner - 2 or odd > inner - 1:
         raise ValueError(
-            f"nodes_per_pitch = {places!r}: a piece of {elements // places} elements at the root has fewer than the"
-            f" {even} even and {odd} odd modes that contact.stiffness = {stiffness:g} N/m asks for;"
+            f"nodes_per_pitch = {per_pitch!r}: a piece of {elements // per_pitch} elements at the root has fewer than"
+            f" the {even} even and {odd} odd modes that contact.stiffness = {stiffness:g} N/m asks for;"
             " give fewer nodes a pitch, or imex"
         )
     return even, odd
 
 
 @lru_cache(maxsize=1024)  # more than a batch has different tubes
-def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step: float, elements: int) -> Tables:
+def _tables(linear: tuple[float, ...], stiffness: float, per_pitch: int, time_step: float, elements: int) -> Tables:
     chain = cable_of(linear)
     theta, tau = linear_weights(chain.damping_time, time_step)
-    whole = _piece(linear, places, elements, places)
-    even, odd = _modes(whole, chain, stiffness, places, elements)
+    whole = _piece(linear, per_pitch, elements, per_pitch)
+    even, odd = _modes(whole, chain, stiffness, per_pitch, elements)
     pieces = [
-        _chosen(_piece(linear, places, elements, count), even, odd, theta * time_step * tau)
-        for count in range(1, places + 1)
+        _chosen(_piece(linear, per_pitch, elements, count), even, odd, theta * time_step * tau)
+        for count in range(1, per_pitch + 1)
     ]
-    fine = refined(chain, places, elements, places)
+    fine = refined(chain, per_pitch, elements, per_pitch)
     factors, root_factors = _factors(
         pieces, 0.5 * np.diag([fine.mass, fine.mass, fine.inertia]), theta * time_step * tau
     )
@@ -139,23 +144,23 @@ def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step:
     return Tables(
         even, odd, np.array([*at_root, inner]),
         factors, root_factors,
-        np.array([_growth(chain, pieces, k, places, elements) for k in range(places)]),
-        np.array([_shape(piece, places, elements) for piece in pieces]),
+        np.array([_growth(chain, pieces, k, per_pitch, elements) for k in range(per_pitch)]),
+        np.array([_shape(piece, per_pitch, elements) for piece in pieces]),
         most_tension(pieces[-1], time_step, theta, tau),
         fitted_stiffness(_chosen(whole, MOST, MOST, 0.0), pieces[-1], stiffness, chain.damping_time, time_step),
     )  # fmt: skip
 
 
 @lru_cache(maxsize=64)
-def _piece(linear: tuple[float, ...], places: int, elements: int, count: int) -> Pitch:
-    """A piece of ``count`` places with all its modes; a tube's friction, contact and drag have no part in it."""
-    mesh = refined(cable_of(linear), places, elements, count)
+def _piece(linear: tuple[float, ...], per_pitch: int, elements: int, count: int) -> Pitch:
+    """A piece of ``count`` nodes with all its modes; friction, contact and drag are not included."""
+    mesh = refined(cable_of(linear), per_pitch, elements, count)
     return condensed(mesh, 3 * (mesh.node_count - 2))
 
 
 def _chosen(piece: Pitch, even: int, odd: int, weight: float) -> Pitch:
-    """The lowest modes of both kinds, the even ones first; scaled so that M + weight K of each is one."""
-    chosen = piece.only([*np.flatnonzero(piece.even)[:even], *np.flatnonzero(~piece.even)[:odd]])
+    """The piece with its lowest modes, even ones first, scaled so that M + weight K of each mode is 1."""
+    chosen = piece.select_modes([*np.flatnonzero(piece.even)[:even], *np.flatnonzero(~piece.even)[:odd]])
     scale = np.ones(ENDS + chosen.modes)
     scale[ENDS:] = 1.0 / np.sqrt(1.0 + weight * np.diag(chosen.stiffness)[ENDS:])
     both = np.outer(scale, scale)
@@ -166,7 +171,7 @@ def _chosen(piece: Pitch, even: int, odd: int, weight: float) -> Pitch:
 
 
 def _constants(piece: Pitch, even: int, tension: FloatArray, time_step: float, theta: float, tau: float) -> FloatArray:
-    """(CONSTANTS,) of a piece whose axial force is ``tension`` times its unknowns."""
+    """(CONSTANTS,) constants of a piece whose axial force is ``tension`` times its unknowns."""
     values = np.zeros(CONSTANTS)
     k_even, k_odd = halves(piece.stiffness[:3, :ENDS])
     size, vectors = np.linalg.eigh(k_odd)  # of rank one: two of three odd motions are rigid
@@ -190,14 +195,14 @@ def _constants(piece: Pitch, even: int, tension: FloatArray, time_step: float, t
 
 
 def _mirrored(values: FloatArray) -> FloatArray:
-    """Constants of a pitch whose axial force is the mean: its odd part is zero, here to the last digit."""
+    """Constants of a pitch with the odd part of its mean axial force set to exactly zero."""
     values[AXIAL_ODD : AXIAL_ODD + 3] = 0.0
     values[ODD + AXIAL :: MODE] = 0.0
     return values
 
 
 def _factors(pieces: list[Pitch], tip: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
-    """See ``Tables``: of A = M + theta dt tau K with the modes of each piece eliminated."""
+    """``factors`` and ``root_factors`` of A = M + theta dt tau K with the modes of each piece eliminated."""
     blocks = []
     for piece in pieces:
         A = piece.mass + weight * piece.stiffness
@@ -207,7 +212,7 @@ def _factors(pieces: list[Pitch], tip: FloatArray, weight: float) -> tuple[Float
     behind, ahead = whole[3:, :3], whole[:3, 3:]
     rows: list[FloatArray] = []
     roots: list[list[FloatArray]] = []
-    rest = tip  # of S what comes from the tip's side
+    rest = tip  # contribution to S from the side of the tip
     none = np.zeros((3, 3))
     while len(rows) < MOST_FACTORS:
         E = np.linalg.inv(rest + whole[:3, :3])
@@ -220,36 +225,36 @@ def _factors(pieces: list[Pitch], tip: FloatArray, weight: float) -> tuple[Float
     return np.array(rows), np.array(roots).transpose(1, 0, 2)
 
 
-def _growth(chain: Chain, pieces: list[Pitch], k: int, places: int, elements: int) -> FloatArray:
-    """What changes when the root's piece of k + 1 places gains one, (6 + 2 m)^2, times (d, v, q, p) of it.
+def _growth(chain: Chain, pieces: list[Pitch], k: int, per_pitch: int, elements: int) -> FloatArray:
+    """Matrix (6 + 2 m)^2 that maps (d, v, q, p) of the piece at the root when its k + 1 nodes become k + 2.
 
-    D and v of the float at its L end, q and p of its modes. Gives: K d and momentum that the float at L gains, and q
-    and p of the modes of the longer piece, which moves as the shorter one did and rests beyond it, projected by the
-    mass. Of a whole pitch, whose R end is let go: K d and momentum of the float there; the new piece's modes rest.
+    d and v are of the float at its L end, q and p of its modes. Result: change of K d and of the momentum of the float
+    at L, and q and p of the modes of the longer piece, whose motion is that of the shorter piece, at rest beyond it,
+    projected by the mass. For a whole pitch, whose R end is released: K d and momentum of the float there.
     """
     m = pieces[0].modes
     old = pieces[k]
     result = np.zeros((ENDS + 2 * m, ENDS + 2 * m))
-    kept = np.r_[0:3, ENDS : ENDS + m]
+    columns = np.r_[0:3, ENDS : ENDS + m]
     # velocities of the unknowns from v of the float and momenta of the modes
     modal = np.diag(old.mass)[ENDS:, None]
     moving = np.zeros((3 + m, ENDS + 2 * m))
     moving[:3, 3:6], moving[3:, 3:6] = np.eye(3), -old.mass[ENDS:, :3] / modal
     moving[3:, ENDS + m :] = np.eye(m) / modal
-    if k == places - 1:
+    if k == per_pitch - 1:
         result[:3, :3] = old.stiffness[3:6, :3]
-        result[3:6] = old.mass[3:6][:, kept] @ moving
+        result[3:6] = old.mass[3:6][:, columns] @ moving
         return result
     new = pieces[k + 1]
-    mesh = refined(chain, places, elements, k + 2)
+    mesh = refined(chain, per_pitch, elements, k + 2)
     mass = np.tile([mesh.mass, mesh.mass, mesh.inertia], mesh.node_count)
     mass[:3] *= 0.5
     mass[-3:] *= 0.5
     shape = np.zeros((len(mass), 3 + m))
-    shape[: len(old.shape)] = old.shape[:, kept]
+    shape[: len(old.shape)] = old.shape[:, columns]
     shape[len(old.shape) - 3 :] = 0.0
     result[:3, :3] = new.stiffness[:3, :3] - old.stiffness[:3, :3]
-    result[3:6] = (new.shape[:, :3].T * mass) @ shape @ moving - old.mass[:3][:, kept] @ moving
+    result[3:6] = (new.shape[:, :3].T * mass) @ shape @ moving - old.mass[:3][:, columns] @ moving
     placed = np.zeros((3 + m, ENDS + 2 * m))
     placed[:3, :3], placed[3:, ENDS : ENDS + m] = np.eye(3), np.eye(m)
     modes = new.shape[:, ENDS:].T * mass
@@ -258,9 +263,9 @@ def _growth(chain: Chain, pieces: list[Pitch], k: int, places: int, elements: in
     return result
 
 
-def _shape(piece: Pitch, places: int, elements: int) -> FloatArray:
+def _shape(piece: Pitch, per_pitch: int, elements: int) -> FloatArray:
     """(n, 3, 6 + m), zero beyond the piece."""
-    nodes = piece.shape.reshape(-1, 3, ENDS + piece.modes)[: -1 : elements // places]
-    result = np.zeros((places, 3, ENDS + piece.modes))
+    nodes = piece.shape.reshape(-1, 3, ENDS + piece.modes)[: -1 : elements // per_pitch]
+    result = np.zeros((per_pitch, 3, ENDS + piece.modes))
     result[: len(nodes)] = nodes
     return result

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles.chains import bent, matrices, plain_chain
+from oracles.chains import matrices, plain_chain
 from scipy.linalg import eigh, eigvals
 
 from probe_env import Scene
-from probe_env.physics.methods.superelement.pitch import ENDS, condensed
+from probe_env.physics.methods.superelement.pitch import condensed
 from probe_env.physics.model.chain import build_chain
 
 SCENE = Scene()
@@ -75,21 +75,6 @@ def test_the_frame_s_inertia_is_in_the_mass():
     assert np.abs(without / mesh - 1.0).max() > 1e-6  # it shows
 
 
-def test_frequencies_fall_towards_the_mesh_s_as_modes_are_added():
-    """Rayleigh and Ritz: every frequency is at least the mesh's, and at most that with a mode less."""
-    chain, count = piece(16)._replace(frame_inertia=0.0), 10
-    mesh = of_mesh(16, count)
-    rounding = 1.0 + 1e-6
-    before = np.full(len(mesh), np.inf)
-    for modes in range(6):
-        own = hertz(*assembled(condensed(chain, modes), count))
-        shared = mesh[: len(own)] > 1.0  # below, rounding of the mesh's largest eigenvalue shows
-        assert (own[shared] * rounding >= mesh[: len(own)][shared]).all()
-        least = min(len(own), len(before))
-        assert (own[:least] <= before[:least] * rounding)[shared[:least]].all()
-        before = own
-
-
 @pytest.mark.parametrize(("modes", "reach"), [(2, 319.0), (3, 634.0), (4, 1223.0)])
 def test_what_is_below_the_last_mode_but_one_is_within_a_hundredth(modes, reach):
     """The usual rule: frequencies up to that of the last mode that is kept are good; here up to the one before it."""
@@ -144,24 +129,6 @@ def test_a_pull_is_the_tension():
     assert pitch.tension @ z == pytest.approx(rigidity / length * 1e-6)
     assert pitch.root_tension @ z == pytest.approx(rigidity / length * 1e-6)
     assert (pitch.stiffness @ z)[0] == pytest.approx(rigidity / length * 1e-6)
-
-
-def test_the_mirror_at_the_middle():
-    """x -> -x, y -> y, theta -> -theta with the ends exchanged leaves K, the couple and the symmetric M as they are."""
-    pitch = condensed(bent(piece(16))._replace(frame_inertia=0.0), 4)
-    flip = np.diag([-1.0, 1.0, -1.0])
-    mirror = np.zeros((10, 10))
-    mirror[:3, 3:6], mirror[3:6, :3] = flip, flip
-    nodes = pitch.shape.reshape(-1, 3, 10)
-    turned = nodes[::-1] * np.array([-1.0, 1.0, -1.0])[None, :, None]
-    for k in range(4):
-        own, other = nodes[:, :, ENDS + k], turned[:, :, ENDS + k]
-        parity = np.sign((own * other).sum())
-        assert np.abs(other - parity * own).max() < 1e-6 * np.abs(own).max()
-        mirror[ENDS + k, ENDS + k] = parity
-    assert np.diag(mirror)[ENDS:].tolist() == [1.0, -1.0, 1.0, -1.0]
-    for matrix in (pitch.mass, pitch.stiffness, pitch.couple):
-        assert np.abs(mirror.T @ matrix @ mirror - matrix).max() < 1e-7 * np.abs(matrix).max()
 
 
 @pytest.mark.parametrize("modes", [-1, 46])

@@ -1,4 +1,4 @@
-"""A probe alone, with its floats in the lanes, is bit for bit the probe that has company."""
+"""A single probe, with its floats in the lanes, equals the probe in a group bit for bit."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,8 @@ ROOMS = [
 """Every room, and each precision with more than the usual one: those kernels take 20 s to compile."""
 
 
-def both_ways(scene, method, time_step, steps, **options):
-    """What a kernel gives of a probe by itself, and of the same probe in the midst of two others."""
+def run_single_and_grouped(scene, method, time_step, steps, **options):
+    """Results of a kernel for a single probe, and for the same probe in a group with two others."""
     results = []
     longer = scene.model_copy(update={"carrier_length": scene.carrier_length + 1.2})
     for company in ((), (longer, longer)):
@@ -44,16 +44,16 @@ def both_ways(scene, method, time_step, steps, **options):
 @pytest.mark.processor
 @pytest.mark.parametrize(("method", "stiffness"), ROOMS)
 @pytest.mark.parametrize("length", LENGTHS)
-def test_it_is_the_probe_that_has_company(method, length, stiffness):
+def test_single_equals_grouped(method, length, stiffness):
     """Held, and fed in over floats and blocks of them: state, samples at and between floats, sums of tension."""
     scene = Scene(carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5}, contact={"stiffness": stiffness})
     for options in ({}, {"growing": True, "time_lapse": 80.0}):
-        alone, beside = both_ways(scene, method, 5e-5, 1500, **options)
+        alone, beside = run_single_and_grouped(scene, method, 5e-5, 1500, **options)
         assert alone[0] == beside[0] == 0
         assert alone[1] == beside[1]
-        for own, other in zip(alone[2:], beside[2:], strict=True):
-            assert np.abs(own).max() > 0.0
-            assert (own == other).all()
+        for first, second in zip(alone[2:], beside[2:], strict=True):
+            assert np.abs(first).max() > 0.0
+            assert (first == second).all()
     held = Simulator(scene, method, 5e-5)
     assert METHODS[method].kind(held.constants) == MODES[stiffness]
     assert alone[1] > held.root + 8 * 4  # the root has gone beyond the lanes of a block
@@ -63,11 +63,11 @@ def test_it_is_the_probe_that_has_company(method, length, stiffness):
 def test_it_diverges_in_the_same_step(method):
     scene = Scene(carrier_length=3.0)
     with pytest.warns(StabilityWarning):
-        alone, beside = both_ways(scene, method, 4e-4, 4000)
+        alone, beside = run_single_and_grouped(scene, method, 4e-4, 4000)
     assert alone[0] == beside[0] > 0
 
 
-def test_so_few_run_alone_that_each_takes_less_time():
+def test_small_groups_are_split_if_single_probes_are_faster():
     """Of ten probes a group and two alone, in double precision two groups and two together."""
     for method, grouped in (("superelement32", [8, 1, 1]), ("superelement", [4, 4, 2]), ("imex32", [8, 2])):
         batch = SimulatorBatch([Scene(carrier_length=5.0)] * 10, method)

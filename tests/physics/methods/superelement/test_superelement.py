@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.envs.trials import HARDEST
-from probe_env.physics.closed_forms.bare_chains import Driven, bent_chain, run_chain
+from probe_env.physics.closed_forms.bare_chains import DrivenChain, bent_chain, run_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement import contact, tables
@@ -28,14 +28,14 @@ def dense(pieces, matrices, tip):
     return whole[:-3, :-3]
 
 
-@pytest.mark.parametrize("places", [1, 2, 3, 4])
-def test_the_sweeps_solve_the_chain(places):
+@pytest.mark.parametrize("per_pitch", [1, 2, 3, 4])
+def test_the_sweeps_solve_the_chain(per_pitch):
     """(M + theta dt tau K) v = r of six whole pitches and a part of one: factors and modes against a dense solution."""
     chain = build_chain(Scene(), 4)._replace(frame_inertia=0.0)
     theta, tau = linear_weights(chain.damping_time, STEP)
     weight = theta * STEP * tau
     own = tables.tables(chain, 4, STEP)
-    whole = [tables._piece(linear_part(chain), 4, tables.ELEMENTS, n) for n in (4, places)]
+    whole = [tables._piece(linear_part(chain), 4, tables.ELEMENTS, n) for n in (4, per_pitch)]
     cut = [tables._chosen(piece, own.even, own.odd, weight) for piece in whole]
     pieces = [cut[0]] * 6 + [cut[1]]
     fine = refined(chain, 4, tables.ELEMENTS, 4)
@@ -47,7 +47,7 @@ def test_the_sweeps_solve_the_chain(places):
     left = [p.mass[:ENDS, ENDS:] @ row[3:] for p, row in zip(pieces, rows, strict=True)]  # modes of A are one
     u, before, carried = [], np.zeros(3), np.zeros(3)
     for i in range(7):
-        table = own.root_factors[places - 1] if i == 6 else own.factors
+        table = own.root_factors[per_pitch - 1] if i == 6 else own.factors
         E, F, _ = table[min(i, len(own.factors) - 1)].reshape(3, 3, 3)
         before = E @ (rows[i, :3] - left[i][:3] - carried) - F @ before
         carried = left[i][3:]
@@ -78,10 +78,10 @@ def test_with_all_modes_it_is_the_mesh(monkeypatch):
     d[::2] = ends
     d[1::2] = np.hstack([ends[:-1], ends[1:]]) @ shape.T  # no mode is in it
     ended = {}
-    for name, (chain, places) in chains.items():
-        start = METHODS[name].at_rest(chain, places, STEP, chain.node_count - 1, d[:: 3 - places])
-        run_chain(name, Driven(chain, nodes_per_pitch=places), STEP, start, steps, steps)
-        ended[name] = start.d[::places]
+    for name, (chain, per_pitch) in chains.items():
+        start = METHODS[name].at_rest(chain, per_pitch, STEP, chain.node_count - 1, d[:: 3 - per_pitch])
+        run_chain(name, DrivenChain(chain, nodes_per_pitch=per_pitch), STEP, start, steps, steps)
+        ended[name] = start.d[::per_pitch]
     scale = np.abs(ended["imex"]).max(axis=0)
     assert (scale > 1e-5).all()
     assert_allclose(ended["superelement"] / scale, ended["imex"] / scale, atol=1e-8)  # rounding of 200 steps
@@ -118,7 +118,7 @@ def test_the_compliance_in_steps_is_that_of_the_steps():
         v = A @ (p - theta * STEP * (K @ d))
         p, d = p - STEP * (K @ (d + tau * v)), d + STEP * v
     answer = d[1] * np.exp(-1j * omega * 2000 * STEP)
-    endless = contact.Endless(piece)
+    endless = contact.PeriodicRow(piece)
     endless.stiffness[:, [0, 1], [0, 1]] += 1e5
     own = endless.stepped_compliance(omega, chain.damping_time, STEP)
     assert abs(answer / own - 1.0) < 1e-6  # the start is gone: the slowest motion decays by 230 a second
@@ -130,22 +130,22 @@ def test_contact_is_fitted_where_the_step_shows():
     share = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
     assert_allclose(share, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
     more = contact.fitted_stiffness(
-        *(tables._piece(linear_part(chain), 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
+        *(tables._piece(linear_part(chain), 4, 16, 4).select_modes(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
     )
     assert more == pytest.approx(1e5, rel=2e-3)
 
 
 def test_modes_are_chosen_by_the_contact():
     """Three on table 2; stiffer contact asks for more, and a probe of a longer pitch too."""
-    kept = {}
+    modes = {}
     for name, scene in {
         "table 2": Scene(), "stiff": Scene(contact={"stiffness": 4e5}), "soft": Scene(contact={"stiffness": 1e4})
     }.items():  # fmt: skip
         own = tables.tables(build_chain(scene, 4), 4, 1e-4)
-        kept[name] = (own.even, own.odd)
-    assert kept["table 2"] == kept["soft"] == (2, 1)
-    assert kept["stiff"][0] > 2
-    assert kept["stiff"][1] > 1
+        modes[name] = (own.even, own.odd)
+    assert modes["table 2"] == modes["soft"] == (2, 1)
+    assert modes["stiff"][0] > 2
+    assert modes["stiff"][1] > 1
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_modes_are_chosen_by_the_contact():
         (4, {"contact": {"stiffness": 1.1e6}}, "nodes_per_pitch = 4: .* fewer than the 5 even and 5 odd modes"),
         (4, {"contact": {"stiffness": 1e7}}, "contact.stiffness asks for modes up to .* room for 5 and 5"),
         (4, {"contact": {"cable": True}}, r"contact\.cable = true: superelement has no nodes between floats; imex"),
-        (4, {"couple": "tangent"}, 'couple = "tangent": superelement knows "frame" only; imex'),
+        (4, {"couple": "tangent"}, 'couple = "tangent": superelement supports "frame" only; imex'),
     ],
 )
 def test_unsupported_scenes_are_refused(nodes, change, message):
