@@ -22,6 +22,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import FRAME_PERIOD, SLOWED, Motion, Strip, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
 from probe_env.envs.task import SHOWN
+from probe_env.inspection.metrics import with_pod_columns
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 from probe_env.settings import whole_steps, within
 
@@ -94,8 +95,7 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
             bar.update()
     episode.env.close()
     _write_film(output, frames, FRAMES_PER_SECOND)
-    kpis: dict[str, float] = episode.info["episode_kpis"]
-    return kpis
+    return with_pod_columns(episode.info["episode_kpis"])
 
 
 def render_strip(

@@ -37,6 +37,7 @@ from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Players
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
+from probe_env.inspection.metrics import with_pod_columns
 
 BATCH: Final = 16
 """Episodes side by side."""
@@ -292,7 +293,8 @@ class RolloutRunner:
             if "episode_kpis" in info:
                 unit, metres = self.unit(k), per_metre(self.profile[k])
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
-                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": info["episode_kpis"]}
+                kpis = with_pod_columns(info["episode_kpis"])
+                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}
                 yield json.dumps(record | {"profile": profile} | probe) + "\n"
 

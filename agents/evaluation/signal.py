@@ -42,6 +42,7 @@ from probe_env.inspection.channels import (
     support_signal,
 )
 from probe_env.inspection.detection import snr_at
+from probe_env.inspection.metrics import with_pod_columns
 from probe_env.inspection.sensor import GROOVE, Sensor
 from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
@@ -226,7 +227,7 @@ def insert(
         spectrum=centred_spectra(config.sensor, motion, feed),
         stretch=STRETCH,
     )
-    return Insertion(passage, tuple(periods), tally.detection.kpis(tally.inspected, length))
+    return Insertion(passage, tuple(periods), with_pod_columns(tally.detection.kpis(tally.inspected, length)))
 
 
 def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+import re
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -11,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, RecordVideo, TimeLimit
 
 import probe_env
+from probe_env.inspection.detection import DEPTHS
 
 IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"])
 SHORT = {
@@ -75,6 +78,22 @@ def test_wrappers_work(tmp_path):
     assert truncated
     assert info["episode"]["l"] == 3
     assert list(tmp_path.glob("films/*.mp4"))
+
+
+def test_the_page_lists_what_info_holds():
+    text = (Path(__file__).parents[2] / "docs" / "environments.md").read_text().split("## What info holds")[1]
+    listed = [
+        {name for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
+        for table in text.split("\n## ")[0].split("| KPI |")
+    ]
+    env = gym.make("probe_env/Snapshot-v1", config={"time_limit": 0.2}, **SNAPSHOT)
+    _, begun = env.reset(seed=0)
+    for _ in range(2):
+        *_, truncated, info = env.step(env.action_space.sample())
+    assert truncated
+    assert [set(begun | info), set(info["episode_kpis"])] == listed
+    assert all(type(value) is float for name, value in info["episode_kpis"].items() if name != "pod")
+    assert info["episode_kpis"]["pod"].shape == DEPTHS.shape
 
 
 def test_options_fix_the_context_and_the_rest_is_drawn_alike():

@@ -13,7 +13,7 @@ from probe_env.envs.task import uninspected_weight
 from probe_env.envs.task.observations import in_si_units
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
-from probe_env.inspection.metrics import POD_NAMES, TURN
+from probe_env.inspection.metrics import TURN
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}
@@ -155,7 +155,7 @@ def test_both_ways_find_what_either_finds():
     curves = {}
     for inspects, calls in (("in", 0.05), ("back", 0.05), ("best", 0.1)):
         env, _, infos, _ = play(back=0.1, inspects=inspects, sensor={"false_calls": calls})
-        curves[inspects] = np.array([infos[-1]["episode_kpis"][name] for name in POD_NAMES])
+        curves[inspects] = infos[-1]["episode_kpis"]["pod"]
     detection = env.episodes.scorer.metrics[0].detection
     back = [info["inserted_length"] for info in infos[1:] if info["way"] < 0.0]
     better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]

@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -110,9 +110,9 @@ class EpisodeMetrics:
             **{f"cost_{name}": value for name, value in self.costs.items()},
         }
 
-    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, float]:
+    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, Any]:
         """All figures of the episode, in a tube of a length [m]; see ``totals``."""
-        values = self.totals(length, ended)
+        values: dict[str, Any] = self.totals(length, ended)
         for name, unit in SIGNALS.items():
             mean_square = max(self.squares[name] / self.inspected, 0.0) if self.inspected > 0.0 else 0.0
             values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))
@@ -189,7 +189,7 @@ class Scorer:
             self.metrics[k].reward += float(scored.reward[k])
         return scored
 
-    def kpis(self, k: int, tube_length: float, scored: Score) -> dict[str, float]:
+    def kpis(self, k: int, tube_length: float, scored: Score) -> dict[str, Any]:
         """Figures of an episode that has ended, in a tube of a length [m]."""
         length = tube_length - self.start[k] if self.config.growing else self.metrics[k].inspected
         return self.metrics[k].kpis(float(length), tube_length, scored.kpis(k))
