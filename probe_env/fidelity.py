@@ -30,7 +30,7 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods import METHODS, ON_NODES, check_step, names_of
 from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
-from probe_env.settings import Model, in_one_line, quantity
+from probe_env.settings import Model, closest, in_one_line, quantity
 
 SURROGATE: Final = "surrogate"
 """Method of the fidelity that predicts from a vibration map and simulates no motion."""
@@ -211,7 +211,7 @@ def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: 
     auto = AUTO.fullmatch(fidelity)
     if auto is None:
         known = ", ".join((*PRESETS, "auto", "auto:TOLERANCE"))
-        raise ValueError(f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings")
+        raise ValueError(f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings{closest(fidelity, PRESETS)}")
     try:
         tolerance = float(auto["tolerance"] or TOLERANCE)
     except ValueError:

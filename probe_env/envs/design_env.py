@@ -105,7 +105,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         render_mode: str | None = None,
         **settings: Unpack[PlaceSettings],
     ) -> None:
-        check_known(type(self).__name__, settings, PlaceSettings.__annotations__)
+        check_known("gym.make", settings, ("config", "feed", "full", *PlaceSettings.__annotations__))
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
         self.config, left = placed({}, config, cast(EpisodeSettings, settings))
@@ -124,6 +124,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
         self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(RANGES),), dtype=np.float32)
         self.context: Context | None = None
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.config!r}, {self.fidelity!r}, full={self.full}>"
 
     @property
     def scene(self) -> Scene:

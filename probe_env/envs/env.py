@@ -16,7 +16,7 @@ from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import is_surrogate
-from probe_env.settings import in_one_line
+from probe_env.settings import check_known, in_one_line
 
 if TYPE_CHECKING:
     from probe_env.envs.pictures.episode import Renderer
@@ -51,6 +51,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         render_mode: str | None = None,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
+        check_known("gym.make", settings, ("config", *DEFAULTS))
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         if render_mode is not None and is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
@@ -60,6 +61,9 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.episodes!r}>"
 
     @in_one_line()
     def reset(
@@ -270,6 +274,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         render_mode: str | None = None,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
+        check_known("gym.make_vec", settings, ("config", *DEFAULTS))
         check_episode_steps(max_episode_steps)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
@@ -284,6 +289,9 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self._rngs: dict[int, np.random.Generator] = {}
         self._ended = np.zeros(num_envs, dtype=bool)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.episodes!r}>"
 
     @in_one_line()
     def reset(

@@ -197,6 +197,9 @@ class SurrogateEpisodes:
     def __len__(self) -> int:
         return len(self.context)
 
+    def __repr__(self) -> str:
+        return f"{len(self)} x {self.config!r}, {self.fidelity!r}"
+
     @property
     def observation(self) -> npt.NDArray[np.float32]:
         """(N, d) the present observation."""

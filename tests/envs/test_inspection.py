@@ -30,7 +30,7 @@ def at(end):
     zero = np.zeros(1)
     return StepRecord(
         stepped=ONE, good=ONE, before=ONE, after=np.array([end]), helix_length=np.array([9.0]), air=zero, seconds=zero,
-        action_change=zero, buckling_load=zero, window=None, readings={},
+        action_change=zero, buckling_load=zero, window=None, signals={},
     )  # fmt: skip
 
 
@@ -161,7 +161,7 @@ def test_both_ways_find_what_either_finds():
     better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
     assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
     assert (curves["best"] > better + 1e-3).any()
-    metres = {stretch: sum(tally.lengths) for stretch, tally in detection.tallies.items()}
+    metres = {segment: sum(metrics.lengths) for segment, metrics in detection.segments.items()}
     assert metres["in"] == pytest.approx(3.0)
     assert metres["turn"] + metres["back"] == pytest.approx(3.0)
     assert metres["turn"] == pytest.approx(8.0 - back[round(TURN)], abs=1e-6)  # periods of a second, without time-lapse
@@ -246,7 +246,7 @@ class TestTimeLapse:
             step, single = many.step(actions, active), alone.step(actions[1:])
             mixed += bool(active.all() and np.ptp(many.direction))
             assert np.array_equal(single.observation[0], step.observation[1])
-            assert single.infos[0] == step.infos[1]
+            np.testing.assert_equal(single.infos[0], step.infos[1])
             assert np.array_equal(alone.window.radial_of(0), many.window.radial_of(1))
         assert mixed
 

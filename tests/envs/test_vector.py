@@ -104,10 +104,10 @@ def test_make_vec_options_and_refusals():
         ProbeVecEnv(num_envs=0)
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
         ProbeVecEnv(max_episode_steps=0)
-    with pytest.raises(
-        TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are tube, scene, fidelity, contexts"
-    ):
-        ProbeVecEnv(fidelty="fast")
+    for what, make in (("gym.make", gym.make), ("gym.make_vec", gym.make_vec), ("ProbeVecEnv", ProbeVecEnv)):
+        message = rf"{what}\(\) has no argument fidelty; accepted are config, tube, .*; the closest: fidelity"
+        with pytest.raises(TypeError, match=message):
+            make("probe_env/Snapshot-v1", fidelty="fast")
     env = gym.make_vec("probe_env/Snapshot-v1", num_envs=2, **CASES["probe_env/Snapshot-v1"])
     with pytest.raises(ValueError, match="seed has 3 entries for 2"):
         env.reset(seed=[1, 2, 3])

@@ -108,6 +108,9 @@ class Episodes:
     def __len__(self) -> int:
         return len(self.context)
 
+    def __repr__(self) -> str:
+        return f"{len(self)} x {self.config!r}, {self.fidelity!r}"
+
     @property
     def kernel_seconds(self) -> float:
         """Time spent in the kernels so far [s], over all threads."""

@@ -19,7 +19,7 @@ from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene, whole_pitches
-from probe_env.settings import explain, tuples
+from probe_env.settings import closest, explain, tuples
 
 NamedContexts = Literal["random"] | Split
 Contexts = NamedContexts | Sequence[Context | Mapping[str, float]] | Mapping[str, Any]
@@ -196,7 +196,7 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
         if contexts == "random":
             return Ranges()
         if contexts not in get_args(Split):
-            raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+            raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}{closest(contexts, get_args(Split))}")
         return load_contexts(contexts)
     try:
         if isinstance(contexts, Mapping):
