@@ -10,7 +10,7 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.envs.env import InsertionEnv, InspectionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.settings import check_known
@@ -56,7 +56,7 @@ class ProbeVecEnv(VecEnv):
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         check_known(type(self).__name__, settings, ("config", *DEFAULTS))
         check_episode_steps(max_episode_steps)
-        self.config, settings = placed(ENVIRONMENTS[env_id].defaults, config, settings)
+        self.config, settings = resolve_settings(ENVIRONMENTS[env_id].defaults, config, settings)
         self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))

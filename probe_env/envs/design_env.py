@@ -17,7 +17,7 @@ from probe_env.envs.episodes.starts import (
     EpisodeSettings,
     PlaceSettings,
     drawn_context,
-    placed,
+    resolve_settings,
     restored_on_error,
     settling,
 )
@@ -108,7 +108,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         check_known("gym.make", settings, ("config", "feed", "full", *PlaceSettings.__annotations__))
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
-        self.config, left = placed({}, config, cast(EpisodeSettings, settings))
+        self.config, left = resolve_settings({}, config, cast(EpisodeSettings, settings))
         self.contexts = left.get("contexts", DEFAULTS["contexts"])
         stretch_of(self.config)  # refuses a helix that is too short
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import is_surrogate
@@ -56,7 +56,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         if render_mode is not None and is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
             raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to draw")
-        self.config, settings = placed(self.defaults, config, settings)
+        self.config, settings = resolve_settings(self.defaults, config, settings)
         self.episodes = make_episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
@@ -278,7 +278,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         check_episode_steps(max_episode_steps)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
-        self.config, settings = placed(self.single.defaults, config, settings)
+        self.config, settings = resolve_settings(self.single.defaults, config, settings)
         self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)

@@ -26,7 +26,7 @@ from probe_env.envs.episodes.starts import (
     EpisodeSampler,
     EpisodeSettings,
     Probes,
-    placed,
+    resolve_settings,
     restored_on_error,
     settling,
 )
@@ -161,7 +161,7 @@ class SurrogateEpisodes:
         **settings: Unpack[EpisodeSettings],
     ) -> None:
         check_known(type(self).__name__, settings, DEFAULTS)
-        config, settings = placed({}, config, settings)
+        config, settings = resolve_settings({}, config, settings)
         arguments = DEFAULTS | settings
         vibration = arguments["surrogate_map"]
         if isinstance(vibration, str | Path):

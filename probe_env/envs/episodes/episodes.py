@@ -22,7 +22,7 @@ from probe_env.envs.episodes.starts import (
     DEFAULTS,
     EpisodeSampler,
     EpisodeSettings,
-    placed,
+    resolve_settings,
     restored_on_error,
     settling,
 )
@@ -85,7 +85,7 @@ class Episodes:
         **settings: Unpack[EpisodeSettings],
     ) -> None:
         check_known(type(self).__name__, settings, DEFAULTS)
-        config, settings = placed({}, config, settings)
+        config, settings = resolve_settings({}, config, settings)
         arguments = DEFAULTS | settings
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")

@@ -140,7 +140,7 @@ class EpisodeSampler:
         return scene.model_copy(update={"probe": probe, "carrier_length": carrier} | settled)
 
 
-def placed(
+def resolve_settings(
     defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, Any] | None, settings: EpisodeSettings
 ) -> tuple[TaskConfig, EpisodeSettings]:
     """The task with the scene that it is done in, and what is left of the settings: contexts, fidelity and the rest.
