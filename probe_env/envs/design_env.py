@@ -15,7 +15,7 @@ from probe_env.envs.episodes.starts import (
     DEFAULTS,
     EpisodeSampler,
     EpisodeSettings,
-    PlaceSettings,
+    SceneSettings,
     drawn_context,
     resolve_settings,
     restored_on_error,
@@ -103,9 +103,9 @@ class DesignEnv(gym.Env[Observation, Observation]):
         feed: Schedule | Controller | None = None,
         full: bool = False,
         render_mode: str | None = None,
-        **settings: Unpack[PlaceSettings],
+        **settings: Unpack[SceneSettings],
     ) -> None:
-        check_known("gym.make", settings, ("config", "feed", "full", *PlaceSettings.__annotations__))
+        check_known("gym.make", settings, ("config", "feed", "full", *SceneSettings.__annotations__))
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
         self.config, left = resolve_settings({}, config, cast(EpisodeSettings, settings))

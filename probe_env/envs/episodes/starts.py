@@ -35,7 +35,7 @@ RANDOM_TUBES: Final = 1024
 """Of a plant, from which a random context is drawn."""
 
 
-class PlaceSettings(TypedDict, total=False):
+class SceneSettings(TypedDict, total=False):
     """Where something is tried and how closely it is simulated; see ``InsertionEnv`` for what each means."""
 
     tube: GivenPlant
@@ -44,7 +44,7 @@ class PlaceSettings(TypedDict, total=False):
     contexts: Contexts
 
 
-class EpisodeSettings(PlaceSettings, total=False):
+class EpisodeSettings(SceneSettings, total=False):
     """What episodes share besides the task; see ``InsertionEnv`` for what each means. SI units."""
 
     feed_speed: float
