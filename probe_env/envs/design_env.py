@@ -16,7 +16,7 @@ from probe_env.envs.episodes.starts import (
     EpisodeSampler,
     EpisodeSettings,
     SceneSettings,
-    drawn_context,
+    sample_context,
     resolve_settings,
     restored_on_error,
     settling,
@@ -163,7 +163,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         sections = None if self.full else cast(Schedule, self.feed)
         with restored_on_error([self.np_random]):
-            context = drawn_context(self.contexts, self.np_random, dict(options or {}))
+            context = sample_context(self.contexts, self.np_random, dict(options or {}))
             for design in HARDEST:  # then all of the design space, cut to the bore, can be tried
                 check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
         self.context = context

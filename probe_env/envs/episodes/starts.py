@@ -119,7 +119,7 @@ class EpisodeSampler:
         """
         fixed = dict(options)
         changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
-        context = drawn_context(self.contexts, rng, fixed)
+        context = sample_context(self.contexts, rng, fixed)
         drawn = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
         changes["probe"] = drawn | dict(changes.get("probe", {}))
         return context, self.build(context, changes)
@@ -214,7 +214,7 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     return tuple(listed)
 
 
-def drawn_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
+def sample_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
     """A context from the generator, at random or from a list; ``fixed`` fixes fields or a whole "context".
 
     Takes "context" out of ``fixed``.

@@ -7,7 +7,7 @@ import pytest
 import probe_env
 from probe_env import Context, Plant, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
-from probe_env.envs.episodes.starts import checked_contexts, drawn_context
+from probe_env.envs.episodes.starts import checked_contexts, sample_context
 from probe_env.envs.task.observations import observe
 from probe_env.envs.task.scales import LOAD_CELL, OBSERVATIONS
 
@@ -57,7 +57,7 @@ def test_and_from_ranges_that_leave_the_rest_as_it_was():
     rng, same = np.random.default_rng(5), np.random.default_rng(5)
     ranges = {"friction": (0.3, 0.35), "helix_diameter": 1.9, "drag_factor": [0.8, 1.0, 1.2]}
     plain = draw_context(same)
-    drawn = drawn_context(ranges, rng, {})
+    drawn = sample_context(ranges, rng, {})
     assert 0.3 <= drawn.friction <= 0.35
     assert drawn.helix_diameter == 1.9
     assert drawn.drag_factor in (0.8, 1.0, 1.2)
