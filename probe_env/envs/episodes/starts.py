@@ -28,7 +28,7 @@ Probes = Literal["scene", "random"]
 SHORTEST_START: Final = 5.0  # [m] inserted
 SETTLING: Final = (0.2, 63.0 / 3600.0)
 """Feed speed [m/s] and air supply [m3/s] before an episode, unless others are given."""
-WAY_BACK: Final[dict[str, Any]] = {"couple": "tangent", "contact": {"cable": True}}
+WITHDRAWAL_SCENE: Final[dict[str, Any]] = {"couple": "tangent", "contact": {"cable": True}}
 """What the scene of a probe that is drawn back must have: it is pressed."""
 CARRIER_AT_START: Final = 2.5  # [m], at least
 RANDOM_TUBES: Final = 1024
@@ -109,7 +109,7 @@ class EpisodeSampler:
             lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
             probe = Design.model_validate(lightest).cut_to(self.scene).probe(self.scene.probe)
             update |= {"probe": probe, "carrier_length": whole_pitches(self.scene.carrier_length, probe)}
-        return self.scene.model_copy(update=update | (WAY_BACK if self.config.returns else {}))
+        return self.scene.model_copy(update=update | (WITHDRAWAL_SCENE if self.config.returns else {}))
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
         """Context and scene of an episode, see ``Episodes.reset`` for the options; whatever they fix is drawn as well.
@@ -126,7 +126,7 @@ class EpisodeSampler:
 
     def build(self, context: Context, changes: Mapping[str, Any]) -> Scene:
         """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
-        scene = context.apply(self.scene.model_copy(update=WAY_BACK) if self.config.returns else self.scene)
+        scene = context.apply(self.scene.model_copy(update=WITHDRAWAL_SCENE) if self.config.returns else self.scene)
         if self.config.growing and "carrier_length" in changes:
             raise ValueError("carrier_length is not an option here: the probe starts short and is fed in")
         probe = scene.probe.model_copy(update=changes.get("probe", {}))
