@@ -500,11 +500,11 @@ def map_beside(tube: Path) -> Path:
     return tube.with_name(f"{tube.stem}-map.npz")
 
 
-GivenPlant = Plant | str | Path | Mapping[str, Any] | None
+PlantSource = Plant | str | Path | Mapping[str, Any] | None
 """A plant, its file or its fields."""
 
 
-def plant_of(given: GivenPlant) -> Plant | None:
+def plant_of(given: PlantSource) -> Plant | None:
     """A plant by its file, its fields or itself; None is none.
 
     Raises:

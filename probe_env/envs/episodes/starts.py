@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
-from probe_env.envs.plants import GivenPlant, map_beside, plant_of
+from probe_env.envs.plants import PlantSource, map_beside, plant_of
 from probe_env.envs.task import TaskConfig, ungrouped
 from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
@@ -38,7 +38,7 @@ RANDOM_TUBES: Final = 1024
 class SceneSettings(TypedDict, total=False):
     """Where something is tried and how closely it is simulated; see ``InsertionEnv`` for what each means."""
 
-    tube: GivenPlant
+    tube: PlantSource
     scene: Scene | Mapping[str, Any] | None
     fidelity: str | Fidelity | Mapping[str, Any]
     contexts: Contexts
