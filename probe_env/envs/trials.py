@@ -121,7 +121,7 @@ SPACING: Final = 10.0
 LEAST_SECTIONS: Final = 3
 
 
-class Stretch(NamedTuple):
+class TubeSegment(NamedTuple):
     """Where probes are compared [m]."""
 
     end: float  # greatest distance of the sensor from the entrance
@@ -134,7 +134,7 @@ class Stretch(NamedTuple):
         return self.end - SENSOR_START
 
 
-def stretch_of(config: TaskConfig) -> Stretch:
+def stretch_of(config: TaskConfig) -> TubeSegment:
     """The stretch of a task's helix.
 
     Raises:
@@ -144,7 +144,7 @@ def stretch_of(config: TaskConfig) -> Stretch:
 
 
 @lru_cache
-def _stretch(helix_length: float, lost_drive_from: float) -> Stretch:
+def _stretch(helix_length: float, lost_drive_from: float) -> TubeSegment:
     shortest, longest, _ = RANGES["guide_length"]
     end = helix_length - longest
     least = longest + max(lost_drive_from - shortest, SENSOR_START + SPACING)  # so that every probe has a drive margin
@@ -159,7 +159,7 @@ def _stretch(helix_length: float, lost_drive_from: float) -> Stretch:
     middles = [0.5 * (one + other) for one, other in pairwise(positions)]
     edges = (SENSOR_START, *middles, end)
     widths = tuple(high - low for low, high in pairwise(edges))
-    return Stretch(end, positions, widths)
+    return TubeSegment(end, positions, widths)
 
 
 FOUND_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
